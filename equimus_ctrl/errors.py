@@ -1,0 +1,51 @@
+"""Every exception this package raises on purpose.
+
+An exception that reaches a user is one sentence: what is wrong, where, the value found, and what would have
+been right.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class EquimusError(Exception):
+    """Root of all errors raised on purpose by this package."""
+
+
+class ConfigError(EquimusError):
+    """A setting is missing, unknown, of the wrong type or outside its bounds."""
+
+
+class ModelError(EquimusError):
+    """A morphology or model cannot be simulated as described."""
+
+
+class RecordingError(EquimusError):
+    """A recording cannot be read, or what it holds cannot be right."""
+
+
+class SimulationDiverged(EquimusError):
+    """A simulation left the range where its numbers mean anything."""
+
+
+class ControllerError(EquimusError):
+    """A controller could not be loaded, or returned something that is not a command."""
+
+
+class NotAvailable(EquimusError):
+    """Something optional (a recording, a renderer, an extra package) is not there."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The known name most like ``name``, as ``; did you mean 'x'?``, or an empty string."""
+    match = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean {match[0]!r}?" if match else ""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") -> str:
+    """One sentence for a name that does not exist, listing those that do."""
+    names = sorted(known)
+    place = f"{where}: " if where else ""
+    return f"{place}there is no {kind} {name!r}{nearest(name, names)} (known: {', '.join(names) or 'none'})"

@@ -1,0 +1,136 @@
+"""Geometry and statics of a morphology, numerically: what the symbolic model says, as plain functions of arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from equimus_ctrl.errors import ModelError
+from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.types import Array
+
+
+@lru_cache(maxsize=32)
+def _functions(form: Structure, phase: Phase) -> dict[str, ca.Function]:
+    m = build(form, phase)
+    still = ca.substitute(m.acceleration, m.v, ca.SX.zeros(m.v.shape))
+    torque = ca.substitute(m.mass @ m.acceleration, m.v, ca.SX.zeros(m.v.shape))
+    return {
+        "lengths": ca.Function("lengths", [m.q, m.p], [m.lengths]),
+        "jacobian": ca.Function("jacobian", [m.q, m.p], [m.jacobian]),
+        "foot": ca.Function("foot", [m.q, m.p], [m.foot]),
+        "foot_jacobian": ca.Function("foot_jacobian", [m.q, m.p], [ca.jacobian(m.foot, m.q)]),
+        "knots": ca.Function("knots", [m.q, m.p], [m.knots]),
+        "static_pressure": ca.Function("static_pressure", [m.q, m.p], [m.static_pressure]),
+        "mass": ca.Function("mass", [m.q, m.p], [m.mass]),
+        "energy": ca.Function("energy", [m.q, m.v, m.p], [m.kinetic, m.potential]),
+        "acceleration": ca.Function("acceleration", [m.q, m.v, m.f, m.tau, m.p], [m.acceleration]),
+        "rest_acceleration": ca.Function("rest", [m.q, m.f, m.tau, m.p], [still]),
+        "rest_torque": ca.Function("rest_torque", [m.q, m.f, m.tau, m.p], [torque, ca.jacobian(torque, m.q)]),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Kinematics:
+    """Lengths, positions and rest states of one morphology.
+
+    Attributes:
+        morphology: whose.
+        phase: base fixed (swing) or foot pinned (stance).
+    """
+
+    morphology: Morphology
+    phase: Phase = "swing"
+    parameters: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", pack(self.morphology))
+
+    def _call(self, name: str, *arguments: ArrayLike) -> Any:
+        function = _functions(structure(self.morphology), self.phase)[name]
+        return function(*(np.asarray(a, dtype=np.float64) for a in arguments), self.parameters)
+
+    def lengths(self, q: ArrayLike) -> Array:
+        """(na,) actuator lengths at the pose q [m]."""
+        return np.array(self._call("lengths", q)).ravel()
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """(na, nj) moment arms ∂length/∂q [m]."""
+        return np.array(self._call("jacobian", q))
+
+    def foot(self, q: ArrayLike) -> Array:
+        """(2,) the foot relative to the base: x to the right, y down [m]."""
+        return np.array(self._call("foot", q)).ravel()
+
+    def knots(self, q: ArrayLike) -> Array:
+        """(nj + 1, 2) the base's origin and the tip of each joint's link [m]."""
+        return np.array(self._call("knots", q)).T
+
+    def mass(self, q: ArrayLike) -> Array:
+        """(nj, nj) mass matrix [kg·m²]."""
+        return np.array(self._call("mass", q))
+
+    def energy(self, q: ArrayLike, v: ArrayLike) -> tuple[float, float]:
+        """Kinetic and potential energy [J], the stops left out."""
+        kinetic, potential = self._call("energy", q, v)
+        return float(kinetic), float(potential)
+
+    def acceleration(self, q: ArrayLike, v: ArrayLike, pressure: ArrayLike, torque: ArrayLike | None = None) -> Array:
+        """(nj,) joint accelerations under pressures [Pa] and joint torques [N·m]."""
+        torque = np.zeros(len(self.morphology.joints)) if torque is None else torque
+        return np.array(self._call("acceleration", q, v, self.drive_force(pressure), torque)).ravel()
+
+    def drive_force(self, pressure: ArrayLike) -> Array:
+        """(na,) force along each actuator that pressures [Pa] make [N]."""
+        return np.array([a.area for a in self.morphology.actuators]) * np.asarray(pressure, dtype=np.float64)
+
+    def static_pressure(self, q: ArrayLike) -> Array:
+        """(na,) pressures that would hold q at rest without touching a stop [Pa]; they may lie outside the range."""
+        return np.array(self._call("static_pressure", q)).ravel()
+
+    def holds(self, q: ArrayLike, tolerance: float = 1e-6) -> bool:
+        """Whether pressures within the command range hold the pose q, to ``tolerance`` [N·m]."""
+        pressure = self.static_pressure(q)
+        m = self.morphology
+        inside = bool(np.all(pressure >= m.command_low) and np.all(pressure <= m.command_high))
+        torque = self._call("rest_torque", q, self.drive_force(pressure), np.zeros(len(m.joints)))[0]
+        return inside and float(np.abs(np.array(torque)).max()) <= tolerance
+
+    def equilibrium(self, pressure: ArrayLike, start: ArrayLike | None = None) -> Array:
+        """(nj,) the pose at rest under constant pressures [Pa], stops included.
+
+        Args:
+            pressure: (na,) [Pa].
+            start: (nj,) where to look from; the middle of the joint ranges by default.
+
+        Raises:
+            ModelError: where no pose at rest is found.
+        """
+        force = self.drive_force(pressure)
+        zero = np.zeros(len(self.morphology.joints))
+        low, high = (np.clip(side, -np.pi, np.pi) for side in self.morphology.joint_range)
+        starts = [np.asarray(start, dtype=np.float64)] if start is not None else []
+        starts += [low + share * (high - low) for share in (0.5, 0.25, 0.75, 0.1, 0.9)]
+        for guess in starts:
+            found = least_squares(
+                lambda q: np.array(self._call("rest_torque", q, force, zero)[0]).ravel(),
+                guess,
+                jac=lambda q: np.array(self._call("rest_torque", q, force, zero)[1]),
+                xtol=1e-15,
+                ftol=1e-15,
+                gtol=1e-15,
+            )
+            torque, slope = self._call("rest_torque", found.x, force, zero)
+            # At rest means no torque, and stable means that torque pushes back against any small displacement.
+            stable = np.all(np.linalg.eigvals(np.linalg.solve(self.mass(found.x), np.array(slope))).real < 0)
+            if np.abs(np.array(torque)).max() < 1e-8 and stable:
+                return np.asarray(found.x, dtype=np.float64)
+        commands = ", ".join(f"{value / 1e3:g}" for value in np.atleast_1d(np.asarray(pressure, dtype=np.float64)))
+        raise ModelError(f"{self.morphology.name}: no pose at rest was found under pressures of {commands} kPa")

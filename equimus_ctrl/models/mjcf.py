@@ -1,0 +1,344 @@
+"""A morphology as a MuJoCo model, its elastic actuators as 3-2-1 elements.
+
+A 3-2-1 element (Zhu et al., "EquiMus", 2025) has the energy of a uniform elastic rod of mass m: point masses
+m/6, 2m/3, m/6 at the ends and the middle, two drives in series (each stiffness 2k, damping 2c, rest length l0/2,
+force F) and one equality that keeps both halves equally long.
+
+MuJoCo's x is the morphology's x and its z points up, so (x, y) becomes (x, 0, −y) and angles turn about +y.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.errors import ModelError
+from equimus_ctrl.types import Array
+from equimus_ctrl.models.morphology import BASE, ElasticActuator, Joint, JointStop, Morphology, Phase, Point
+
+HINGE_AXIS = (0.0, 1.0, 0.0)
+POINT_INERTIA = 1e-9  # MuJoCo wants more than none; a millionth of a link's
+STOP_IMPEDANCE = 1e-4  # the least MuJoCo allows: the limit then acts as the plain spring and damper it stands for
+
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """How MuJoCo integrates and how hard it holds the equalities.
+
+    Attributes:
+        timestep: [s].
+        integrator: ``"implicitfast"``, ``"Euler"``, ``"implicit"`` or ``"RK4"``.
+        time_constant: of the equalities' error decay [s]; None means two time steps, the least MuJoCo allows.
+        impedance: of the equalities, just below 1.
+        iterations: of the constraint solver, at most.
+        tolerance: of the constraint solver.
+    """
+
+    timestep: float = 1 / 1200
+    integrator: str = "implicitfast"
+    time_constant: float | None = None
+    impedance: float = 0.9999
+    iterations: int = 50
+    tolerance: float = 1e-10
+
+
+def point_position(point: Point) -> tuple[float, float, float]:
+    """A morphology's point in MuJoCo's coordinates of the same body's frame."""
+    x, y = point.xy
+    return (x, 0.0, -y)
+
+
+def add_elastic_actuator(
+    spec: mujoco.MjSpec,
+    name: str,
+    origin: str,
+    insertion: str,
+    *,
+    mass: float,
+    stiffness: float,
+    damping: float,
+    rest_length: float,
+    area: float = 1.0,
+    command_range: tuple[float, float] | None = None,
+    settings: SolverSettings | None = None,
+) -> mujoco.MjsActuator:
+    """Put a linear elastic actuator between two sites of any MjSpec, as a 3-2-1 element.
+
+    The element is built in the plane of the origin site's local x and z (its hinge turns about the site's local y),
+    which suits planar mechanisms that move in that plane. Before the first step the element's own joints must be
+    closed, see ``close_elements``.
+
+    Args:
+        spec: changed in place.
+        name: of the actuator; the element's bodies and joints are called ``name/upper`` and so on.
+        origin: name of the site at one end; its body carries the element.
+        insertion: name of the site at the other end.
+        mass: spread evenly [kg], more than 0.
+        stiffness: [N/m].
+        damping: [N·s/m].
+        rest_length: [m].
+        area: force per command [N] (m² where the command is a pressure in Pa).
+        command_range: (low, high) of the command, or None for no limit.
+        settings: whose equality settings to use.
+
+    Returns:
+        The actuator; its command pushes the ends apart.
+
+    Raises:
+        ModelError: where a site does not exist or a number cannot be.
+    """
+    settings = settings or SolverSettings()
+    start, end = spec.site(origin), spec.site(insertion)
+    for label, site in ((origin, start), (insertion, end)):
+        if site is None:
+            known = ", ".join(s.name for s in spec.sites if s.name) or "none"
+            raise ModelError(f"actuator {name!r}: there is no site {label!r} (known: {known})")
+    if start.parent.name == end.parent.name:
+        raise ModelError(f"actuator {name!r}: both sites are on body {start.parent.name!r}, so it cannot lengthen")
+    for key, value in (("mass", mass), ("rest_length", rest_length)):
+        if not value > 0:
+            raise ModelError(f"actuator {name!r}: {key} is {value:g}, expected more than 0")
+
+    parent = start.parent
+    upper = parent.add_body(name=f"{name}/upper", pos=start.pos, quat=start.quat)
+    _point_mass(upper, mass / 6)
+    upper.add_joint(name=f"{name}/hinge", type=mujoco.mjtJoint.mjJNT_HINGE, axis=HINGE_AXIS)
+    tendon = spec.add_tendon(name=f"{name}/length")
+    body = upper
+    for half, share in (("middle", 2 / 3), ("lower", 1 / 6)):
+        body = body.add_body(name=f"{name}/{half}")
+        _point_mass(body, mass * share)
+        slide = body.add_joint(name=f"{name}/{half}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1.0, 0.0, 0.0))
+        slide.stiffness[0] = 2 * stiffness
+        slide.damping[0] = 2 * damping
+        slide.springref = rest_length / 2
+        tendon.wrap_joint(slide.name, 1.0)
+    body.add_site(name=f"{name}/end")
+    solref = (settings.time_constant or 2 * settings.timestep, 1.0)
+    solimp = (settings.impedance, settings.impedance, 0.001, 0.5, 2.0)
+    halves = spec.add_equality(
+        name=f"{name}/halves",
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        name1=f"{name}/lower",
+        name2=f"{name}/middle",
+        solref=solref,
+        solimp=solimp,
+    )
+    halves.data[:5] = (0.0, 1.0, 0.0, 0.0, 0.0)
+    spec.add_equality(
+        name=f"{name}/insertion",
+        type=mujoco.mjtEq.mjEQ_CONNECT,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=f"{name}/end",
+        name2=insertion,
+        solref=solref,
+        solimp=solimp,
+    )
+    actuator = spec.add_actuator(
+        name=name, trntype=mujoco.mjtTrn.mjTRN_TENDON, target=tendon.name, gaintype=mujoco.mjtGain.mjGAIN_FIXED
+    )
+    actuator.gainprm[0] = area
+    if command_range is not None:
+        actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.ctrlrange = command_range
+    return actuator
+
+
+def _point_mass(body: mujoco.MjsBody, mass: float) -> None:
+    body.mass = mass
+    body.ipos = (0.0, 0.0, 0.0)
+    body.inertia = (POINT_INERTIA,) * 3
+    body.explicitinertial = True
+
+
+def build_spec(
+    morphology: Morphology, phase: Phase = "swing", settings: SolverSettings | None = None
+) -> mujoco.MjSpec:
+    """The MjSpec of a morphology, base fixed (swing) or foot pinned (stance).
+
+    In stance the base slides freely in the plane and keeps its orientation, and an equality pins the foot to the
+    world's site ``foothold``.
+    """
+    settings = settings or SolverSettings()
+    spec = mujoco.MjSpec()
+    spec.modelname = morphology.name
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = settings.timestep
+    option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{settings.integrator.upper()}")
+    option.iterations = settings.iterations
+    option.tolerance = settings.tolerance
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
+    tilt = morphology.tilt
+    option.gravity = (-morphology.gravity * math.sin(tilt), 0.0, -morphology.gravity * math.cos(tilt))
+
+    base = spec.worldbody.add_body(name=BASE)
+    bodies = {BASE: base}
+    if phase == "stance":
+        _point_mass(base, max(morphology.base_mass, 1e-6))
+        for axis, direction in (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 0.0, -1.0))):
+            base.add_joint(name=f"{BASE}/{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
+    for joint in morphology.joints:
+        link = morphology.link(joint.child)
+        body = bodies[joint.parent].add_body(name=link.name, pos=point_position(morphology.joint_point(joint)))
+        body.mass = link.mass
+        body.ipos = (link.com, 0.0, 0.0)
+        body.inertia = (max(link.inertia, POINT_INERTIA),) * 3
+        body.explicitinertial = True
+        hinge = body.add_joint(name=joint.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=HINGE_AXIS)
+        hinge.damping[0] = joint.damping
+        bodies[link.name] = body
+        _draw_link(body, link.length)
+    _add_foot(spec, bodies[morphology.foot], morphology, phase, settings)
+    for actuator in morphology.actuators:
+        for label, point in (("origin", actuator.origin), ("insertion", actuator.insertion)):
+            bodies[point.body].add_site(name=f"{actuator.name}/{label}", pos=point_position(point), size=(0.006,) * 3)
+        _add_actuator(spec, actuator, morphology, settings)
+    return spec
+
+
+def _add_actuator(
+    spec: mujoco.MjSpec, actuator: ElasticActuator, morphology: Morphology, settings: SolverSettings
+) -> None:
+    add_elastic_actuator(
+        spec,
+        actuator.name,
+        f"{actuator.name}/origin",
+        f"{actuator.name}/insertion",
+        mass=actuator.mass,
+        stiffness=actuator.stiffness,
+        damping=actuator.damping,
+        rest_length=actuator.rest_length,
+        area=actuator.area,
+        command_range=(morphology.command_low, morphology.command_high),
+        settings=settings,
+    )
+
+
+def _add_foot(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, morphology: Morphology, phase: Phase, settings: SolverSettings
+) -> None:
+    length = morphology.link(morphology.foot).length
+    body.add_site(name="foot", pos=(length, 0.0, 0.0), size=(0.012,) * 3, rgba=(0.1, 0.1, 0.1, 1.0))
+    if phase == "swing":
+        return
+    spec.worldbody.add_site(name="foothold", pos=(0.0, 0.0, 0.0))
+    spec.add_equality(
+        name="foothold",
+        type=mujoco.mjtEq.mjEQ_CONNECT,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1="foot",
+        name2="foothold",
+        solref=(settings.time_constant or 2 * settings.timestep, 1.0),
+        solimp=(settings.impedance, settings.impedance, 0.001, 0.5, 2.0),
+    )
+
+
+def _draw_link(body: mujoco.MjsBody, length: float) -> None:
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=(0.0, 0.0, 0.0, length, 0.0, 0.0),
+        size=(0.012, 0.0, 0.0),
+        rgba=(0.45, 0.5, 0.58, 1.0),
+        contype=0,
+        conaffinity=0,
+        mass=0.0,
+    )
+
+
+def compile_model(
+    morphology: Morphology, phase: Phase = "swing", settings: SolverSettings | None = None
+) -> mujoco.MjModel:
+    """The compiled MuJoCo model of a morphology, with its joint stops set.
+
+    A stop is a joint limit of the least impedance d MuJoCo allows: its force d·(k r + b v − a)/A is then that of a
+    one-sided spring and damper, but for the share d of what the bare acceleration a would need.
+    """
+    spec = build_spec(morphology, phase, settings)
+    for joint in morphology.joints:
+        _limit(spec, joint, (1.0, 1.0))
+    model = spec.compile()
+    for joint in morphology.joints:
+        stop = joint.lower or joint.upper
+        if stop is None:
+            continue
+        index = model.joint(joint.name).id
+        inverse_inertia = model.dof_invweight0[model.jnt_dofadr[index]]
+        # With direct stiffness K and damping C MuJoCo's limit exerts (K r + C v) / inverse_inertia.
+        model.jnt_solref[index] = (-stop.stiffness * inverse_inertia, -stop.damping * inverse_inertia)
+    return model
+
+
+def _limit(spec: mujoco.MjSpec, joint: Joint, solref: tuple[float, float]) -> None:
+    if joint.lower is None and joint.upper is None:
+        return
+    if joint.lower and joint.upper and not _same_force(joint.lower, joint.upper):
+        raise ModelError(
+            f"joint {joint.name!r}: its two stops differ in stiffness or damping, which a MuJoCo joint limit cannot do"
+        )
+    hinge = spec.joint(joint.name)
+    hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    hinge.range = (joint.lower.angle if joint.lower else -1e3, joint.upper.angle if joint.upper else 1e3)
+    hinge.solimp_limit = (STOP_IMPEDANCE, STOP_IMPEDANCE, 0.001, 0.5, 2.0)
+    hinge.solref_limit = solref
+
+
+def _same_force(a: JointStop, b: JointStop) -> bool:
+    return a.stiffness == b.stiffness and a.damping == b.damping
+
+
+def close_elements(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Set the joints of all 3-2-1 elements so that their ends meet, for the skeleton's current qpos and qvel.
+
+    Raises:
+        ModelError: where an element's two ends lie on the same spot.
+    """
+    mujoco.mj_kinematics(model, data)
+    own: list[int] = []
+    for name in _element_names(model):
+        hinge = model.joint(f"{name}/hinge")
+        upper = model.body(f"{name}/upper").id
+        end = model.equality(f"{name}/insertion").obj2id[0]
+        frame = data.xmat[model.body_parentid[upper]].reshape(3, 3) @ _rotation(model.body_quat[upper])
+        x, _, z = frame.T @ (data.site_xpos[end] - data.xanchor[hinge.id])
+        length = math.hypot(x, z)
+        if length < 1e-9:
+            raise ModelError(f"actuator {name!r} has no length at this pose, so its direction is undefined")
+        data.qpos[hinge.qposadr[0]] = math.atan2(-z, x)
+        own.append(hinge.dofadr[0])
+        for half in ("middle", "lower"):
+            slide = model.joint(f"{name}/{half}")
+            data.qpos[slide.qposadr[0]] = length / 2
+            own.append(slide.dofadr[0])
+    if not own:
+        return
+    skeleton = data.qvel.copy()
+    skeleton[own] = 0.0
+    data.qvel[:] = skeleton
+    mujoco.mj_forward(model, data)
+    equality = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    jacobian = np.zeros((data.nefc, model.nv))
+    for i in range(data.nefc):
+        if mujoco.mj_isSparse(model):
+            first, count = data.efc_J_rowadr[i], data.efc_J_rownnz[i]
+            jacobian[i, data.efc_J_colind[first : first + count]] = data.efc_J[first : first + count]
+        else:
+            jacobian[i] = data.efc_J[i * model.nv : (i + 1) * model.nv]
+    jacobian = jacobian[equality]
+    data.qvel[own] = np.linalg.lstsq(jacobian[:, own], -jacobian @ skeleton, rcond=None)[0]
+    mujoco.mj_forward(model, data)
+
+
+def _element_names(model: mujoco.MjModel) -> list[str]:
+    names = [model.joint(i).name for i in range(model.njnt)]
+    return [name.removesuffix("/hinge") for name in names if name.endswith("/hinge")]
+
+
+def _rotation(quaternion: Array) -> Array:
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)

@@ -1,0 +1,168 @@
+"""The vocabulary shared by plants, controllers, scenarios and recordings: frozen data and protocols.
+
+Units are SI throughout: seconds, radians, pascals, metres. Arrays held by these classes are read-only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from equimus_ctrl.errors import ConfigError
+
+Array = NDArray[np.float64]
+
+
+def frozen_array(values: ArrayLike, ndim: int | None = None, name: str = "array") -> Array:
+    """A read-only float64 copy of ``values``; raises ConfigError if it has not ``ndim`` dimensions."""
+    array = np.array(values, dtype=np.float64)
+    if ndim is not None and array.ndim != ndim:
+        raise ConfigError(f"{name}: expected {ndim} dimension(s), got an array of shape {array.shape}")
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One trial: commands in force and angles measured, row by row.
+
+    A command holds from its row until the next one (zero-order hold).
+
+    Attributes:
+        name: what the trial is called, usually the file's stem.
+        time: (n,) strictly ascending sample times [s].
+        command: (n, n_actuators) commanded pressures [Pa].
+        position: (n, n_joints) measured joint angles [rad].
+        actuators: names of the command columns.
+        joints: names of the position columns.
+        velocity: (n, n_joints) measured joint velocities [rad/s], where the sensor gives them.
+        measured: (n, n_actuators) measured pressures [Pa], where a sensor gives them.
+        before: (n_actuators,) command in force before the first row, long enough for the robot to have
+            settled [Pa]; the first row's command where the recording does not say.
+        notes: provenance and whatever else the file says of itself.
+    """
+
+    name: str
+    time: Array
+    command: Array
+    position: Array
+    actuators: tuple[str, ...]
+    joints: tuple[str, ...]
+    velocity: Array | None = None
+    measured: Array | None = None
+    before: Array | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for key, ndim in (("time", 1), ("command", 2), ("position", 2)):
+            object.__setattr__(self, key, frozen_array(getattr(self, key), ndim, f"{self.name}: {key}"))
+        for key, ndim in (("velocity", 2), ("measured", 2), ("before", 1)):
+            if getattr(self, key) is not None:
+                object.__setattr__(self, key, frozen_array(getattr(self, key), ndim, f"{self.name}: {key}"))
+        object.__setattr__(self, "notes", dict(self.notes))
+        n = len(self.time)
+        shapes: dict[str, tuple[Array | None, tuple[int, ...]]] = {
+            "command": (self.command, (n, len(self.actuators))),
+            "position": (self.position, (n, len(self.joints))),
+            "velocity": (self.velocity, (n, len(self.joints))),
+            "measured": (self.measured, (n, len(self.actuators))),
+            "before": (self.before, (len(self.actuators),)),
+        }
+        for key, (array, shape) in shapes.items():
+            if array is not None and array.shape != shape:
+                raise ConfigError(f"{self.name}: {key} has shape {array.shape}, expected {shape}")
+
+    @property
+    def command_before(self) -> Array:
+        """(n_actuators,) the command in force before the first row [Pa]."""
+        return self.command[0] if self.before is None else self.before
+
+
+@dataclass(frozen=True, eq=False)
+class PlantSpec:
+    """What a controller may know of the plant it drives.
+
+    Attributes:
+        joints: joint names, in the order of every position array.
+        actuators: actuator names, in the order of every command array.
+        command_low: (n_actuators,) lowest command [Pa].
+        command_high: (n_actuators,) highest command [Pa].
+        control_dt: time between two commands [s].
+        model: the nominal model the controller may compute with (a ``Morphology``), or None.
+        joint_low: (n_joints,) lower end of the joint range [rad].
+        joint_high: (n_joints,) upper end of the joint range [rad].
+    """
+
+    joints: tuple[str, ...]
+    actuators: tuple[str, ...]
+    command_low: Array
+    command_high: Array
+    control_dt: float
+    joint_low: Array
+    joint_high: Array
+    model: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What the sensors and the command interface give at one control instant.
+
+    Attributes:
+        time: the control instant [s].
+        position: (n_joints,) latest measured joint angles [rad].
+        stamp: when ``position`` was measured [s]; never later than ``time``.
+        command: (n_actuators,) the command in force until now, after clipping [Pa].
+        clipped: (n_actuators,) True where the last command asked for had to be clipped.
+    """
+
+    time: float
+    position: Array
+    stamp: float
+    command: Array
+    clipped: NDArray[np.bool_]
+
+
+@runtime_checkable
+class Reference(Protocol):
+    """Where the joints should be."""
+
+    def position(self, time: float) -> Array:
+        """(n_joints,) wanted joint angles at ``time`` [rad]."""
+        ...
+
+
+class Plant(Protocol):
+    """Something that takes pressures and gives joint angles: simulated, replayed or real."""
+
+    @property
+    def spec(self) -> PlantSpec:
+        """What a controller may know of this plant."""
+        ...
+
+    def reset(self, seed: int | None = None) -> Observation:
+        """Return to the start; the same seed gives the same bits."""
+        ...
+
+    def step(self, command: ArrayLike) -> Observation:
+        """Hold ``command`` (n_actuators,) [Pa] for one control period; return what is seen then."""
+        ...
+
+    def close(self) -> None:
+        """Let go of files, threads or devices."""
+        ...
+
+
+class Controller(Protocol):
+    """Immutable settings plus two functions; whatever evolves lives in the state they hand on."""
+
+    def init(self, spec: PlantSpec, observation: Observation) -> Any:
+        """The state to start from, given the plant and its first observation."""
+        ...
+
+    def step(self, observation: Observation, reference: Reference, state: Any) -> tuple[ArrayLike, Any]:
+        """The next command (n_actuators,) [Pa] and the next state."""
+        ...
