@@ -126,6 +126,26 @@ class Observation:
     clipped: NDArray[np.bool_]
 
 
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where a run begins: at rest, the command having been in force long enough for the pressures to have settled.
+
+    Attributes:
+        command: (n_actuators,) in force before the start [Pa]; None means the lowest command.
+        position: (n_joints,) joint angles [rad]; None means the equilibrium under ``command``.
+        velocity: (n_joints,) joint velocities [rad/s]; None means none.
+    """
+
+    command: Array | None = None
+    position: Array | None = None
+    velocity: Array | None = None
+
+    def __post_init__(self) -> None:
+        for key in ("command", "position", "velocity"):
+            if getattr(self, key) is not None:
+                object.__setattr__(self, key, frozen_array(getattr(self, key), 1, f"start {key}"))
+
+
 @runtime_checkable
 class Reference(Protocol):
     """Where the joints should be."""
@@ -143,8 +163,8 @@ class Plant(Protocol):
         """What a controller may know of this plant."""
         ...
 
-    def reset(self, seed: int | None = None) -> Observation:
-        """Return to the start; the same seed gives the same bits."""
+    def reset(self, start: Start | None = None, seed: int | None = None) -> Observation:
+        """Go to ``start`` and return what is seen there; the same seed gives the same bits."""
         ...
 
     def step(self, command: ArrayLike) -> Observation:

@@ -6,6 +6,7 @@ behind the functions generated from the symbolic model and compiled by numba, wh
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib.util
 import inspect
@@ -25,7 +26,7 @@ from equimus_ctrl.models.morphology import Morphology, Phase, structure
 from equimus_ctrl.models.symbolic import Structure
 
 DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")'
-_STUB_IMPORT = "from equimus_ctrl.engines.model_functions import"
+_STUB = "equimus_ctrl.engines.model_functions"
 
 
 def cache_folder() -> Path:
@@ -42,26 +43,26 @@ def cache_folder() -> Path:
         return fallback
 
 
-def load(model: Morphology, phase: Phase, kernels: ModuleType) -> ModuleType:
-    """The compiled counterpart of a kernel module for a morphology's structure.
+def load(model: Morphology, phase: Phase, *kernels: ModuleType) -> ModuleType:
+    """The compiled counterpart of kernel modules for a morphology's structure, as one module.
 
     Args:
         model: whose structure; its numbers are arguments of the kernels.
         phase: base fixed or foot pinned.
-        kernels: a module written against ``engines.model_functions``.
+        kernels: modules written against ``engines.model_functions``; a later one may import from an earlier one.
     """
     return _load(structure(model), phase, kernels)
 
 
 @lru_cache(maxsize=64)
-def _load(form: Structure, phase: Phase, kernels: ModuleType) -> ModuleType:
-    sources = [inspect.getsource(m) for m in (symbolic, codegen, morphology, sys.modules[__name__], kernels)]
+def _load(form: Structure, phase: Phase, kernels: tuple[ModuleType, ...]) -> ModuleType:
+    sources = [inspect.getsource(m) for m in (symbolic, codegen, morphology, sys.modules[__name__], *kernels)]
     sources += [inspect.getsource(m) for m in _imported(kernels)]
     key = hashlib.sha256(repr((form, phase, numba.__version__, sys.version_info[:2], sources)).encode()).hexdigest()
     name = f"equimus_kernel_{key[:20]}"
     path = cache_folder() / f"{name}.py"
     if not path.exists():
-        text = _source(form, phase, inspect.getsource(kernels))
+        text = _source(form, phase, kernels)
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as out:
             out.write(text)
         os.replace(out.name, path)
@@ -73,14 +74,14 @@ def _load(form: Structure, phase: Phase, kernels: ModuleType) -> ModuleType:
     return module
 
 
-def _imported(kernels: ModuleType) -> list[ModuleType]:
+def _imported(kernels: tuple[ModuleType, ...]) -> list[ModuleType]:
     """Modules of this package whose compiled functions the kernels use; their text is part of the cache key."""
-    used = {getattr(value, "__module__", None) for value in vars(kernels).values()}
-    names = sorted(n for n in used if isinstance(n, str) and n.startswith("equimus_ctrl.") and n != kernels.__name__)
-    return [sys.modules[n] for n in names]
+    used = {getattr(value, "__module__", None) for kernel in kernels for value in vars(kernel).values()}
+    own = {kernel.__name__ for kernel in kernels}
+    return [sys.modules[n] for n in sorted(n for n in used if isinstance(n, str) and n.startswith("equimus_ctrl.") and n not in own)]
 
 
-def _source(form: Structure, phase: Phase, kernels: str) -> str:
+def _source(form: Structure, phase: Phase, kernels: tuple[ModuleType, ...]) -> str:
     m = symbolic.build(form, phase)
     nj, na = len(form[0]), len(form[1])
     drive = m.jacobian.T @ ca.diag(m.area)
@@ -96,22 +97,23 @@ def _source(form: Structure, phase: Phase, kernels: str) -> str:
     return (
         f"# Generated; safe to delete.\nfrom __future__ import annotations\n\nimport math\n\nimport numpy as np\nfrom numba import njit\n\n"
         f"N_JOINTS = {nj}\nN_ACTUATORS = {na}\n\n\n{functions}\n\n{_tuples(nj, na)}\n\n{_rk4(nj)}\n\n"
-        f"{_without_stub_import(kernels)}"
+        f"{_joined(kernels)}"
     )
 
 
-def _without_stub_import(kernels: str) -> str:
-    lines = kernels.split("\n")
-    kept: list[str] = []
-    skipping = False
-    for line in lines:
-        if line.startswith(_STUB_IMPORT):
-            skipping = "(" in line and ")" not in line
-        elif skipping:
-            skipping = ")" not in line
-        elif not line.startswith("from __future__"):
-            kept.append(line)
-    return "\n".join(kept)
+def _joined(kernels: tuple[ModuleType, ...]) -> str:
+    """The kernels' sources one after the other, without what they import from the stub and from each other."""
+    provided = {_STUB, "__future__"} | {kernel.__name__ for kernel in kernels}
+    text = []
+    for kernel in kernels:
+        source = inspect.getsource(kernel)
+        lines = source.split("\n")
+        for node in ast.parse(source).body:
+            if isinstance(node, ast.ImportFrom) and node.module in provided:
+                assert node.end_lineno is not None
+                lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
+        text.append("\n".join(lines))
+    return "\n\n".join(text)
 
 
 def _tuples(nj: int, na: int) -> str:
@@ -126,19 +128,19 @@ def _rk4(nj: int) -> str:
     def pack(form: str) -> str:
         return "(" + ", ".join(form.format(i=i) for i in range(nj)) + ",)"
 
+    # One call site in a loop over the stages: less to compile than four, and no slower.
     return f"""{DECORATOR}
 def rk4(q, v, f, tau, dt, c):
-    h = 0.5 * dt
+    qs, vs = q, v
+    sum_q, sum_v = {pack("0.0")}, {pack("0.0")}
+    for stage in range(4):
+        a = acceleration(qs, vs, f, tau, c)
+        weight = 1.0 if stage == 0 or stage == 3 else 2.0
+        sum_q = {pack("sum_q[{i}] + weight * vs[{i}]")}
+        sum_v = {pack("sum_v[{i}] + weight * a[{i}]")}
+        h = 0.5 * dt if stage < 2 else dt
+        qs = {pack("q[{i}] + h * vs[{i}]")}
+        vs = {pack("v[{i}] + h * a[{i}]")}
     s = dt / 6.0
-    a1 = acceleration(q, v, f, tau, c)
-    v2 = {pack("v[{i}] + h * a1[{i}]")}
-    a2 = acceleration({pack("q[{i}] + h * v[{i}]")}, v2, f, tau, c)
-    v3 = {pack("v[{i}] + h * a2[{i}]")}
-    a3 = acceleration({pack("q[{i}] + h * v2[{i}]")}, v3, f, tau, c)
-    v4 = {pack("v[{i}] + dt * a3[{i}]")}
-    a4 = acceleration({pack("q[{i}] + dt * v3[{i}]")}, v4, f, tau, c)
-    return (
-        {pack("q[{i}] + s * (v[{i}] + 2.0 * (v2[{i}] + v3[{i}]) + v4[{i}])")},
-        {pack("v[{i}] + s * (a1[{i}] + 2.0 * (a2[{i}] + a3[{i}]) + a4[{i}])")},
-    )
+    return {pack("q[{i}] + s * sum_q[{i}]")}, {pack("v[{i}] + s * sum_v[{i}]")}
 """

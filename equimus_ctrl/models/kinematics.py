@@ -69,6 +69,10 @@ class Kinematics:
         """(2,) the foot relative to the base: x to the right, y down [m]."""
         return np.array(self._call("foot", q)).ravel()
 
+    def foot_jacobian(self, q: ArrayLike) -> Array:
+        """(2, nj) ∂foot/∂q [m]."""
+        return np.array(self._call("foot_jacobian", q))
+
     def knots(self, q: ArrayLike) -> Array:
         """(nj + 1, 2) the base's origin and the tip of each joint's link [m]."""
         return np.array(self._call("knots", q)).T

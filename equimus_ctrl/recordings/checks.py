@@ -94,8 +94,7 @@ def command_problem(value: float, limits: Limits) -> str:
         return ""
     side = "above" if value > limits.command_high else "below"
     return (
-        f"command {number(value)} Pa is {side} the range "
-        f"{number(limits.command_low)}..{number(limits.command_high)} Pa"
+        f"command {number(value)} Pa is {side} the range {number(limits.command_low)}..{number(limits.command_high)} Pa"
     )
 
 
@@ -126,8 +125,7 @@ def check_degrees(sheet: Sheet, columns: Sequence[str], position: Array) -> None
         raise sheet.error(
             0,
             columns[0],
-            f"no angle is beyond {number(float(np.abs(position).max()))}; this looks like radians where this format has "
-            "degrees",
+            f"no angle is beyond {number(float(np.abs(position).max()))}; this looks like radians where degrees belong",
         )
 
 
@@ -139,7 +137,7 @@ def doubts(name: str, command: Array, before: Array | None, limits: Limits) -> l
     the range (60 Pa of 50 kPa, which is also 20 % above the range read as kPa). All-zero commands raise none.
     """
     largest = max(float(command.max(initial=0.0)), float(before.max(initial=0.0)) if before is not None else 0.0)
-    if 0.0 < largest <= 1.2e-3 * limits.command_high and math.isfinite(limits.command_high):
+    if 0.0 < largest <= 1.2 * limits.command_high / 1e3 and math.isfinite(limits.command_high):
         return [
             f"{name}: no command is above {number(largest)} Pa, in a range up to {number(limits.command_high)} Pa; are "
             "these kPa where Pa belong?"

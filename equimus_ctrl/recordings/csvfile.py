@@ -19,7 +19,7 @@ from typing import TextIO
 import numpy as np
 
 from equimus_ctrl.errors import RecordingError, nearest, unknown_name
-from equimus_ctrl.recordings import checks
+from equimus_ctrl.recordings import checks, upstream
 from equimus_ctrl.recordings.checks import LEG, Limits
 from equimus_ctrl.recordings.sheet import PathLike, Sheet, open_sheet, reason, shorten
 from equimus_ctrl.types import Array, Recording
@@ -42,7 +42,12 @@ def read(path: PathLike, *, limits: Limits = LEG) -> Recording:
         RecordingError: one sentence with the file, the row (1-based line number), the column, the value found and what
             would have been right.
     """
-    recording = from_sheet(open_sheet(path), limits)
+    sheet = open_sheet(path)
+    if kind := upstream.kind(sheet.header):
+        raise sheet.header_error(
+            f"these are the columns of the leg's {kind} format; `equimus-ctrl recordings import` converts it"
+        )
+    recording = from_sheet(sheet, limits)
     checks.warn(checks.doubts(recording.name, recording.command, recording.before, limits))
     return recording
 
@@ -99,7 +104,9 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
         raise sheet.header_error("column 'time' is missing; sample times in seconds belong in it")
     for prefix, what in (("cmd", "commanded pressures in Pa"), ("pos", "joint angles in rad")):
         if not found[prefix]:
-            raise sheet.header_error(f"there is no column '{prefix}.<{PREFIXES[prefix]}>'; {what} belong in such columns")
+            raise sheet.header_error(
+                f"there is no column '{prefix}.<{PREFIXES[prefix]}>'; {what} belong in such columns"
+            )
     for prefix, together in (("cmd", limits.actuators), ("pos", limits.joints)):
         _demand_all(sheet, prefix, found[prefix], together)
     for prefix, base in (("vel", "pos"), ("meas", "cmd")):
@@ -137,11 +144,11 @@ def _notes(sheet: Sheet, actuators: tuple[str, ...], limits: Limits) -> tuple[di
     for line, text in sheet.notes:
         place = f"{sheet.path}, row {line}"
         key, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or not key:
-            if text:
-                notes[COMMENT] = f"{notes[COMMENT]} {text}" if COMMENT in notes else text
+        if not equals or not key or key == COMMENT:
+            words = value if key == COMMENT else text
+            notes[COMMENT] = f"{notes[COMMENT]} {words}" if COMMENT in notes else words
             continue
-        if key in notes or key.removeprefix(BEFORE) in before:
+        if key in notes or (key.startswith(BEFORE) and key.removeprefix(BEFORE) in before):
             raise RecordingError(f"{place}: note {shorten(key)} is there more than once")
         if key.startswith("before"):
             actuator = key.removeprefix(BEFORE)
@@ -167,7 +174,9 @@ def _before_value(place: str, key: str, value: str, limits: Limits) -> float:
     except ValueError:
         pressure = math.nan
     if not math.isfinite(pressure):
-        raise RecordingError(f"{place}, note {key}: {shorten(value)} is not a finite number; a pressure in Pa belongs there")
+        raise RecordingError(
+            f"{place}, note {key}: {shorten(value)} is not a finite number; a pressure in Pa belongs there"
+        )
     if problem := checks.command_problem(pressure, limits):
         raise RecordingError(f"{place}, note {key}: {problem}")
     return pressure
@@ -199,7 +208,9 @@ def write(path: PathLike, recording: Recording) -> None:
     values = np.hstack(blocks)
     if not np.isfinite(values).all():
         row, k = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise RecordingError(f"{path}: sample {row} of {header[k]} is {values[row, k]}; only finite numbers are written")
+        raise RecordingError(
+            f"{path}: sample {row} of {header[k]} is {values[row, k]}; only finite numbers are written"
+        )
     with replacing(path) as file:
         for key, value in recording.notes.items():
             file.write(f"# {key} = {value}\n")

@@ -88,7 +88,9 @@ class Sheet:
             cells = line.split(",")
             for column, position in zip(columns, positions, strict=True):
                 if not _is_number(cells[position]):
-                    return self.error(row, column, f"{shorten(cells[position])} is not a number; a number belongs there")
+                    return self.error(
+                        row, column, f"{shorten(cells[position])} is not a number; a number belongs there"
+                    )
         return RecordingError(f"{self.path}: the rows below the header cannot be read as numbers")
 
 
@@ -179,7 +181,7 @@ def _decode(path: Path, data: bytes) -> str:
     except UnicodeDecodeError as error:
         row = data.count(b"\n", 0, error.start) + 1
         raise RecordingError(
-            f"{path}, row {row}: byte 0x{data[error.start]:02x} is not UTF-8 text; a recording is a plain UTF-8 CSV file"
+            f"{path}, row {row}: byte 0x{data[error.start]:02x} is not UTF-8 text; a recording is a CSV file in UTF-8"
         ) from None
 
 

@@ -1,0 +1,148 @@
+"""``equimus-ctrl recordings``: import, check and fetch recordings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.table import Table
+
+    from equimus_ctrl.recordings import Summary
+
+app = typer.Typer(help="Import, check and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich")
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, and nothing else there.")]
+High = Annotated[float, typer.Option("--command-high", help="Highest command allowed, in Pa.")]
+Low = Annotated[float, typer.Option("--command-low", help="Lowest command allowed, in Pa.")]
+Rotating = Annotated[
+    list[str] | None,
+    typer.Option("--rotating", metavar="JOINT", help="A joint that turns without end: its angles are not judged."),
+]
+
+
+@app.command("import")
+def import_(
+    sources: Annotated[list[Path], typer.Argument(help="Files or folders, in the leg's upstream formats or ours.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into, one CSV file a trial.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there already.")] = False,
+    command_low: Low = 0.0,
+    command_high: High = 50_000.0,
+    as_json: Json = False,
+) -> None:
+    """Convert recordings to one CSV file a trial: all of them, or none.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl recordings import step_release.csv --output trials
+    equimus-ctrl recordings import ../shared/recordings/equimus_leg -o trials --force
+    equimus-ctrl recordings import triangle.csv -o trials --json
+    """  # noqa: D301 (the backspace keeps the lines of the examples apart)
+    from rich.console import Console
+
+    from equimus_ctrl import recordings
+
+    limits = recordings.Limits(command_low=command_low, command_high=command_high)
+    files = recordings.convert(sources, output, force=force, limits=limits)
+    Console(stderr=True, highlight=False, soft_wrap=True).print(
+        f"{len(files)} trials written to {output}", markup=False
+    )
+    if as_json:
+        typer.echo(json.dumps({"files": [str(file) for file in files]}, indent=1))
+
+
+@app.command()
+def check(
+    paths: Annotated[list[Path], typer.Argument(help="Files or folders to read.")],
+    command_low: Low = 0.0,
+    command_high: High = 50_000.0,
+    rotating: Rotating = None,
+    as_json: Json = False,
+) -> None:
+    """Read recordings and say what they hold; the first thing that is wrong ends it, with exit code 2.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl recordings check trials
+    equimus-ctrl recordings check trials/trial_00.csv trials/trial_01.csv
+    equimus-ctrl recordings check other_robot --command-high 200000 --rotating wheel
+    equimus-ctrl recordings check trials --json
+    """  # noqa: D301 (the backspace keeps the lines of the examples apart)
+    import warnings
+
+    from rich.console import Console
+
+    from equimus_ctrl import recordings
+
+    limits = recordings.Limits(command_low=command_low, command_high=command_high, rotating=tuple(rotating or ()))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", recordings.RecordingWarning)
+        trials = recordings.read_set(paths, limits=limits)
+    doubts = list(dict.fromkeys(str(warning.message) for warning in caught))
+    summaries = [recordings.summarise(trial) for trial in trials]
+    console = Console(stderr=True, highlight=False)
+    console.print(_table(summaries))
+    for doubt in doubts:
+        console.print(f"warning: {doubt}", style="yellow", markup=False, soft_wrap=True)
+    if as_json:
+        typer.echo(json.dumps({"trials": [summary.as_json() for summary in summaries], "warnings": doubts}, indent=1))
+
+
+def _table(summaries: Sequence[Summary]) -> Table:
+    """One line a trial, in the units people think in."""
+    from math import degrees
+
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=f"{len(summaries)} trials", box=SIMPLE_HEAD, padding=(0, 1), title_justify="left")
+    table.add_column("trial", overflow="fold")
+    commands = [f"{name}\nkPa" for name in summaries[0].command_pa]
+    angles = [f"{name}\ndeg" for name in summaries[0].position_rad]
+    for heading in ("time\ns", "rate\nHz", "jitter\nms", *commands, *angles):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for s in summaries:
+        table.add_row(
+            s.name,
+            f"{s.duration_s:.1f}",
+            f"{s.rate_hz:.1f}",
+            f"{s.jitter_s * 1e3:.2f}",
+            *(f"{low / 1e3:.0f}..{high / 1e3:.0f}" for low, high in s.command_pa.values()),
+            *(f"{degrees(low):.0f}..{degrees(high):.0f}" for low, high in s.position_rad.values()),
+        )
+    return table
+
+
+@app.command()
+def fetch(
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder to store the files in (default: the user's data folder)."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Get the full recordings of the real leg from the public repository fly-pigTH/EquiMus.
+
+    Needs internet. Every file is checked against a known hash; files already there are left as they are.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl recordings fetch
+    equimus-ctrl recordings fetch --output ~/leg
+    """  # noqa: D301 (the backspace keeps the lines of the examples apart)
+    from rich.console import Console
+
+    from equimus_ctrl import recordings
+
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    with console.status("fetching the recordings of the leg"):
+        files = recordings.fetch(output)
+    for file in files:
+        console.print(f"{file.path} ({'downloaded' if file.downloaded else 'already there'})", markup=False)
+    if as_json:
+        typer.echo(json.dumps({"files": [{"path": str(f.path), "downloaded": f.downloaded} for f in files]}, indent=1))

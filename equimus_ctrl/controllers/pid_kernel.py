@@ -1,0 +1,154 @@
+"""The PID law, compiled for a robot structure; the controller and the tuner both call it.
+
+Channels are actuator lengths or joint angles. With z the channel coordinate of a pose, r the (blended) reference
+pose, y the measured one:
+
+    e = z(r) − z(y)
+    D ← D + dt/(T_f + dt)·(Δ(c z(r) − z(y))/dt − D)
+    w = k_p (b z(r) − z(y)) + I + k_d D
+    P = clip(P_static(r) + map(w))
+    I ← I + dt k_i e + (dt/T_t) unmap(P − P_asked)
+
+where map turns a channel's effort into pressures: force/area for a length, the least-norm pressures of the joint
+torques for angles. Two-degree-of-freedom form, derivative filter and back-calculation follow Åström & Hägglund,
+"Advanced PID Control" (2006).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from equimus_ctrl.engines.model_functions import (
+    N_ACTUATORS,
+    N_JOINTS,
+    actuator_areas,
+    actuator_lengths,
+    actuator_tuple,
+    joint_tuple,
+    pressure_torque,
+    static_pressure,
+    torque_pressure,
+)
+from equimus_ctrl.types import Array
+
+INTEGRAL, DERIVATIVE, PREVIOUS = 0, 1, 2
+KP, KI, KD, FILTER, TRACKING, WEIGHT_P, WEIGHT_D = 0, 1, 2, 3, 4, 5, 6
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def blend(elapsed: float, duration: float) -> float:
+    """Weight of the first measured pose in the reference: 1 at the start, 0 after ``duration`` (minimum jerk)."""
+    if elapsed >= duration:
+        return 0.0
+    s = elapsed / duration
+    return 1.0 - s * s * s * (10.0 + s * (6.0 * s - 15.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def channel_values(q: Array, lengths: bool, c: Array, z: Array) -> None:
+    """Write the channel coordinates of pose q: actuator lengths [m] or the joint angles themselves [rad]."""
+    if lengths:
+        values = actuator_lengths(joint_tuple(q), c)
+        for i in range(N_ACTUATORS):
+            z[i] = values[i]
+    else:
+        for i in range(N_JOINTS):
+            z[i] = q[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def efforts_to_pressures(w: Array, q: Array, lengths: bool, c: Array, out: Array) -> None:
+    """Write map(w) [Pa]: w are forces [N] along the actuators or joint torques [N·m] at pose q."""
+    if lengths:
+        area = actuator_areas(c)
+        for i in range(N_ACTUATORS):
+            out[i] = w[i] / area[i]
+    else:
+        values = torque_pressure(joint_tuple(q), joint_tuple(w), c)
+        for i in range(N_ACTUATORS):
+            out[i] = values[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pressures_to_efforts(pressure: Array, q: Array, lengths: bool, c: Array, out: Array) -> None:
+    """Write unmap(P): forces [N] along the actuators or joint torques [N·m] at pose q."""
+    if lengths:
+        area = actuator_areas(c)
+        for i in range(N_ACTUATORS):
+            out[i] = pressure[i] * area[i]
+    else:
+        values = pressure_torque(joint_tuple(q), actuator_tuple(pressure), c)
+        for i in range(N_JOINTS):
+            out[i] = values[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pid_start(y: Array, command: Array, gains: Array, lengths: bool, feedforward: bool, c: Array, state: Array) -> None:
+    """Write the state from which the first command equals the one in force (bumpless start).
+
+    Args:
+        y: (nj,) first measured angles [rad].
+        command: (na,) in force [Pa].
+        gains: (7, nz) rows k_p, k_i, k_d, T_f, T_t, b, c.
+        lengths: whether channels are actuator lengths.
+        feedforward: whether the static pressures are added.
+        c: the nominal model's constants.
+        state: (3, nz) rows integral, derivative, previous c z(r) − z(y).
+    """
+    nz = state.shape[1]
+    rest = np.zeros(N_ACTUATORS)
+    if feedforward:
+        values = static_pressure(joint_tuple(y), c)
+        for i in range(N_ACTUATORS):
+            rest[i] = values[i]
+    z = np.empty(nz)
+    effort = np.empty(nz)
+    channel_values(y, lengths, c, z)
+    pressures_to_efforts(command - rest, y, lengths, c, effort)
+    for i in range(nz):
+        state[INTEGRAL, i] = effort[i] - gains[KP, i] * (gains[WEIGHT_P, i] - 1.0) * z[i]
+        state[DERIVATIVE, i] = 0.0
+        state[PREVIOUS, i] = (gains[WEIGHT_D, i] - 1.0) * z[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pid_command(
+    r: Array,
+    y: Array,
+    gains: Array,
+    lengths: bool,
+    feedforward: bool,
+    low: Array,
+    high: Array,
+    dt: float,
+    c: Array,
+    state: Array,
+    command: Array,
+) -> None:
+    """One control step: write the next command (na,) [Pa] and advance ``state`` (see ``pid_start``)."""
+    nz = state.shape[1]
+    zr, zy, w = np.empty(nz), np.empty(nz), np.empty(nz)
+    asked = np.empty(N_ACTUATORS)
+    channel_values(r, lengths, c, zr)
+    channel_values(y, lengths, c, zy)
+    for i in range(nz):
+        weighted = gains[WEIGHT_D, i] * zr[i] - zy[i]
+        slope = (weighted - state[PREVIOUS, i]) / dt
+        state[PREVIOUS, i] = weighted
+        state[DERIVATIVE, i] += dt / (gains[FILTER, i] + dt) * (slope - state[DERIVATIVE, i])
+        proportional = gains[KP, i] * (gains[WEIGHT_P, i] * zr[i] - zy[i])
+        w[i] = proportional + state[INTEGRAL, i] + gains[KD, i] * state[DERIVATIVE, i]
+    efforts_to_pressures(w, y, lengths, c, asked)
+    if feedforward:
+        rest = static_pressure(joint_tuple(r), c)
+        for i in range(N_ACTUATORS):
+            asked[i] += rest[i]
+    for i in range(N_ACTUATORS):
+        command[i] = min(max(asked[i], low[i]), high[i])
+    pressures_to_efforts(command - asked, y, lengths, c, w)
+    for i in range(nz):
+        share = min(dt / gains[TRACKING, i], 1.0) if gains[TRACKING, i] > 0.0 else 1.0
+        state[INTEGRAL, i] += dt * gains[KI, i] * (zr[i] - zy[i]) + share * w[i]

@@ -1,0 +1,192 @@
+"""A model: a morphology, the phase it is in, and the effects attached to it; and its file format.
+
+A model file is TOML:
+
+    format = "equimus-ctrl/model/1"
+    name = "my_leg"
+    morphology = "nominal_leg"      # or a [morphology] table that spells one out
+    phase = "swing"                 # or "stance"
+
+    [parameters]                    # any of the morphology's numbers, by dotted name
+    "maa.stiffness" = 280.0
+
+    [[effects]]
+    effect = "transport_delay"
+    location = "baa"
+    delay = 0.1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass
+from typing import Any, get_args, get_type_hints
+
+from equimus_ctrl.effects import base as effects_base
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
+from equimus_ctrl.models.leg import MORPHOLOGIES, nominal_leg
+from equimus_ctrl.models.morphology import Morphology, Phase
+
+FORMAT = "equimus-ctrl/model/1"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A morphology with effects attached.
+
+    Attributes:
+        morphology: the robot.
+        effects: what is attached to it.
+        phase: base fixed (swing) or foot pinned (stance).
+
+    Raises:
+        ConfigError: where an effect sits at something the robot does not have.
+    """
+
+    morphology: Morphology
+    effects: tuple[Effect, ...] = ()
+    phase: Phase = "swing"
+
+    def __post_init__(self) -> None:
+        m = self.morphology
+        effects_base.check_locations(self.effects, m.joint_names, m.actuator_names, m.name)
+
+    @property
+    def name(self) -> str:
+        """The morphology's name."""
+        return self.morphology.name
+
+
+def nominal_model() -> Model:
+    """The nominal leg without effects."""
+    return Model(nominal_leg())
+
+
+def model_from_dict(data: Mapping[str, Any], where: str = "model") -> Model:
+    """A model from what a model file holds.
+
+    Raises:
+        ConfigError: for an unknown key, a wrong type or an unknown name, in one sentence that starts with ``where``.
+        ModelError: for a morphology that cannot be.
+    """
+    known = ("format", "name", "morphology", "phase", "parameters", "effects")
+    for key in data:
+        if key not in known:
+            raise ConfigError(unknown_name("key", key, known, where))
+    if data.get("format", FORMAT) != FORMAT:
+        raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r}")
+    described = data.get("morphology", "nominal_leg")
+    if isinstance(described, str):
+        if described not in MORPHOLOGIES:
+            raise ConfigError(unknown_name("morphology", described, MORPHOLOGIES, where))
+        morphology = MORPHOLOGIES[described]()
+    elif isinstance(described, Mapping):
+        morphology = _build(Morphology, described, f"{where}: morphology")
+    else:
+        raise ConfigError(f"{where}: morphology is {described!r}, expected a name or a table")
+    parameters = _numbers(data.get("parameters", {}), f"{where}: parameters")
+    try:
+        morphology = morphology.with_parameters(parameters)
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from None
+    if "name" in data:
+        morphology = _build(Morphology, {**_shallow(morphology), "name": data["name"]}, where)
+    phase = data.get("phase", "swing")
+    if phase not in get_args(Phase):
+        raise ConfigError(unknown_name("phase", str(phase), get_args(Phase), where))
+    return Model(morphology, tuple(_effect(e, where) for e in _tables(data.get("effects", []), where)), phase)
+
+
+def model_to_dict(model: Model) -> dict[str, Any]:
+    """What a model file of ``model`` holds; ``model_from_dict`` gives the same model back."""
+    base = next((n for n, make in MORPHOLOGIES.items() if _same_shape(make(), model.morphology)), None)
+    data: dict[str, Any] = {"format": FORMAT, "name": model.name, "phase": model.phase}
+    if base is None:
+        data["morphology"] = _without_none(asdict(model.morphology))
+    else:
+        data["morphology"] = base
+        reference = MORPHOLOGIES[base]().parameters()
+        own = model.morphology.parameters()
+        data["parameters"] = {key: value for key, value in own.items() if value != reference[key]}
+    data["effects"] = [{"effect": e.name, "location": e.location, **e.parameters()} for e in model.effects]
+    return data
+
+
+def _same_shape(a: Morphology, b: Morphology) -> bool:
+    """Whether the two differ in nothing but their name and numbers."""
+    keys = a.parameters().keys()
+    return keys == b.parameters().keys() and _build(
+        Morphology, {**_shallow(a.with_parameters(b.parameters())), "name": b.name}, "morphology"
+    ) == b
+
+
+def _shallow(part: Any) -> dict[str, Any]:
+    return {f.name: getattr(part, f.name) for f in fields(part)}
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list | tuple):
+        return [_without_none(item) for item in value]
+    return value
+
+
+def _tables(value: Any, where: str) -> list[Mapping[str, Any]]:
+    if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
+        raise ConfigError(f"{where}: effects is {value!r}, expected [[effects]] tables")
+    return value
+
+
+def _effect(data: Mapping[str, Any], where: str) -> Effect:
+    for key in ("effect", "location"):
+        if not isinstance(data.get(key), str):
+            raise ConfigError(f"{where}: an [[effects]] table lacks {key!r}")
+    rest = {key: value for key, value in data.items() if key not in ("effect", "location")}
+    return effects_base.make(data["effect"], data["location"], _numbers(rest, f"{where}: {data['effect']}"), where)
+
+
+def _numbers(data: Any, where: str) -> dict[str, float]:
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"{where}: {data!r} is not a table of numbers")
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            raise ConfigError(f"{where}: {key!r} is a table; put a dotted name in quotes, such as \"maa.stiffness\" = 280")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigError(f"{where}: {key} is {value!r}, expected a number")
+    return dict(data)
+
+
+def _build(cls: Any, data: Mapping[str, Any], where: str) -> Any:
+    """A frozen dataclass from a table, its nested dataclasses and tuples of them included."""
+    hints = get_type_hints(cls)
+    names = [f.name for f in fields(cls)]
+    values: dict[str, Any] = {}
+    for key, value in data.items():
+        if key not in names:
+            raise ConfigError(f"{where}: there is no key {key!r}{nearest(key, names)} (known: {', '.join(names)})")
+        values[key] = _convert(hints[key], value, f"{where}: {key}")
+    for f in fields(cls):
+        if f.name not in values and f.default is MISSING and f.default_factory is MISSING:
+            raise ConfigError(f"{where}: {f.name!r} is missing")
+    return cls(**values)
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    options = [t for t in get_args(hint) if t is not type(None)]
+    if value is None or is_dataclass(value):
+        return value
+    if options and isinstance(value, list | tuple):
+        return tuple(_convert(options[0], item, f"{where}[{i}]") for i, item in enumerate(value))
+    target = options[0] if options else hint
+    if is_dataclass(target):
+        if not isinstance(value, Mapping):
+            raise ConfigError(f"{where} is {value!r}, expected a table")
+        return _build(target, value, where)
+    if target is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if target is str and isinstance(value, str):
+        return value
+    kind = {float: "a number", str: "a text"}.get(target, "a list of tables")
+    raise ConfigError(f"{where} is {value!r}, expected {kind}")

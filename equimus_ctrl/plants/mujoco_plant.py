@@ -1,0 +1,252 @@
+"""A simulated robot: the MuJoCo model of a morphology behind valves and a sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from equimus_ctrl.effects.command import lag, mean_command
+from equimus_ctrl.effects.valves import DELAY, FILL, VENT, valve_settings
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.mjcf import SolverSettings, close_elements, compile_model
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
+
+MAX_SPEED = 1e3  # [rad/s], far beyond any leg's
+
+
+def whole_ratio(fast: float, slow: float, what: str) -> int:
+    """fast/slow as a whole number.
+
+    Raises:
+        ConfigError: where it is not one.
+    """
+    ratio = fast / slow
+    if ratio < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        raise ConfigError(f"{what}: {fast:g} Hz is not a whole multiple of {slow:g} Hz")
+    return round(ratio)
+
+
+@dataclass(frozen=True)
+class PlantRates:
+    """How often things happen, in Hz; physics must be a whole multiple of both others.
+
+    Attributes:
+        control: commands.
+        sensor: measurements; a controller sees the latest.
+        physics: MuJoCo steps.
+    """
+
+    control: float = 120.0
+    sensor: float = 120.0
+    physics: float = 480.0
+
+    def __post_init__(self) -> None:
+        for key in ("control", "sensor", "physics"):
+            if not 0 < getattr(self, key) < float("inf"):
+                raise ConfigError(f"{key} rate is {getattr(self, key):g} Hz, expected more than 0")
+        whole_ratio(self.physics, self.control, "physics rate over control rate")
+        whole_ratio(self.physics, self.sensor, "physics rate over sensor rate")
+
+
+def make_spec(morphology: Morphology, control_dt: float, nominal: Morphology | None) -> PlantSpec:
+    """What a controller may know of a robot: its names, limits, control period and a nominal model."""
+    low, high = morphology.joint_range
+    n = len(morphology.actuators)
+    return PlantSpec(
+        joints=morphology.joint_names,
+        actuators=morphology.actuator_names,
+        command_low=frozen_array(np.full(n, morphology.command_low)),
+        command_high=frozen_array(np.full(n, morphology.command_high)),
+        control_dt=control_dt,
+        joint_low=low,
+        joint_high=high,
+        model=nominal,
+    )
+
+
+class MujocoPlant:
+    """The leg (or any morphology) in MuJoCo: pressures in, angles out at the sensor's rate.
+
+    The equalities of the 3-2-1 elements are held with the default ``SolverSettings`` and integrated by RK4, which
+    keeps the angles within 1e-5 rad of the exact Lagrangian at 480 Hz.
+
+    Args:
+        model: what is simulated, with its effects and phase.
+        nominal: what controllers may compute with; the model's own morphology by default.
+        rates: control, sensor and physics rates.
+        noise: standard deviation of white noise on each angle [rad].
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        nominal: Morphology | None = None,
+        rates: PlantRates | None = None,
+        noise: float = 0.0,
+    ) -> None:
+        self.rates = rates or PlantRates()
+        if not 0 <= noise < float("inf"):
+            raise ConfigError(f"noise is {noise:g} rad, expected 0 or more")
+        self.model = model
+        self.noise = noise
+        self._dt = 1 / self.rates.physics
+        self._steps = whole_ratio(self.rates.physics, self.rates.control, "physics rate over control rate")
+        self._sensor_steps = whole_ratio(self.rates.physics, self.rates.sensor, "physics rate over sensor rate")
+        self._kinematics = Kinematics(model.morphology, model.phase)
+        self.mujoco_model = compile_model(
+            model.morphology, model.phase, SolverSettings(timestep=self._dt, integrator="RK4")
+        )
+        self.mujoco_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+        self.data = mujoco.MjData(self.mujoco_model)
+        joints = [self.mujoco_model.joint(name) for name in model.morphology.joint_names]
+        self._qpos = np.array([joint.qposadr[0] for joint in joints])
+        self._dof = np.array([joint.dofadr[0] for joint in joints])
+        self._valve = valve_settings(model.effects, model.morphology.actuator_names)
+        self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model.morphology)
+        self._step_count = -1
+
+    @property
+    def spec(self) -> PlantSpec:
+        """What a controller may know."""
+        return self._spec
+
+    @property
+    def position(self) -> Array:
+        """(nj,) true joint angles [rad]; for figures and tests, not for controllers."""
+        return np.array(self.data.qpos[self._qpos])
+
+    @property
+    def pressure(self) -> Array:
+        """(na,) true pressures [Pa]; for figures and tests, not for controllers."""
+        return self._pressure.copy()
+
+    def reset(self, start: Start | None = None, seed: int | None = None) -> Observation:
+        """Go to ``start`` at time 0, closed and at rest.
+
+        Args:
+            start: see ``Start``.
+            seed: of the measurement noise.
+
+        Raises:
+            ConfigError: for a start of the wrong size or outside the command range.
+            ModelError: where the first command has no equilibrium.
+        """
+        start = start or Start()
+        na, nj = len(self.spec.actuators), len(self.spec.joints)
+        command = self.spec.command_low if start.command is None else start.command
+        for key, array, size in (
+            ("command", command, na),
+            ("position", start.position, nj),
+            ("velocity", start.velocity, nj),
+        ):
+            if array is not None and array.shape != (size,):
+                raise ConfigError(f"start {key} has shape {array.shape}, expected ({size},)")
+        if np.any(command < self.spec.command_low) or np.any(command > self.spec.command_high):
+            raise ConfigError(
+                f"start command {_kpa(command)} kPa lies outside {_kpa(self.spec.command_low)} to "
+                f"{_kpa(self.spec.command_high)} kPa"
+            )
+        position = self._kinematics.equilibrium(command) if start.position is None else start.position
+        mujoco.mj_resetData(self.mujoco_model, self.data)
+        self._place(np.asarray(position), start.velocity)
+        self._rng = np.random.default_rng(seed)
+        self._step_count = 0
+        self._control_count = 0
+        self._pressure = np.array(command)
+        self._before = np.array(command)
+        self._cursor = [-1] * na
+        self._times = np.empty(256)
+        self._commands = np.empty((256, na))
+        self._clipped = np.zeros(na, dtype=bool)
+        self._measure()
+        return self._observation(self._before)
+
+    def step(self, command: ArrayLike) -> Observation:
+        """Hold ``command`` [Pa] for one control period; it is clipped to the range and the clipping reported.
+
+        Raises:
+            ConfigError: for a command of the wrong size or not finite.
+            SimulationDiverged: where MuJoCo warns or the numbers are no leg's.
+        """
+        if self._step_count < 0:
+            raise ConfigError(f"{self.model.name}: the plant was stepped before it was reset")
+        asked = np.asarray(command, dtype=np.float64)
+        if asked.shape != (len(self.spec.actuators),):
+            raise ConfigError(f"command has shape {asked.shape}, expected ({len(self.spec.actuators)},)")
+        if not np.all(np.isfinite(asked)):
+            raise ConfigError(f"command at {self._control_count * self.spec.control_dt:.3f} s is {asked}, not finite")
+        applied = np.clip(asked, self.spec.command_low, self.spec.command_high)
+        self._clipped = applied != asked
+        n = self._control_count
+        if n == len(self._times):
+            self._times = np.concatenate([self._times, np.empty(n)])
+            self._commands = np.concatenate([self._commands, np.empty((n, applied.size))])
+        self._times[n] = n * self.spec.control_dt
+        self._commands[n] = applied
+        self._control_count = n + 1
+        for _ in range(self._steps):
+            self._physics_step()
+            if self._step_count % self._sensor_steps == 0:
+                self._measure()
+        return self._observation(applied)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def _place(self, position: Array, velocity: Array | None) -> None:
+        self.data.qpos[self._qpos] = position
+        if velocity is not None:
+            self.data.qvel[self._dof] = velocity
+        if self.model.phase == "stance":
+            foot = self._kinematics.foot(position)
+            base = [self.mujoco_model.joint(f"base/{axis}") for axis in "xy"]
+            self.data.qpos[[joint.qposadr[0] for joint in base]] = -foot
+            if velocity is not None:
+                self.data.qvel[[joint.dofadr[0] for joint in base]] = -self._kinematics.foot_jacobian(position) @ velocity
+        close_elements(self.mujoco_model, self.data)
+
+    def _physics_step(self) -> None:
+        n = self._control_count
+        t = self._step_count * self._dt
+        for i in range(len(self._cursor)):
+            at = t - self._valve[i, DELAY]
+            target, self._cursor[i] = mean_command(
+                self._times[:n], self._commands[:n, i], self._before[i], self._cursor[i], at, at + self._dt
+            )
+            self._pressure[i] = lag(self._pressure[i], target, self._valve[i, FILL], self._valve[i, VENT], self._dt)
+        self.data.ctrl[:] = self._pressure
+        mujoco.mj_step(self.mujoco_model, self.data)
+        self._step_count += 1
+        speed = np.abs(self.data.qvel[self._dof])
+        if np.any([w.number for w in self.data.warning]) or not np.all(speed < MAX_SPEED):
+            raise SimulationDiverged(
+                f"{self.model.name}: the simulation diverged at {self._step_count * self._dt:.3f} s under commands of "
+                f"{_kpa(self._commands[n - 1])} kPa; a shorter physics step or gentler gains would be needed"
+            )
+
+    def _measure(self) -> None:
+        self._stamp = self._step_count * self._dt
+        noise = self._rng.normal(0.0, self.noise, len(self._qpos)) if self.noise > 0 else 0.0
+        self._measured = frozen_array(self.position + noise)
+
+    def _observation(self, applied: Array) -> Observation:
+        clipped = self._clipped.copy()
+        clipped.flags.writeable = False
+        return Observation(
+            time=self._control_count * self.spec.control_dt,
+            position=self._measured,
+            stamp=self._stamp,
+            command=frozen_array(applied),
+            clipped=clipped,
+        )
+
+
+def _kpa(pressure: Array) -> str:
+    return "(" + ", ".join(f"{value / 1e3:g}" for value in pressure) + ")"

@@ -1,0 +1,33 @@
+"""Recordings: reading, writing, checking, importing, fetching and finding them.
+
+The only part of the library that knows file formats. What it hands on is ``equimus_ctrl.types.Recording``.
+"""
+
+from __future__ import annotations
+
+from equimus_ctrl.recordings.checks import LEG, Limits, RecordingWarning
+from equimus_ctrl.recordings.csvfile import read, write
+from equimus_ctrl.recordings.download import Fetched, fetch
+from equimus_ctrl.recordings.locate import fetch_folder, find_recordings, leg_file, missing_hint
+from equimus_ctrl.recordings.sets import Summary, convert, read_set, summarise
+from equimus_ctrl.recordings.upstream import StaticPoses, read_static_poses
+
+__all__ = [
+    "LEG",
+    "Fetched",
+    "Limits",
+    "RecordingWarning",
+    "StaticPoses",
+    "Summary",
+    "convert",
+    "fetch",
+    "fetch_folder",
+    "find_recordings",
+    "leg_file",
+    "missing_hint",
+    "read",
+    "read_set",
+    "read_static_poses",
+    "summarise",
+    "write",
+]

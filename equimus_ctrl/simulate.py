@@ -1,0 +1,120 @@
+"""The one closed loop: a plant driven by a controller along a reference."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.types import Array, Controller, Plant, PlantSpec, Recording, Reference, Start
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What happened in one run, one row a control instant.
+
+    Attributes:
+        spec: of the plant.
+        time: (n,) control instants [s].
+        position: (n, nj) angles as measured [rad].
+        reference: (n, nj) angles wanted [rad].
+        command: (n, na) commands applied from each instant on, after clipping [Pa].
+        asked: (n, na) commands the controller asked for [Pa].
+        clipped: (n, na) True where the two differ.
+        solve_time: (n,) how long each controller step took [s]; a statistic, never part of the physics.
+    """
+
+    spec: PlantSpec
+    time: Array
+    position: Array
+    reference: Array
+    command: Array
+    asked: Array
+    clipped: NDArray[np.bool_]
+    solve_time: Array
+
+    def recording(self, name: str) -> Recording:
+        """The run in the recording vocabulary."""
+        return Recording(name, self.time, self.command, self.position, self.spec.actuators, self.spec.joints)
+
+
+def run(
+    plant: Plant,
+    controller: Controller,
+    reference: Reference,
+    duration: float,
+    *,
+    start: Start | None = None,
+    seed: int | None = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Drive ``plant`` with ``controller`` along ``reference`` for ``duration`` seconds.
+
+    Args:
+        plant: reset first.
+        controller: asked at every control instant from 0 to the last one before ``duration``.
+        reference: handed to the controller and recorded.
+        duration: [s].
+        start: where the plant begins.
+        seed: of the plant's noise.
+        progress: called with the share done.
+
+    Raises:
+        ConfigError: for a duration shorter than one control period.
+        ControllerError: where the controller's command has the wrong size, is not finite or not a pair with a state.
+        SimulationDiverged: where the plant's simulation did.
+    """
+    spec = plant.spec
+    n = round(duration / spec.control_dt)
+    if n < 1:
+        raise ConfigError(f"duration is {duration:g} s, expected at least one control period of {spec.control_dt:g} s")
+    nj, na = len(spec.joints), len(spec.actuators)
+    times, solve_time = np.empty(n), np.empty(n)
+    position, wanted = np.empty((n, nj)), np.empty((n, nj))
+    command, asked, clipped = np.empty((n, na)), np.empty((n, na)), np.zeros((n, na), dtype=bool)
+    observation = plant.reset(start, seed)
+    state = controller.init(spec, observation)
+    for k in range(n):
+        begun = clock.perf_counter()
+        result = controller.step(observation, reference, state)
+        solve_time[k] = clock.perf_counter() - begun
+        if not (isinstance(result, tuple) and len(result) == 2):
+            raise ControllerError(f"{_name(controller)}.step returned {result!r}, expected (command, state)")
+        state = result[1]
+        asked[k] = checked_command(result[0], spec, observation.time, _name(controller))
+        times[k], position[k] = observation.time, observation.position
+        wanted[k] = reference.position(observation.time)
+        observation = plant.step(asked[k])
+        command[k] = np.clip(asked[k], spec.command_low, spec.command_high)
+        clipped[k] = observation.clipped
+        if progress is not None:
+            progress((k + 1) / n)
+    return Run(spec, times, position, wanted, command, asked, clipped, solve_time)
+
+
+def checked_command(command: object, spec: PlantSpec, at: float, who: str) -> Array:
+    """``command`` as an array (na,).
+
+    Raises:
+        ControllerError: where it is not one finite number for each actuator.
+    """
+    try:
+        array = np.asarray(command, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ControllerError(f"{who} returned {command!r} at {at:.3f} s, expected pressures in Pa") from None
+    if array.shape != (len(spec.actuators),):
+        raise ControllerError(
+            f"{who} returned a command of shape {array.shape} at {at:.3f} s, expected one pressure in Pa for each of "
+            f"{', '.join(spec.actuators)}"
+        )
+    if not np.all(np.isfinite(array)):
+        raise ControllerError(f"{who} returned {array} at {at:.3f} s, expected finite pressures in Pa")
+    return array
+
+
+def _name(controller: object) -> str:
+    return getattr(controller, "name", None) or type(controller).__name__
