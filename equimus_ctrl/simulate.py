@@ -4,42 +4,11 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from equimus_ctrl.errors import ConfigError, ControllerError
-from equimus_ctrl.types import Array, Controller, Plant, PlantSpec, Recording, Reference, Start
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What happened in one run, one row a control instant.
-
-    Attributes:
-        spec: of the plant.
-        time: (n,) control instants [s].
-        position: (n, nj) angles as measured [rad].
-        reference: (n, nj) angles wanted [rad].
-        command: (n, na) commands applied from each instant on, after clipping [Pa].
-        asked: (n, na) commands the controller asked for [Pa].
-        clipped: (n, na) True where the two differ.
-        solve_time: (n,) how long each controller step took [s]; a statistic, never part of the physics.
-    """
-
-    spec: PlantSpec
-    time: Array
-    position: Array
-    reference: Array
-    command: Array
-    asked: Array
-    clipped: NDArray[np.bool_]
-    solve_time: Array
-
-    def recording(self, name: str) -> Recording:
-        """The run in the recording vocabulary."""
-        return Recording(name, self.time, self.command, self.position, self.spec.actuators, self.spec.joints)
+from equimus_ctrl.types import Array, Controller, Plant, PlantSpec, Reference, Run, Start
 
 
 def run(

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from equimus_ctrl.errors import RecordingError
-from equimus_ctrl.recordings import read_set, read_static_poses, upstream
+from equimus_ctrl.recordings import Limits, RecordingWarning, read_set, read_static_poses, upstream
 
 STEP = "relative_time,pressure1_start,pressure2_start,current_pressure1,current_pressure2,thigh_theta21,calf_theta32\n"
 TRIANGLE = "relative_time,pressure1_start,pressure2_start,pressure1_end,pressure2_end,thigh_theta21,calf_theta32\n"
+SPARSE = Limits(max_interval=10.0)
 STATIC = "P1 (kPa),P2 (kPa),theta1 (deg),theta2 (deg)\n"
 
 
@@ -48,7 +52,7 @@ def test_step_release_groups(leg_dir: Path) -> None:
             assert np.abs(np.degrees(trial.position[0] - trial.position[-1])).max() < 3.1
     rest = trials["step_release_p0_0"].position[-1]
     np.testing.assert_allclose(rest, np.radians([73.14, 61.34]), atol=1e-3)
-    assert trials["step_release_p30_20"].notes == {"source": "step_release.csv", "source_rows": "9446-10034"}
+    assert trials["step_release_p30_20"].notes == {"source": "step_release.csv", "source_rows": "9445-10033"}
 
 
 def test_triangle_clock_is_rebuilt(leg_dir: Path) -> None:
@@ -84,7 +88,7 @@ def test_a_whole_folder_passes_static_poses_over(leg_dir: Path) -> None:
 
 def test_repeated_groups_and_odd_pressures_get_names(tmp_path: Path) -> None:
     text = STEP + step_group(1e4, 0) + step_group(1e4, 0) + step_group(2500, 0)
-    trials = read_set(put(tmp_path, text))
+    trials = read_set(put(tmp_path, text), limits=SPARSE)
     assert [trial.name for trial in trials] == [
         "step_release_p10_0",
         "step_release_p10_0_2",
@@ -94,29 +98,29 @@ def test_repeated_groups_and_odd_pressures_get_names(tmp_path: Path) -> None:
 
 
 def test_a_start_away_from_the_end_is_not_called_settled(tmp_path: Path) -> None:
-    settled, moving = read_set(put(tmp_path, STEP + step_group(1e4, 0) + step_group(2e4, 0, first=80.0)))
+    settled, moving = read_set(put(tmp_path, STEP + step_group(1e4, 0) + step_group(2e4, 0, first=80.0)), limits=SPARSE)
     assert settled.before is not None and moving.before is None
 
 
 def test_columns_decide_and_others_are_ignored(tmp_path: Path) -> None:
     text = STEP + step_group(1e4, 0)
     lines = [f"{line},{extra}" for line, extra in zip(text.split(), ["stamp", *"abcd"], strict=True)]
-    (trial,) = read_set(put(tmp_path, "\n".join(lines), "TriStatic_A2B_data.csv"))
+    (trial,) = read_set(put(tmp_path, "\n".join(lines), "TriStatic_A2B_data.csv"), limits=SPARSE)
     assert trial.name == "step_release_p10_0"
 
 
 def test_before_of_a_triangle_is_what_the_first_pose_says(tmp_path: Path) -> None:
     a, b = (6000.0, 3000.0), (4000.0, 7000.0)
     rested = TRIANGLE + segment(a, b, 80.0, 70.0) + segment(b, a, 70.0, 80.0)
-    (trial,) = read_set(put(tmp_path, rested))
+    (trial,) = read_set(put(tmp_path, rested), limits=SPARSE)
     assert trial.before is not None and trial.before.tolist() == [6000.0, 3000.0]
     elsewhere = TRIANGLE + segment(a, b, 74.0, 70.0) + segment(b, a, 70.0, 80.0)
-    (trial,) = read_set(put(tmp_path, elsewhere))
+    (trial,) = read_set(put(tmp_path, elsewhere), limits=SPARSE)
     assert trial.before is not None and trial.before.tolist() == [0.0, 0.0]
     without_starts = "\n".join(
         ",".join(cell for k, cell in enumerate(line.split(",")) if k not in (1, 2)) for line in rested.split()
     )
-    (trial,) = read_set(put(tmp_path, without_starts))
+    (trial,) = read_set(put(tmp_path, without_starts), limits=SPARSE)
     assert trial.before is not None and trial.before.tolist() == [0.0, 0.0]
     assert trial.time.tolist() == [0.017, 1.0, 1.99, 2.017, 3.0, 3.99]
 
@@ -176,6 +180,14 @@ WRONG = {
         spoil(SEGMENTS, "1.99,0,0,10000.0", "1.99,0,0,10001.0"),
         "row 4, column pressure1_end: 10001 Pa differs from the 10000 Pa of row 3",
     ),
+    "milliseconds": (
+        GROUP,
+        "row 3, column relative_time: rows are 2.5 apart, above the 0.5 s allowed; this looks like",
+    ),
+    "segments in half seconds": (
+        SEGMENTS,
+        "row 3, column relative_time: rows are 0.983 apart, above the 0.5 s allowed",
+    ),
     "static poses": (STATIC + "0,0,73,61\n", ": these are static poses, not a recording over time"),
 }
 
@@ -211,3 +223,24 @@ def test_recordings_of_another_format_are_refused(tmp_path: Path) -> None:
 
     with pytest.raises(RecordingError, match="this is none of the leg's upstream formats"):
         upstream.recordings(open_sheet(put(tmp_path, "a,b\n1,2\n")))
+
+
+@settings(deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_corruption_is_reported_or_harmless(tmp_path: Path, data: st.DataObject) -> None:
+    content = bytearray(data.draw(st.sampled_from([GROUP + step_group(0, 2e4), SEGMENTS])).encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        start = data.draw(st.integers(0, len(content)))
+        end = min(len(content), start + data.draw(st.sampled_from([0, 1, 2, 30, 1000])))
+        pieces = [b"", b"\n", b",", b"#", b"\0", b"nan", b"-", b"e9", b"0"]
+        content[start:end] = data.draw(st.sampled_from(pieces) | st.binary(max_size=4))
+    path = tmp_path / "spoilt.csv"
+    path.write_bytes(content)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RecordingWarning)
+            trials = read_set(path, limits=SPARSE)
+    except RecordingError as error:
+        assert str(error).startswith(str(path)) and str(error).isprintable()
+    else:
+        assert all((np.diff(trial.time) > 0).all() for trial in trials)

@@ -70,6 +70,11 @@ def check_time(sheet: Sheet, column: str, time: Array, limits: Limits) -> None:
             f"{float(time[row])!r} s {verb} the {float(time[row - 1])!r} s of row {sheet.line_numbers[row - 1]}; "
             "times must ascend",
         )
+    check_interval(sheet, column, steps, limits)
+
+
+def check_interval(sheet: Sheet, column: str, steps: Array, limits: Limits) -> None:
+    """Raise RecordingError where the median of ``steps``, the times between rows, cannot be seconds."""
     interval = float(np.median(steps))
     if interval > limits.max_interval:
         raise sheet.error(

@@ -117,8 +117,8 @@ def open_sheet(path: PathLike) -> Sheet:
     """Read a file's notes, header and data lines.
 
     Raises:
-        RecordingError: it is not a file, cannot be opened, is not UTF-8 text, is empty, or its header has a nameless
-            or repeated column or no commas.
+        RecordingError: it is not a file, cannot be opened, is not UTF-8 text, is empty, or its header has a nameless,
+            unprintable or repeated column or no commas.
     """
     path = Path(path)
     lines = _decode(path, _read_bytes(path)).replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -146,6 +146,8 @@ def _check_header(sheet: Sheet, line: str) -> None:
     for position, name in enumerate(sheet.header, 1):
         if not name:
             raise sheet.header_error(f"column {position} of {len(sheet.header)} has no name")
+        if not name.isprintable():
+            raise sheet.header_error(f"the name of column {position}, {name!r}, has a character that cannot be printed")
     repeated = [name for name, count in Counter(sheet.header).items() if count > 1]
     if repeated:
         places = ", ".join(str(i) for i, name in enumerate(sheet.header, 1) if name == repeated[0])

@@ -91,9 +91,11 @@ def step_release(sheet: Sheet, limits: Limits = LEG) -> tuple[Recording, ...]:
     checks.check_commands(sheet, _STARTS, start, limits)
     checks.check_commands(sheet, _CURRENT, command, limits)
     checks.check_degrees(sheet, _ANGLES, degrees)
+    pieces = _pieces(sheet, time, start, _STARTS)
+    checks.check_interval(sheet, _TIME, np.diff(time), limits)
     trials: list[Recording] = []
     seen: dict[str, int] = {}
-    for first, last in _pieces(sheet, time, start, _STARTS):
+    for first, last in pieces:
         name = "step_release_p" + "_".join(f"{p / 1e3:.6g}".replace(".", "d") for p in start[first].tolist())
         seen[name] = seen.get(name, 0) + 1
         settled = bool((np.abs(degrees[first] - degrees[last - 1]) <= _SETTLED).all())
@@ -148,6 +150,7 @@ def triangle(sheet: Sheet, limits: Limits = LEG) -> tuple[Recording, ...]:
                 last - 1, _TIME, f"{number(time[last - 1])} s is not below the {number(SEGMENT)} s a segment lasts"
             )
         clock[first:last] += segment * SEGMENT
+    checks.check_interval(sheet, _TIME, np.diff(clock), limits)
     before = np.zeros(2)
     if starts:
         ends = [degrees[last - 1] for first, last in pieces if np.allclose(command[first], start[0], atol=1.0)]

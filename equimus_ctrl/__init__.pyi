@@ -1,0 +1,71 @@
+# What `import equimus_ctrl as eq` offers; read at run time too, so this list is the only one.
+from .controllers.open_loop import OpenLoopController as OpenLoopController
+from .controllers.pid import PidController as PidController, PidGains as PidGains, PidSettings as PidSettings
+from .effects import (
+    AsymmetricLag as AsymmetricLag,
+    Effect as Effect,
+    FirstOrderLag as FirstOrderLag,
+    TransportDelay as TransportDelay,
+)
+from .engines.predict import measured_start as measured_start, predict as predict
+from .errors import (
+    ConfigError as ConfigError,
+    ControllerError as ControllerError,
+    EquimusError as EquimusError,
+    ModelError as ModelError,
+    NotAvailable as NotAvailable,
+    RecordingError as RecordingError,
+    SimulationDiverged as SimulationDiverged,
+)
+from .models.kinematics import Kinematics as Kinematics
+from .models.leg import ideal_leg as ideal_leg, nominal_leg as nominal_leg
+from .models.mjcf import (
+    SolverSettings as SolverSettings,
+    add_elastic_actuator as add_elastic_actuator,
+    build_spec as build_spec,
+    close_elements as close_elements,
+    compile_model as compile_model,
+)
+from .models.model import Model as Model, nominal_model as nominal_model
+from .models.morphology import (
+    ElasticActuator as ElasticActuator,
+    Joint as Joint,
+    JointStop as JointStop,
+    Link as Link,
+    Morphology as Morphology,
+    Point as Point,
+)
+from .models.symbolic import symbolic_model as symbolic_model
+from .plants.mujoco_plant import MujocoPlant as MujocoPlant, PlantRates as PlantRates
+from .plants.replay import ReplayPlant as ReplayPlant
+from .scenarios.references import (
+    FunctionReference as FunctionReference,
+    HoldReference as HoldReference,
+    SampledReference as SampledReference,
+    foot_path as foot_path,
+    minimum_jerk as minimum_jerk,
+    pose_of_foot as pose_of_foot,
+)
+from .scenarios.scenario import (
+    CommandProfile as CommandProfile,
+    Scenario as Scenario,
+    ScenarioContext as ScenarioContext,
+)
+from .scenarios.scoring import Score as Score, score_run as score_run
+from .simulate import run as run
+from .types import (
+    Controller as Controller,
+    Observation as Observation,
+    Plant as Plant,
+    PlantSpec as PlantSpec,
+    Recording as Recording,
+    Reference as Reference,
+    Run as Run,
+    Start as Start,
+)
+from .workflow import (
+    load_model as load_model,
+    run_scenario as run_scenario,
+    save_model as save_model,
+    score_recordings as score_recordings,
+)

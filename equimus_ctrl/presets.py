@@ -1,0 +1,153 @@
+"""Where the files a user edits are found and written: controllers/, scenarios/, tuning/.
+
+They are looked for in the current folder, then in the checkout the package runs from, then among the presets the
+package carries. What is written goes to the current folder, or to the checkout when the command runs inside it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import tomlkit
+
+from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
+
+KINDS = ("controllers", "scenarios", "tuning")
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def checkout() -> Path | None:
+    """The checkout this package runs from, or None where it is installed."""
+    root = _PACKAGE.parent
+    return root if (root / "pyproject.toml").is_file() and (root / "scenarios").is_dir() else None
+
+
+def roots() -> list[Path]:
+    """Folders that are searched, the first first."""
+    found = [Path.cwd()]
+    if (here := checkout()) is not None:
+        found.append(here)
+    found.append(_PACKAGE / "_presets")
+    return list(dict.fromkeys(found))
+
+
+def workspace() -> Path:
+    """Where results and settings are written: the checkout when inside it, else the current folder."""
+    here = checkout()
+    cwd = Path.cwd()
+    return here if here is not None and (cwd == here or here in cwd.parents) else cwd
+
+
+def find(kind: str, file: str) -> Path | None:
+    """The first file of that name under ``kind`` in the folders searched."""
+    return next((path for root in roots() if (path := root / kind / file).is_file()), None)
+
+
+def names(kind: str, suffix: str) -> dict[str, Path]:
+    """Stem → path of all presets of a kind, those found first winning."""
+    found: dict[str, Path] = {}
+    for root in roots():
+        for path in sorted((root / kind).glob(f"*{suffix}")):
+            if not path.name.startswith("_"):
+                found.setdefault(path.stem, path)
+    return found
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """What a TOML file holds.
+
+    Raises:
+        ConfigError: where it cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+def toml_text(data: Mapping[str, Any], comment: str = "") -> str:
+    """TOML text of nested tables, after comment lines."""
+    document = tomlkit.document()
+    for line in comment.splitlines():
+        document.add(tomlkit.comment(line) if line else tomlkit.nl())
+    if comment:
+        document.add(tomlkit.nl())
+    for key, value in data.items():
+        document.add(key, tomlkit.item(value))
+    return tomlkit.dumps(document)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all: to a temporary file beside it, then renamed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as out:
+        out.write(text)
+    os.chmod(out.name, 0o644)
+    os.replace(out.name, path)
+
+
+def load_script(path: Path) -> ModuleType:
+    """Run a user's Python file as a module.
+
+    Raises:
+        ConfigError: where it cannot be read or fails.
+    """
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such file")
+    name = f"equimus_user_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{path}: is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ConfigError(f"{path}: fails when it is loaded: {type(error).__name__}: {error}") from error
+    return module
+
+
+def load_scenario(name: str) -> tuple[Callable[..., Any], str]:
+    """The ``build`` function of a scenario script by name or path, and where it was found.
+
+    Raises:
+        ConfigError: where there is no such scenario or it has no ``build``.
+    """
+    known = names("scenarios", ".py")
+    path = Path(name) if name.endswith(".py") else known.get(name)
+    if path is None:
+        raise ConfigError(unknown_name("scenario", name, known))
+    module = load_script(path)
+    build = getattr(module, "build", None)
+    if not callable(build):
+        raise ConfigError(f"{path}: has no function build(context, …) that returns a Scenario")
+    return build, str(path)
+
+
+def load_object(text: str) -> Any:
+    """What ``path/to/file.py:Name`` names.
+
+    Raises:
+        ControllerError: where the text is not of that form or the file has no such name.
+        ConfigError: where the file cannot be loaded.
+    """
+    file, colon, name = text.rpartition(":")
+    if not colon or not file.endswith(".py") or not name.isidentifier():
+        raise ControllerError(f"{text!r} is neither a known controller nor path/to/file.py:Name")
+    module = load_script(Path(file))
+    if not hasattr(module, name):
+        public = [key for key in vars(module) if not key.startswith("_")]
+        raise ControllerError(unknown_name("name", name, public, file))
+    return getattr(module, name)

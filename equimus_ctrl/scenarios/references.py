@@ -1,0 +1,137 @@
+"""References: where the joints should be, over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.types import Array, frozen_array
+
+
+@dataclass(frozen=True, eq=False)
+class HoldReference:
+    """One pose for ever.
+
+    Attributes:
+        pose: (nj,) [rad].
+    """
+
+    pose: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pose", frozen_array(self.pose, 1, "reference pose"))
+
+    def position(self, time: float) -> Array:
+        """(nj,) [rad]."""
+        return self.pose
+
+
+@dataclass(frozen=True, eq=False)
+class SampledReference:
+    """Samples joined by straight lines; before the first and after the last, the end values hold.
+
+    Attributes:
+        times: (n,) ascending [s].
+        values: (n, nj) [rad].
+    """
+
+    times: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "times", frozen_array(self.times, 1, "reference times"))
+        object.__setattr__(self, "values", frozen_array(self.values, 2, "reference values"))
+        if len(self.times) != len(self.values) or len(self.times) == 0:
+            raise ConfigError(f"reference: {len(self.times)} times for {len(self.values)} values")
+        if np.any(np.diff(self.times) <= 0):
+            raise ConfigError("reference: times must ascend")
+
+    def position(self, time: float) -> Array:
+        """(nj,) [rad]."""
+        k = int(np.searchsorted(self.times, time, side="right")) - 1
+        if k < 0:
+            return self.values[0]
+        if k >= len(self.times) - 1:
+            return self.values[-1]
+        share = (time - self.times[k]) / (self.times[k + 1] - self.times[k])
+        return (1 - share) * self.values[k] + share * self.values[k + 1]
+
+
+@dataclass(frozen=True)
+class FunctionReference:
+    """A reference computed by a function of time.
+
+    Attributes:
+        function: time [s] → joint angles (nj,) [rad].
+    """
+
+    function: Callable[[float], ArrayLike]
+
+    def position(self, time: float) -> Array:
+        """(nj,) [rad]."""
+        return np.asarray(self.function(time), dtype=np.float64)
+
+
+def minimum_jerk(share: ArrayLike) -> Array:
+    """10s³ − 15s⁴ + 6s⁵ for s clipped to 0…1: from rest to rest with the least jerk (Flash & Hogan, 1985)."""
+    s = np.clip(np.asarray(share, dtype=np.float64), 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)
+
+
+def pose_of_foot(kinematics: Kinematics, foot: ArrayLike, near: ArrayLike) -> Array:
+    """(nj,) the pose closest to ``near`` [rad] that puts the foot at ``foot`` (2,) [m], within the joint ranges.
+
+    Raises:
+        ConfigError: where no pose in the joint ranges reaches it to a micrometre.
+    """
+    target, guess = np.asarray(foot, dtype=np.float64), np.asarray(near, dtype=np.float64)
+    low, high = kinematics.morphology.joint_range
+    found = least_squares(
+        lambda q: kinematics.foot(q) - target,
+        np.clip(guess, low + 1e-6, high - 1e-6),
+        jac=lambda q: kinematics.foot_jacobian(q),
+        bounds=(low, high),
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+    )
+    miss = float(np.linalg.norm(kinematics.foot(found.x) - target))
+    if miss > 1e-6:
+        raise ConfigError(
+            f"the foot cannot reach ({target[0]:.3f}, {target[1]:.3f}) m within the joint ranges: "
+            f"the nearest pose misses it by {miss * 1e3:.1f} mm"
+        )
+    return np.asarray(found.x, dtype=np.float64)
+
+
+def foot_path(
+    kinematics: Kinematics, corners: ArrayLike, leg_time: float, duration: float, rate: float = 120.0
+) -> SampledReference:
+    """The foot goes round the corner poses along straight lines, from rest to rest on each.
+
+    Args:
+        kinematics: of the robot.
+        corners: (n, nj) poses at the corners [rad]; the path starts at the first and closes.
+        leg_time: time from corner to corner [s].
+        duration: of the whole [s].
+        rate: samples a second.
+    """
+    poses = np.asarray(corners, dtype=np.float64)
+    feet = np.array([kinematics.foot(pose) for pose in poses])
+    period = leg_time * len(poses)
+    per_leg = max(round(rate * leg_time), 2)
+    cycle = [poses[0]]
+    for k in range(len(poses)):
+        a, b = feet[k], feet[(k + 1) % len(poses)]
+        for share in minimum_jerk(np.arange(1, per_leg + 1) / per_leg):
+            cycle.append(pose_of_foot(kinematics, a + share * (b - a), cycle[-1]))
+    one = np.array(cycle[:-1])
+    repeats = int(np.ceil(duration / period)) + 1
+    values = np.concatenate([one] * repeats)
+    return SampledReference(np.arange(len(values)) * leg_time / per_leg, values)

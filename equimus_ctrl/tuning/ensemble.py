@@ -1,0 +1,87 @@
+"""The legs a controller must work on: a model with its numbers spread, behind valves of unknown speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from equimus_ctrl.effects.valves import ValveEffect, valve_settings
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.morphology import Morphology, pack
+from equimus_ctrl.tuning.study import EnsembleSettings
+from equimus_ctrl.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One leg of an ensemble.
+
+    Attributes:
+        name: for tables.
+        morphology: its numbers.
+        parameters: the same as a vector.
+        valve: (na, 3) transport delay, filling and venting time constants [s].
+    """
+
+    name: str
+    morphology: Morphology
+    parameters: Array
+    valve: Array
+
+    def rest(self, pressure: Array, phase: str) -> Array:
+        """(nj,) its equilibrium under constant pressures [rad]."""
+        return Kinematics(self.morphology, phase).equilibrium(pressure)  # type: ignore[arg-type]
+
+
+def _spread(model: Model, settings: EnsembleSettings) -> list[tuple[tuple[str, ...], float]]:
+    """(parameter names that move together, ± share) for everything that is spread."""
+    m = model.morphology
+    groups: list[tuple[tuple[str, ...], float]] = []
+    for a in m.actuators:
+        for key in ("stiffness", "area", "damping", "rest_length"):
+            groups.append(((f"{a.name}.{key}",), getattr(settings, key)))
+    groups += [((f"{joint.name}.damping",), settings.damping) for joint in m.joints]
+    groups += [((f"{link.name}.mass", f"{link.name}.inertia"), settings.mass) for link in m.links]
+    return groups
+
+
+def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: int, first: bool = True) -> list[Member]:
+    """``count`` legs around a model, drawn by a Latin hypercube so that few of them cover the ranges.
+
+    Args:
+        model: the middle.
+        settings: how far the numbers spread.
+        count: how many.
+        seed: the same seed gives the same legs.
+        first: whether the first is the model itself with middling valves.
+    """
+    m = model.morphology
+    groups = _spread(model, settings)
+    na = len(m.actuators)
+    drawn = count - 1 if first else count
+    shares = qmc.LatinHypercube(len(groups) + 2 * na, rng=np.random.default_rng(seed)).random(max(drawn, 1))
+    rows = [np.full(shares.shape[1], 0.5)] if first else []
+    rows += list(shares[:drawn])
+    own = valve_settings(model.effects, m.actuator_names)
+    has_own = any(isinstance(effect, ValveEffect) for effect in model.effects)
+    nominal = m.parameters()
+    members = []
+    for k, row in enumerate(rows):
+        values = {
+            name: nominal[name] * (1 + spread * (2 * share - 1))
+            for (names, spread), share in zip(groups, row, strict=False)
+            for name in names
+        }
+        by_actuator = row[len(groups) :].reshape(na, 2)
+        if has_own:
+            valve = own * (1 + settings.valve_spread * (2 * by_actuator[:, [0, 1, 1]] - 1))
+        else:
+            delay = settings.delay[0] + by_actuator[:, 0] * (settings.delay[1] - settings.delay[0])
+            lag = settings.lag[0] + by_actuator[:, 1] * (settings.lag[1] - settings.lag[0])
+            valve = np.stack([delay, lag, lag], axis=1)
+        changed = m.with_parameters(values)
+        members.append(Member("model" if first and k == 0 else f"leg {k}", changed, pack(changed), valve))
+    return members

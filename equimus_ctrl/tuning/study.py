@@ -1,0 +1,261 @@
+"""What a tuning study is: where to search, what to reach, on which legs, within which limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, field, fields
+from typing import Any, get_type_hints
+
+from equimus_ctrl.controllers.pid import PidGains, PidSettings, Space
+from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.types import Array
+
+FORMAT = "equimus-ctrl/tuning/1"
+
+
+def _check(owner: str, key: str, value: float, low: float, high: float = math.inf) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        bound = f"at least {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
+        raise ConfigError(f"{owner}: {key} is {value:g}, expected {bound}")
+
+
+@dataclass(frozen=True)
+class Objective:
+    """One scenario the gains must do well in.
+
+    Attributes:
+        scenario: name or path of a scenario script.
+        weight: how much it counts.
+        duration: how long it is run [s]; 0 means the scenario's own duration.
+    """
+
+    scenario: str
+    weight: float = 1.0
+    duration: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(f"objective {self.scenario}", "weight", self.weight, 0.0)
+        _check(f"objective {self.scenario}", "duration", self.duration, 0.0)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """cost = Σ weight × term in each run, then (1 − worst)·mean + worst·max over the ensemble.
+
+    Attributes:
+        error: of the root mean square tracking error [1/rad].
+        overshoot: of the largest overshoot as a share of the step.
+        settling: of the time until within 0.03 rad for good [1/s].
+        effort: of the root mean square pressure as a share of the range.
+        chatter: of the pressure travelled per second as a share of the range [s].
+        worst: share of the worst member in the cost.
+    """
+
+    error: float = 10.0
+    overshoot: float = 0.5
+    settling: float = 0.1
+    effort: float = 0.2
+    chatter: float = 0.05
+    worst: float = 0.5
+
+    def __post_init__(self) -> None:
+        for key, value in asdict(self).items():
+            _check("weights", key, value, 0.0, 1.0 if key == "worst" else math.inf)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What no member of the ensemble may exceed.
+
+    Attributes:
+        overshoot: share of the step.
+        saturation: share of the time at a pressure limit.
+        modulus: of the largest eigenvalue of the linearised sampled loop, below 1.
+    """
+
+    overshoot: float = 0.25
+    saturation: float = 0.5
+    modulus: float = 0.995
+
+    def __post_init__(self) -> None:
+        _check("limits", "overshoot", self.overshoot, 0.0)
+        _check("limits", "saturation", self.saturation, 0.0, 1.0)
+        _check("limits", "modulus", self.modulus, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class EnsembleSettings:
+    """The legs the gains must work on.
+
+    Attributes:
+        members: how many, the model itself with valves of middling speed being the first.
+        stiffness: ± share of each actuator's stiffness.
+        area: ± share of each actuator's area.
+        damping: ± share of each actuator's and joint's damping.
+        rest_length: ± share of each actuator's rest length.
+        mass: ± share of each link's mass and inertia.
+        delay: (least, most) transport delay where the model has no valve effects of its own [s].
+        lag: (least, most) time constant, likewise [s].
+        valve_spread: ± share of the model's own valve effects.
+        noise: standard deviation of the measured angles [rad].
+        unseen: further legs, never tuned on, that the result is tried on.
+    """
+
+    members: int = 6
+    stiffness: float = 0.15
+    area: float = 0.15
+    damping: float = 0.40
+    rest_length: float = 0.02
+    mass: float = 0.10
+    delay: tuple[float, float] = (0.0, 0.1)
+    lag: tuple[float, float] = (0.02, 0.12)
+    valve_spread: float = 0.2
+    noise: float = 0.001
+    unseen: int = 40
+
+    def __post_init__(self) -> None:
+        _check("ensemble", "members", self.members, 1)
+        _check("ensemble", "unseen", self.unseen, 0)
+        for key in ("stiffness", "area", "damping", "rest_length", "mass", "valve_spread"):
+            _check("ensemble", key, getattr(self, key), 0.0, 0.95)
+        _check("ensemble", "noise", self.noise, 0.0, 0.1)
+        for key in ("delay", "lag"):
+            low, high = getattr(self, key)
+            _check("ensemble", key, low, 0.0, 2.0)
+            _check("ensemble", key, high, low, 2.0)
+
+
+@dataclass(frozen=True)
+class Range:
+    """Where a gain is looked for, on a logarithmic scale.
+
+    Attributes:
+        low: least.
+        high: most.
+        start: where the search begins.
+    """
+
+    low: float
+    high: float
+    start: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.low <= self.start <= self.high < math.inf or self.low == self.high:
+            raise ConfigError(
+                f"search: low {self.low:g}, start {self.start:g}, high {self.high:g}; expected 0 < low ≤ start ≤ high"
+            )
+
+
+GAINS = ("kp", "ki", "kd")
+
+
+@dataclass(frozen=True)
+class Study:
+    """A tuning study.
+
+    Attributes:
+        objectives: scenarios the gains must do well in.
+        search: kp, ki, kd (each for every channel) and derivative_time → range.
+        space: of the PID.
+        seed: of the search, the ensemble and the noise.
+        candidates: sets of gains tried in all.
+        polish: share of them spent on the local search.
+        weights: of the cost's terms.
+        limits: hard ones.
+        ensemble: the legs.
+    """
+
+    objectives: tuple[Objective, ...]
+    search: Mapping[str, Range]
+    space: Space = "length"
+    seed: int = 1
+    candidates: int = 640
+    polish: float = 0.25
+    weights: Weights = field(default_factory=Weights)
+    limits: Limits = field(default_factory=Limits)
+    ensemble: EnsembleSettings = field(default_factory=EnsembleSettings)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "search", dict(self.search))
+        if not self.objectives:
+            raise ConfigError("a study needs at least one [[objectives]] table")
+        if not sum(o.weight for o in self.objectives) > 0:
+            raise ConfigError("a study needs an objective with a weight above 0")
+        for key in (*GAINS, "derivative_time"):
+            if key not in self.search:
+                raise ConfigError(f"search: [search.{key}] is missing")
+        for key in self.search:
+            if key not in (*GAINS, "derivative_time"):
+                raise ConfigError(unknown_name("gain", key, (*GAINS, "derivative_time"), "search"))
+        _check("study", "candidates", self.candidates, 1)
+        _check("study", "polish", self.polish, 0.0, 0.9)
+        _check("study", "seed", self.seed, 0)
+
+    def ranges(self, channels: tuple[str, ...]) -> list[tuple[str, Range]]:
+        """(label, range) of every searched number, in the order of a candidate's vector."""
+        gains = [(f"{channel}.{key}", self.search[key]) for channel in channels for key in GAINS]
+        return [*gains, ("derivative_time", self.search["derivative_time"])]
+
+    def settings(self, values: Array, channels: tuple[str, ...]) -> PidSettings:
+        """PID settings of a candidate's vector (see ``ranges``)."""
+        gains = {
+            channel: PidGains(*(float(v) for v in values[3 * i : 3 * i + 3])) for i, channel in enumerate(channels)
+        }
+        return PidSettings(gains, self.space, derivative_time=float(values[-1]))
+
+
+def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study:
+    """A study from what its TOML file holds.
+
+    Raises:
+        ConfigError: for an unknown or missing key or a value that cannot be, in a sentence that names the file.
+    """
+    table = dict(data)
+    if table.pop("format", FORMAT) != FORMAT:
+        raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r}")
+    parts: dict[str, Any] = {"weights": Weights, "limits": Limits, "ensemble": EnsembleSettings}
+    try:
+        for key, cls in parts.items():
+            if key in table:
+                table[key] = _from_table(cls, table[key], key)
+        objectives = table.get("objectives", [])
+        if not isinstance(objectives, list):
+            raise ConfigError("objectives: expected [[objectives]] tables")
+        table["objectives"] = tuple(_from_table(Objective, item, "objectives") for item in objectives)
+        search = table.get("search", {})
+        if not isinstance(search, Mapping):
+            raise ConfigError("search: expected [search.<gain>] tables")
+        table["search"] = {key: _from_table(Range, item, f"search.{key}") for key, item in search.items()}
+        study: Study = _from_table(Study, table, "study")
+        return study
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def _from_table(cls: Any, table: Any, where: str) -> Any:
+    if not isinstance(table, Mapping):
+        raise ConfigError(f"{where} is {table!r}, expected a table")
+    hints = get_type_hints(cls)
+    known = {f.name: f for f in fields(cls)}
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        if key not in known:
+            raise ConfigError(unknown_name("key", key, known, where))
+        hint = hints[key]
+        if hint in (float, int):
+            kinds = (int, float) if hint is float else int
+            if isinstance(value, bool) or not isinstance(value, kinds):
+                raise ConfigError(f"{where}: {key} is {value!r}, expected a {'whole ' if hint is int else ''}number")
+            value = hint(value)
+        elif hint == tuple[float, float]:
+            if not (isinstance(value, list) and len(value) == 2 and all(isinstance(v, int | float) for v in value)):
+                raise ConfigError(f"{where}: {key} is {value!r}, expected two numbers")
+            value = (float(value[0]), float(value[1]))
+        elif hint is str and not isinstance(value, str):
+            raise ConfigError(f"{where}: {key} is {value!r}, expected a text")
+        values[key] = value
+    for name, f in known.items():
+        if name not in values and f.default is MISSING and f.default_factory is MISSING:
+            raise ConfigError(f"{where}: {name!r} is missing")
+    return cls(**values)

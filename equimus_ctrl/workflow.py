@@ -1,0 +1,289 @@
+"""What the commands do, as functions of a library: load a model, run a scenario, score recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl import presets
+from equimus_ctrl.controllers.custom import as_controller
+from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.engines.predict import Engine, check_columns, predict
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
+from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.plants.registry import PLANTS, make_plant
+from equimus_ctrl.recordings import locate, read_set
+from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario
+from equimus_ctrl.scenarios.scoring import Score, on_grid, score_run
+from equimus_ctrl.simulate import run
+from equimus_ctrl.types import Array, Controller, Plant, Recording, Run
+
+
+def load_model(path: Path | str | None = None) -> Model:
+    """The model in a model file; the nominal leg where ``path`` is None.
+
+    Raises:
+        ConfigError, ModelError: where the file cannot be read or describes no model.
+    """
+    if path is None:
+        return nominal_model()
+    return model_from_dict(presets.read_toml(Path(path)), str(path))
+
+
+def save_model(path: Path | str, model: Model) -> None:
+    """Write a model file, whole or not at all."""
+    presets.write_text(Path(path), presets.toml_text(model_to_dict(model)))
+
+
+def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
+    """What scenarios ask for recordings: file kind → trials, empty where there are none."""
+
+    def find(kind: str) -> tuple[Recording, ...]:
+        path = locate.leg_file(kind, folder)  # type: ignore[arg-type]
+        return () if path is None else read_set(path)
+
+    return find
+
+
+def load_scenario(
+    name: str,
+    morphology: Morphology,
+    *,
+    phase: Any = "swing",
+    options: Mapping[str, str] | None = None,
+    recordings: Path | None = None,
+) -> Scenario:
+    """A scenario by name or path, built for a robot.
+
+    Args:
+        name: of a script under ``scenarios/``, or a path to one.
+        morphology: the nominal robot.
+        phase: base fixed or foot pinned.
+        options: the script's options as text.
+        recordings: folder to look for recordings in.
+
+    Raises:
+        ConfigError: where there is no such scenario, or an option does not fit.
+    """
+    build, where = presets.load_scenario(name)
+    context = ScenarioContext(morphology, phase, recordings_of(recordings), locate.missing_hint())
+    return build_scenario(build, context, options, where)
+
+
+def load_controller(name: str, scenario: Scenario, settings: Path | None = None) -> Controller:
+    """A controller by name, or a user's own as ``path/to/file.py:Name``.
+
+    Args:
+        name: see ``CONTROLLERS``.
+        scenario: whose commands ``open_loop`` plays.
+        settings: its settings file; ``controllers/<name>.toml`` by default.
+
+    Raises:
+        ControllerError, ConfigError: where there is no such controller or its settings are wrong.
+    """
+    if name not in CONTROLLERS and ".py" in name:
+        return as_controller(presets.load_object(name), name)
+    entry = CONTROLLERS.get(name)
+    path = settings
+    if path is None and entry is not None and entry.settings is not None:
+        path = presets.find("controllers", entry.settings)
+    table = presets.read_toml(path) if path is not None else None
+    commands = scenario.commands.at if scenario.commands is not None else None
+    return make_controller(name, table, commands, str(path or name))
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioRun:
+    """One scenario, driven and scored.
+
+    Attributes:
+        scenario: what was done.
+        controller: name of the controller.
+        run: what happened.
+        score: how well.
+        model: what was simulated.
+        plant: name of the plant.
+    """
+
+    scenario: Scenario
+    controller: str
+    run: Run
+    score: Score
+    model: Model
+    plant: str
+
+
+def run_scenario(
+    scenario: str | Scenario,
+    controller: str | Controller | Callable[..., Any] | None = None,
+    *,
+    model: Model | None = None,
+    effects: Sequence[Effect] = (),
+    plant: str | Plant = "mujoco",
+    options: Mapping[str, str] | None = None,
+    recordings: Path | None = None,
+    settings: Path | None = None,
+    noise: float = 0.0,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> ScenarioRun:
+    """Run a scenario and score it.
+
+    Args:
+        scenario: name or path of a script, or a scenario.
+        controller: name, ``path.py:Name``, controller, class or function; the scenario's own by default.
+        model: what is simulated; the nominal leg by default.
+        effects: attached to the model on top of its own.
+        plant: name of a plant, or a plant.
+        options: the script's options as text.
+        recordings: folder to look for recordings in.
+        settings: the controller's settings file.
+        noise: standard deviation of white noise on the measured angles [rad].
+        seed: of that noise.
+        progress: called with the share done.
+
+    Raises:
+        EquimusError: for anything a user can get wrong, in one sentence.
+    """
+    model = model or nominal_model()
+    if effects:
+        model = Model(model.morphology, (*model.effects, *effects), model.phase)
+    if isinstance(scenario, str):
+        scenario = load_scenario(
+            scenario, model.morphology, phase=model.phase, options=options, recordings=recordings
+        )
+    if controller is None:
+        controller = scenario.controller
+    if isinstance(controller, str):
+        label, driven = controller, load_controller(controller, scenario, settings)
+    else:
+        label = getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__)
+        driven = as_controller(controller, label)
+    if isinstance(plant, str):
+        plant_name, machine = plant, make_plant(plant, model, scenario.recorded, noise)
+    else:
+        plant_name, machine = type(plant).__name__, plant
+    try:
+        outcome = run(
+            machine, driven, scenario.reference, scenario.duration, start=scenario.start, seed=seed, progress=progress
+        )
+    finally:
+        machine.close()
+    return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name)
+
+
+@dataclass(frozen=True, eq=False)
+class TrialScore:
+    """How far a model's prediction lies from one trial.
+
+    Attributes:
+        recording: the trial.
+        predicted: (n, nj) at the trial's times [rad].
+        rmse: (nj,) over the scored samples [rad].
+        squares: (nj,) sum of squared errors over them [rad²].
+        samples: how many.
+    """
+
+    recording: Recording
+    predicted: Array
+    rmse: Array
+    squares: Array
+    samples: int
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingsScore:
+    """A model against recordings.
+
+    Attributes:
+        model: the model.
+        trials: one score each.
+        rmse: (nj,) over all samples of all trials [rad].
+    """
+
+    model: Model
+    trials: tuple[TrialScore, ...]
+    rmse: Array
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``score --json`` prints."""
+        joints = self.model.morphology.joint_names
+
+        def table(values: Array) -> dict[str, float]:
+            return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
+
+        return {
+            "model": self.model.name,
+            "rmse_rad": table(self.rmse),
+            "trials": [{"name": t.recording.name, "rmse_rad": table(t.rmse)} for t in self.trials],
+        }
+
+
+def score_recordings(
+    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    model: Model | None = None,
+    *,
+    engine: Engine = "reduced",
+    window: tuple[float, float] | None = None,
+    rate: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> RecordingsScore:
+    """Open-loop prediction error of a model, each trial from its own measured start.
+
+    Args:
+        recordings: files, folders or trials.
+        model: the nominal leg by default.
+        engine: ``"reduced"`` or ``"mujoco"``.
+        window: (from, to) [s] of each trial that counts; all of it by default.
+        rate: of a grid to compare on [Hz]; the recording's own rows by default.
+        progress: called with the share done.
+
+    Raises:
+        EquimusError: where a recording or the model cannot be used, or a window holds no samples.
+    """
+    model = model or nominal_model()
+    given = list(recordings) if not isinstance(recordings, Path | str) else [recordings]
+    trials = (
+        [item for item in given if isinstance(item, Recording)]
+        if given and all(isinstance(item, Recording) for item in given)
+        else list(read_set([Path(item) for item in given if isinstance(item, Path | str)]))
+    )
+    for trial in trials:
+        check_columns(model, trial)
+    scores = []
+    for k, trial in enumerate(trials):
+        predicted = predict(model, trial, engine=engine)
+        error = _scored_error(trial, predicted, window, rate)
+        squares = (error**2).sum(axis=0)
+        scores.append(TrialScore(trial, predicted, np.sqrt(squares / len(error)), squares, len(error)))
+        if progress is not None:
+            progress((k + 1) / len(trials))
+    total = sum(s.samples for s in scores)
+    rmse = np.sqrt(np.sum([s.squares for s in scores], axis=0) / total)
+    return RecordingsScore(model, tuple(scores), rmse)
+
+
+def _scored_error(trial: Recording, predicted: Array, window: tuple[float, float] | None, rate: float | None) -> Array:
+    low, high = window or (float(trial.time[0]), float(trial.time[-1]))
+    if rate is None:
+        inside = (trial.time >= low) & (trial.time <= high)
+        error = predicted[inside] - trial.position[inside]
+    else:
+        low, high = max(low, float(trial.time[0])), min(high, float(trial.time[-1]))
+        grid = low + np.arange(max(int(np.floor((high - low) * rate + 1e-9)) + 1, 0)) / rate
+        error = on_grid(trial.time, predicted, grid) - on_grid(trial.time, trial.position, grid)
+    if len(error) == 0:
+        raise ConfigError(
+            f"{trial.name}: has no samples between {low:g} and {high:g} s; it lasts from {trial.time[0]:g} to "
+            f"{trial.time[-1]:g} s"
+        )
+    return np.asarray(error, dtype=np.float64)
+
+
+__all__ = ["CONTROLLERS", "PLANTS", "RecordingsScore", "ScenarioRun", "load_model", "run_scenario", "score_recordings"]

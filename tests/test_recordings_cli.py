@@ -1,0 +1,94 @@
+"""The ``recordings`` verbs: JSON alone on standard output, people's text on the other, errors handed on."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from equimus_ctrl import recordings
+from equimus_ctrl.cli.recordings import app
+from equimus_ctrl.errors import NotAvailable, RecordingError
+
+TEXT = "time,cmd.maa,cmd.baa,pos.hip,pos.knee\n0,1000,2000,1.5,0.1\n0.01,3000,2000,1.6,0.2\n"
+
+
+@pytest.fixture
+def trial(tmp_path: Path) -> Path:
+    path = tmp_path / "trial [0].csv"
+    path.write_text(TEXT)
+    return path
+
+
+def test_check(trial: Path) -> None:
+    result = CliRunner().invoke(app, ["check", str(trial), "--json"])
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)
+    assert [summary["name"] for summary in found["trials"]] == ["trial [0]"] and found["warnings"] == []
+    assert "1 trials" in result.stderr and "92" in result.stderr
+    quiet = CliRunner().invoke(app, ["check", str(trial)])
+    assert quiet.stdout == "" and "trial [0]" in quiet.stderr
+
+
+def test_check_shows_doubts(trial: Path) -> None:
+    trial.write_text(TEXT.replace("000,", ","))
+    result = CliRunner().invoke(app, ["check", str(trial), "--json"])
+    assert result.exit_code == 0 and len(json.loads(result.stdout)["warnings"]) == 1
+    assert f"warning: {trial}: no command is above 3 Pa" in result.stderr
+
+
+def test_check_passes_errors_on(trial: Path) -> None:
+    trial.write_text(TEXT.replace("1.6", "nan"))
+    result = CliRunner().invoke(app, ["check", str(trial), "--json"])
+    assert isinstance(result.exception, RecordingError) and result.stdout == ""
+
+
+def test_check_takes_limits(trial: Path) -> None:
+    trial.write_text(TEXT.replace("3000", "90000").replace("0.2", "99"))
+    options = ["--command-high", "1e5", "--rotating", "knee"]
+    assert CliRunner().invoke(app, ["check", str(trial), *options]).exit_code == 0
+    assert CliRunner().invoke(app, ["check", str(trial), *options[:2]]).exit_code != 0
+
+
+def test_import(trial: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    result = CliRunner().invoke(app, ["import", str(trial), "--output", str(output), "--json"])
+    assert json.loads(result.stdout) == {"files": [str(output / trial.name)]}
+    assert "1 trials written" in result.stderr
+    again = CliRunner().invoke(app, ["import", str(trial), "--output", str(output)])
+    assert isinstance(again.exception, RecordingError)
+    assert CliRunner().invoke(app, ["import", str(trial), "-o", str(output), "--force"]).exit_code == 0
+
+
+def test_fetch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def got(output: Path | None) -> tuple[recordings.Fetched, ...]:
+        assert output == tmp_path
+        return (recordings.Fetched(tmp_path / "a.csv", True), recordings.Fetched(tmp_path / "b.csv", False))
+
+    monkeypatch.setattr(recordings, "fetch", got)
+    result = CliRunner().invoke(app, ["fetch", "--output", str(tmp_path), "--json"])
+    assert [file["downloaded"] for file in json.loads(result.stdout)["files"]] == [True, False]
+    assert "a.csv (downloaded)" in result.stderr and "b.csv (already there)" in result.stderr
+
+    def offline(output: Path | None) -> tuple[recordings.Fetched, ...]:
+        raise NotAvailable("no")
+
+    monkeypatch.setattr(recordings, "fetch", offline)
+    assert isinstance(CliRunner().invoke(app, ["fetch"]).exception, NotAvailable)
+
+
+@pytest.mark.parametrize("verb", ["import", "check", "fetch"])
+def test_help_has_examples(verb: str) -> None:
+    result = CliRunner().invoke(app, [verb, "--help"])
+    assert result.exit_code == 0
+    assert "Examples" in result.stdout and f"equimus-ctrl recordings {verb}" in result.stdout
+
+
+def test_help_needs_no_numpy() -> None:
+    code = "import sys; import equimus_ctrl.cli.recordings; print('equimus_ctrl.recordings' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
