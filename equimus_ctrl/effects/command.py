@@ -43,9 +43,15 @@ def mean_command(times: Array, values: Array, before: float, cursor: int, start:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lag(pressure: float, target: float, fill: float, vent: float, dt: float) -> float:
-    """dP/dt = (target − P)/τ with τ = fill [s] where the pressure rises and vent [s] where it falls, exact over dt."""
+def lag(pressure: float, target: float, fill: float, vent: float, dt: float) -> tuple[float, float]:
+    """dP/dt = (target − P)/τ with τ = fill [s] where the pressure rises and vent [s] where it falls, exact over dt.
+
+    Returns:
+        (pressure after dt, its mean over dt) [Pa]; a step driven by the mean is second-order accurate.
+    """
     tau = fill if target > pressure else vent
     if tau <= 0.0:
-        return target
-    return target + (pressure - target) * math.exp(-dt / tau)
+        return target, target
+    share = dt / tau
+    decay = math.exp(-share)
+    return target + (pressure - target) * decay, target + (pressure - target) * (1.0 - decay) / share

@@ -25,8 +25,10 @@ def measured_start(recording: Recording) -> Array:
     """(nj,) the angles a trial starts from [rad]: the mean of its first 0.1 s while the command in force before it holds.
 
     A recording starts at rest (see the recording format), so these samples differ by noise alone. Where the command
-    changes in the very first row, the first measurement stands alone.
+    changes in the very first row, or a note says ``settled = no``, the first measurement stands alone.
     """
+    if recording.notes.get("settled") == "no":
+        return np.array(recording.position[0])
     time = recording.time
     unchanged = np.all(recording.command == recording.command_before, axis=1)
     changed = int(np.argmin(unchanged)) if not unchanged.all() else len(time)
@@ -113,8 +115,7 @@ def _mujoco_trial(model: Model, recording: Recording, q0: Array, dt: float, out:
         for i in range(len(pressure)):
             at = t - valve[i, DELAY]
             target, cursor[i] = mean_command(time, command[:, i], before[i], cursor[i], at, at + dt)
-            pressure[i] = lag(pressure[i], target, valve[i, FILL], valve[i, VENT], dt)
-        data.ctrl[:] = pressure
+            pressure[i], data.ctrl[i] = lag(pressure[i], target, valve[i, FILL], valve[i, VENT], dt)
         q, v = data.qpos[qpos].copy(), data.qvel[dof].copy()
         mujoco.mj_step(compiled_model, data)
         if any(w.number for w in data.warning):

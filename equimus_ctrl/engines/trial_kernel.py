@@ -79,8 +79,8 @@ def run_trial(
         for i in range(N_ACTUATORS):
             a = t - valve[i, 0]
             target, cursor[i] = mean_command(times, commands[:, i], before[i], cursor[i], a, a + dt)
-            pressure[i] = lag(pressure[i], target, valve[i, 1], valve[i, 2], dt)
-            force[i] = area[i] * pressure[i]
+            pressure[i], mean = lag(pressure[i], target, valve[i, 1], valve[i, 2], dt)
+            force[i] = area[i] * mean
         f = actuator_tuple(force)
         q_next, v_next = rk4(q, v, f, tau, dt, c)
         for j in range(N_JOINTS):

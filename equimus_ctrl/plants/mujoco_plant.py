@@ -220,8 +220,9 @@ class MujocoPlant:
             target, self._cursor[i] = mean_command(
                 self._times[:n], self._commands[:n, i], self._before[i], self._cursor[i], at, at + self._dt
             )
-            self._pressure[i] = lag(self._pressure[i], target, self._valve[i, FILL], self._valve[i, VENT], self._dt)
-        self.data.ctrl[:] = self._pressure
+            self._pressure[i], self.data.ctrl[i] = lag(
+                self._pressure[i], target, self._valve[i, FILL], self._valve[i, VENT], self._dt
+            )
         mujoco.mj_step(self.mujoco_model, self.data)
         self._step_count += 1
         speed = np.abs(self.data.qvel[self._dof])

@@ -48,7 +48,7 @@ def _spread(model: Model, settings: EnsembleSettings) -> list[tuple[tuple[str, .
     return groups
 
 
-def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: int, first: bool = True) -> list[Member]:
+def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: int, fixed: bool = True) -> list[Member]:
     """``count`` legs around a model, drawn by a Latin hypercube so that few of them cover the ranges.
 
     Args:
@@ -56,15 +56,18 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
         settings: how far the numbers spread.
         count: how many.
         seed: the same seed gives the same legs.
-        first: whether the first is the model itself with middling valves.
+        fixed: whether the first is the model itself with middling valves and the second the leg that is hardest to
+            keep stable: latest valves, most force, least stiffness, damping and mass.
     """
     m = model.morphology
     groups = _spread(model, settings)
     na = len(m.actuators)
-    drawn = count - 1 if first else count
+    corner = [1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in groups]
+    known = [np.full(len(groups) + 2 * na, 0.5), np.array([*corner, *([1.0] * (2 * na))])][:count] if fixed else []
+    drawn = count - len(known)
     shares = qmc.LatinHypercube(len(groups) + 2 * na, rng=np.random.default_rng(seed)).random(max(drawn, 1))
-    rows = [np.full(shares.shape[1], 0.5)] if first else []
-    rows += list(shares[:drawn])
+    rows = [*known, *shares[:drawn]]
+    labels = ["model", "hardest"][: len(known)]
     own = valve_settings(model.effects, m.actuator_names)
     has_own = any(isinstance(effect, ValveEffect) for effect in model.effects)
     nominal = m.parameters()
@@ -83,5 +86,5 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
             lag = settings.lag[0] + by_actuator[:, 1] * (settings.lag[1] - settings.lag[0])
             valve = np.stack([delay, lag, lag], axis=1)
         changed = m.with_parameters(values)
-        members.append(Member("model" if first and k == 0 else f"leg {k}", changed, pack(changed), valve))
+        members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve))
     return members

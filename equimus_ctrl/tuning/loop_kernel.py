@@ -108,8 +108,8 @@ def run_loop(
                 target, cursor[i] = mean_command(
                     times[: k + 1], out_command[: k + 1, i], before[i], cursor[i], at, at + dt
                 )
-                pressure[i] = lag(pressure[i], target, valve[i, 1], valve[i, 2], dt)
-                force[i] = area[i] * pressure[i]
+                pressure[i], mean = lag(pressure[i], target, valve[i, 1], valve[i, 2], dt)
+                force[i] = area[i] * mean
             q, v = rk4(q, v, actuator_tuple(force), tau, dt, c)
             for j in range(N_JOINTS):
                 if not abs(v[j]) < MAX_SPEED:

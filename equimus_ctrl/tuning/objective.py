@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.controllers import pid_kernel
+from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.models.model import Model
@@ -18,6 +19,7 @@ from equimus_ctrl.models.morphology import pack
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning import loop_kernel
 from equimus_ctrl.tuning.ensemble import Member
+from equimus_ctrl.tuning.stability import SampledLeg, largest_modulus, linear_leg, sample
 from equimus_ctrl.tuning.study import Limits, Weights
 from equimus_ctrl.types import Array
 
@@ -90,6 +92,26 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
+class LegOutcome:
+    """One candidate on one leg.
+
+    Attributes:
+        runs: one for each scenario.
+        modulus: largest eigenvalue of its linearised sampled loops; NaN where a run already failed.
+        raised_modulus: the same with all gains raised by the gain margin asked for.
+    """
+
+    runs: Sequence[Outcome]
+    modulus: float
+    raised_modulus: float
+
+    @property
+    def calm(self) -> bool:
+        """Whether every run stayed in range and came to rest, and the linearised loops are stable."""
+        return not any(run.diverged or run.restless > BAND for run in self.runs) and self.modulus < 1
+
+
+@dataclass(frozen=True, eq=False)
 class Evaluation:
     """What one set of gains is worth.
 
@@ -99,7 +121,9 @@ class Evaluation:
         member_costs: (n_members,) cost of each leg.
         overshoot: largest over the ensemble, as a share of the step.
         saturation: largest over the ensemble.
-        stable: False where any leg diverged or would not come to rest.
+        modulus: largest eigenvalue of the linearised sampled loops; NaN where a run already failed.
+        raised_modulus: the same with all gains raised by the gain margin asked for.
+        stable: False where any leg diverged, would not come to rest, or has a loop that is not stable.
         feasible: stable and within the limits.
     """
 
@@ -108,6 +132,8 @@ class Evaluation:
     member_costs: tuple[float, ...]
     overshoot: float
     saturation: float
+    modulus: float
+    raised_modulus: float
     stable: bool
     feasible: bool
 
@@ -119,6 +145,8 @@ class Evaluation:
             "member_costs": list(self.member_costs),
             "overshoot": self.overshoot,
             "saturation": self.saturation,
+            "modulus": self.modulus,
+            "raised_modulus": self.raised_modulus,
             "stable": self.stable,
             "feasible": self.feasible,
         }
@@ -149,6 +177,7 @@ class Problem:
     limits: Limits
     steps: int = 4
     _starts: dict[tuple[int, int], Array] = field(default_factory=dict, repr=False)
+    _legs: dict[tuple[str, int, int], list[SampledLeg]] = field(default_factory=dict, repr=False)
 
     def warm_up(self) -> None:
         """Compile, or load, the kernel and find every leg's rest pose."""
@@ -157,6 +186,39 @@ class Problem:
             for j, task in enumerate(self.tasks):
                 pose = task.position
                 self._starts[i, j] = member.rest(task.command_before, self.model.phase) if pose is None else pose
+
+    def poses(self, along: int = 1) -> list[Array]:
+        """Where the loops are linearised: each step-like target, and ``along`` poses of each moving reference."""
+        found: list[Array] = []
+        for task in self.tasks:
+            n = len(task.reference)
+            found += [task.reference[k] for k in ([n - 1] if task.step_like else [n * (2 * i + 1) // (2 * along) for i in range(along)])]
+        return found
+
+    def moduli(self, settings: PidSettings, member: int, along: int = 1) -> tuple[float, float]:
+        """The largest eigenvalue of a leg's linearised sampled loops: as it is, and with all gains raised by the margin."""
+        m, phase, dt = self.model.morphology, self.model.phase, self.tasks[0].control_dt
+        key = (settings.space, member, along)
+        if key not in self._legs:
+            self._legs[key] = [
+                sample(linear_leg(self.members[member], m, pose, settings.space, phase), dt)
+                for pose in self.poses(along)
+            ]
+        gains = settings.gain_matrix(settings.channels(m))
+        modulus = largest_modulus(self._legs[key], gains)
+        if modulus >= 1:
+            return modulus, math.nan
+        gains[: KD + 1] *= self.limits.gain_margin
+        return modulus, largest_modulus(self._legs[key], gains)
+
+    def verified(self, settings: PidSettings) -> bool:
+        """Whether the loops of every leg keep the gain margin at eight poses along each moving reference too.
+
+        The slowest mode may come half as close again to 1 there as the limit says.
+        """
+        slowest = (1 + self.limits.modulus) / 2
+        pairs = [self.moduli(settings, i, 8) for i in range(len(self.members))]
+        return all(modulus <= slowest and raised < 1 for modulus, raised in pairs)
 
     def kernel(self) -> Any:
         """The compiled closed loop."""
@@ -220,50 +282,75 @@ class Problem:
         saturation = float(((u <= m.command_low) | (u >= m.command_high)).mean())
         return Outcome(terms, saturation, restless, False)
 
-    def judge(self, outcomes: Sequence[Sequence[Outcome]]) -> Evaluation:
-        """The cost of outcomes[member][task].
+    def leg_outcome(self, settings: PidSettings, member: int) -> LegOutcome:
+        """Judge one leg: every scenario, and the linearised loop where the runs went well."""
+        runs = [self.outcome(settings, member, task) for task in range(len(self.tasks))]
+        calm = not any(run.diverged or run.restless > BAND for run in runs)
+        modulus, raised = self.moduli(settings, member) if calm else (math.nan, math.nan)
+        return LegOutcome(runs, modulus, raised)
+
+    def judge(self, legs: Sequence[LegOutcome]) -> Evaluation:
+        """The cost of what happened on every leg.
 
         Stable candidates within the limits cost their weighted terms; those beyond a limit cost 1e3 and more, those
-        that diverge or do not come to rest 1e6 and more.
+        that diverge, do not come to rest or have an unstable linearised loop 1e6 and more.
         """
         weights = np.array([getattr(self.weights, key) for key in TERMS])
         shares = np.array([task.weight for task in self.tasks]) / sum(task.weight for task in self.tasks)
-        terms = np.array([[o.terms for o in row] for row in outcomes])  # (members, tasks, terms)
-        restless = max(o.restless for row in outcomes for o in row)
-        diverged = sum(o.diverged for row in outcomes for o in row)
-        saturation = max(o.saturation for row in outcomes for o in row)
+        terms = np.array([[run.terms for run in leg.runs] for leg in legs])  # (members, tasks, terms)
+        runs = [run for leg in legs for run in leg.runs]
+        restless = max(run.restless for run in runs)
+        diverged = sum(run.diverged for run in runs)
+        saturation = max(run.saturation for run in runs)
         overshoot = float(terms[:, :, 1].max())
-        stable = diverged == 0 and restless <= 2 * BAND
+        calm = diverged == 0 and restless <= BAND
         if diverged:
             nothing = dict.fromkeys(TERMS, math.nan)
-            members = (math.nan,) * len(outcomes)
-            return Evaluation(1e9 * diverged, nothing, members, math.inf, saturation, False, False)
+            members = (math.nan,) * len(legs)
+            return Evaluation(1e9 * diverged, nothing, members, math.inf, saturation, math.nan, math.nan, False, False)
         weighted = np.einsum("mtk,t->mk", terms, shares) * weights
         member_costs = weighted.sum(axis=1)
         cost = (1 - self.weights.worst) * member_costs.mean() + self.weights.worst * member_costs.max()
         beyond = max(overshoot - self.limits.overshoot, 0.0) + max(saturation - self.limits.saturation, 0.0)
-        if not stable:
+        modulus = max(leg.modulus for leg in legs) if calm else math.nan
+        stable = calm and modulus < 1
+        raised = max(leg.raised_modulus for leg in legs) if stable else math.nan
+        feasible = bool(stable and beyond == 0 and modulus <= self.limits.modulus and raised < 1)
+        if not calm:
             cost = 1e6 * (1 + restless)
-        elif beyond > 0:
-            cost = 1e3 * (1 + beyond)
+        elif not stable:
+            cost = 1e6 * modulus
+        elif not feasible:
+            slow = max(modulus - self.limits.modulus, 0.0) / (1 - self.limits.modulus)
+            cost = 1e3 * (1 + beyond + slow + 10 * max(raised - 1, 0.0))
         return Evaluation(
             float(cost),
             {key: float(value) for key, value in zip(TERMS, weighted.mean(axis=0), strict=True)},
             tuple(float(c) for c in member_costs),
             overshoot,
             saturation,
+            modulus,
+            raised,
             stable,
-            bool(stable and beyond == 0),
+            feasible,
         )
 
-    def evaluate(self, candidates: Sequence[PidSettings], pool: ThreadPoolExecutor) -> list[Evaluation]:
-        """Judge candidates, every leg of every candidate being a job of its own; the order of results is fixed."""
-        jobs = [(c, i) for c in range(len(candidates)) for i in range(len(self.members))]
+    def evaluate(self, candidates: Sequence[PidSettings], pool: ThreadPoolExecutor) -> Iterator[Evaluation]:
+        """Judge candidates in their order, every leg of every candidate being a job of its own.
 
-        def work(job: tuple[int, int]) -> list[Outcome]:
-            c, i = job
-            return [self.outcome(candidates[c], i, j) for j in range(len(self.tasks))]
-
-        rows = list(pool.map(work, jobs))
+        Of several candidates, those that fail on the leg that is hardest to keep stable are not tried on the others.
+        """
         n = len(self.members)
-        return [self.judge(rows[c * n : (c + 1) * n]) for c in range(len(candidates))]
+        hardest = min(1, n - 1)
+        rest = [i for i in range(n) if i != hardest]
+        jobs = [{hardest: pool.submit(self.leg_outcome, settings, hardest)} for settings in candidates]
+        try:
+            for settings, job in zip(candidates, jobs, strict=True):
+                if len(candidates) == 1 or job[hardest].result().calm:
+                    job.update({i: pool.submit(self.leg_outcome, settings, i) for i in rest})
+            for job in jobs:
+                yield self.judge([job[i].result() for i in sorted(job)])
+        finally:
+            for job in jobs:
+                for future in job.values():
+                    future.cancel()

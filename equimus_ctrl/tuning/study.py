@@ -72,16 +72,19 @@ class Limits:
         overshoot: share of the step.
         saturation: share of the time at a pressure limit.
         modulus: of the largest eigenvalue of the linearised sampled loop, below 1.
+        gain_margin: factor by which all gains together may rise before a linearised loop is unstable, 1 or more.
     """
 
     overshoot: float = 0.25
     saturation: float = 0.5
-    modulus: float = 0.995
+    modulus: float = 0.998
+    gain_margin: float = 1.4
 
     def __post_init__(self) -> None:
         _check("limits", "overshoot", self.overshoot, 0.0)
         _check("limits", "saturation", self.saturation, 0.0, 1.0)
         _check("limits", "modulus", self.modulus, 0.0, 1.0)
+        _check("limits", "gain_margin", self.gain_margin, 1.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,8 @@ class EnsembleSettings:
     """The legs the gains must work on.
 
     Attributes:
-        members: how many, the model itself with valves of middling speed being the first.
+        members: how many; the first is the model itself with valves of middling speed, the second the leg that is
+            hardest to keep stable: latest valves, most force, least stiffness, damping and mass.
         stiffness: ± share of each actuator's stiffness.
         area: ± share of each actuator's area.
         damping: ± share of each actuator's and joint's damping.
@@ -102,7 +106,7 @@ class EnsembleSettings:
         unseen: further legs, never tuned on, that the result is tried on.
     """
 
-    members: int = 6
+    members: int = 7
     stiffness: float = 0.15
     area: float = 0.15
     damping: float = 0.40

@@ -1,0 +1,364 @@
+"""Figures of one run: joints over time, the foot's path, commanded pressures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from equimus_ctrl.errors import ConfigError, ModelError
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.report import style
+from equimus_ctrl.report.drawing import MM, far_apart, first_pass, label_parts, skeleton, sketch
+from equimus_ctrl.scenarios.scenario import Scenario
+from equimus_ctrl.scenarios.scoring import Score, on_grid
+from equimus_ctrl.types import Array, Run
+
+KPA = 1e-3
+MAX_REST_POSES = 400
+SAME_POSE = 0.01  # [rad]
+WIDTH = 10.0
+TARGET: dict[str, Any] = {
+    "linestyle": "",
+    "marker": "+",
+    "markersize": 13,
+    "markeredgewidth": 1.6,
+    "color": style.REFERENCE,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """The dashed line that a run is drawn beside.
+
+    Attributes:
+        position: (n, nj) at the run's instants [rad].
+        followed: whether anything tried to get there; where commands are only played it is the pose at which the
+            leg would rest under the command in force.
+    """
+
+    position: Array
+    followed: bool
+
+    @property
+    def label(self) -> str:
+        """For legends."""
+        return "reference" if self.followed else "where slow commands would lead (pose at rest)"
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What the real robot did, cut to the run's time.
+
+    Attributes:
+        time: (m,) [s].
+        position: (m, nj) [rad].
+        name: of the recording.
+    """
+
+    time: Array
+    position: Array
+    name: str
+
+
+def save_run_figures(
+    run: Run, scenario: Scenario, score: Score, kinematics: Kinematics, folder: Path, label: str
+) -> list[Path]:
+    """Write ``joints.png``, ``foot_path.png`` and ``pressures.png``.
+
+    Args:
+        run: what happened.
+        scenario: what was to be done, and the recording to show beside.
+        score: of the run.
+        kinematics: of the robot, for the foot and for poses at rest.
+        folder: made where it does not exist.
+        label: what the figures are headed with.
+
+    Raises:
+        ConfigError: where the run and the kinematics are not of the same robot.
+    """
+    m = kinematics.morphology
+    if (run.spec.joints, run.spec.actuators) != (m.joint_names, m.actuator_names):
+        raise ConfigError(
+            f"the run has joints {', '.join(run.spec.joints)} and actuators {', '.join(run.spec.actuators)}, but "
+            f"{m.name} has {', '.join(m.joint_names)} and {', '.join(m.actuator_names)}"
+        )
+    wanted, beside = wanted_of(run, scenario, kinematics), beside_of(run, scenario)
+    return [
+        style.save(joints_figure(run, score, wanted, beside, label), folder / "joints.png"),
+        style.save(foot_path_figure(run, kinematics, wanted, beside, label), folder / "foot_path.png"),
+        style.save(pressures_figure(run, score, label), folder / "pressures.png"),
+    ]
+
+
+def wanted_of(run: Run, scenario: Scenario, kinematics: Kinematics) -> Wanted:
+    """The run's reference, or the poses of the commands where these were only played from the scenario's profile."""
+    if scenario.commands is None:
+        return Wanted(run.reference, True)
+    low, high = run.spec.command_low, run.spec.command_high
+    profile = np.array([scenario.commands.at(float(t)) for t in run.time])
+    if not np.allclose(np.clip(profile, low, high), run.command, atol=1e-6):
+        return Wanted(run.reference, True)
+    try:
+        return Wanted(_slow_outcome(run, kinematics), False)
+    except ModelError:
+        return Wanted(run.reference, True)
+
+
+def _slow_outcome(run: Run, kinematics: Kinematics) -> Array:
+    """(n, nj) the pose at rest under the command in force at each instant [rad]."""
+    n = len(run.time)
+    some = _spread(n, 40)
+    apart = np.abs(_rest_poses(kinematics, run.command[some]) - run.reference[some]).max(axis=1)
+    if np.median(apart) < SAME_POSE:
+        return run.reference
+    changes = np.flatnonzero(np.any(np.diff(run.command, axis=0) != 0, axis=1)) + 1
+    if len(changes) < MAX_REST_POSES:
+        return np.repeat(_rest_poses(kinematics, run.command[[0, *changes]]), np.diff([0, *changes, n]), axis=0)
+    rows = _spread(n, MAX_REST_POSES)
+    return on_grid(run.time[rows], _rest_poses(kinematics, run.command[rows]), run.time)
+
+
+def _spread(n: int, most: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
+
+
+def _rest_poses(kinematics: Kinematics, commands: Array) -> Array:
+    poses = [kinematics.equilibrium(commands[0])]
+    for command in commands[1:]:
+        poses.append(kinematics.equilibrium(command, poses[-1]))
+    return np.array(poses)
+
+
+def beside_of(run: Run, scenario: Scenario) -> Beside | None:
+    """The part of the scenario's recording that lies within the run, or None."""
+    recorded = scenario.recorded
+    if recorded is None:
+        return None
+    inside = (recorded.time >= run.time[0]) & (recorded.time <= run.time[-1])
+    if inside.sum() < 2:
+        return None
+    return Beside(recorded.time[inside], recorded.position[inside], recorded.name)
+
+
+def joints_figure(run: Run, score: Score, wanted: Wanted, beside: Beside | None, label: str) -> Figure:
+    """A panel and a residual strip for each joint, in degrees."""
+    nj = len(run.spec.joints)
+    figure = style.new_figure(WIDTH, 1.1 + 2.9 * nj, f"{label}: joint angles")
+    panels = figure.subplots(2 * nj, 1, sharex=True, squeeze=False, height_ratios=[2.6, 1.0] * nj)[:, 0]
+    partly = score.window[0] > run.time[0] + 0.05 or score.window[1] < run.time[-1] - 0.05
+    for j, joint in enumerate(run.spec.joints):
+        axes, strip = panels[2 * j], panels[2 * j + 1]
+        colour = style.joint_colour(j)
+        style.dress(axes, title=_joint_title(run, score, wanted, beside, j), y=f"{joint} [°]")
+        style.dress(strip, y="error [°]", x="time [s]" if j == nj - 1 else "")
+        _plot_wanted(axes, run.time, wanted, np.degrees(wanted.position[:, j]))
+        if beside is not None:
+            axes.plot(
+                beside.time, np.degrees(beside.position[:, j]), color=style.RECORDED, linewidth=style.RECORDED_WIDTH
+            )
+        axes.plot(run.time, np.degrees(run.position[:, j]), color=colour, linewidth=style.RUN_WIDTH)
+        time, residual = _residual(run, wanted, beside, j)
+        strip.axhline(0.0, color=style.FAINT, linewidth=style.THIN_WIDTH)
+        strip.plot(time, residual, color=colour, linewidth=1.0)
+        strip.fill_between(time, residual, 0.0, color=colour, alpha=0.15, linewidth=0)
+        _even_limits(strip, residual)
+        axes.set_xlim(run.time[0], run.time[-1] + run.spec.control_dt)
+        if partly:
+            for panel in (axes, strip):
+                panel.axvspan(run.time[0], score.window[0], color=style.SHADE, linewidth=0, zorder=0)
+                panel.axvspan(score.window[1], run.time[-1], color=style.SHADE, linewidth=0, zorder=0)
+    figure.align_ylabels()
+    compared = "recorded" if beside is not None else "reference" if wanted.followed else "resting pose"
+    handles = [_many_coloured("this run", nj), *_line_handles(wanted, beside)]
+    handles.append(Patch(facecolor=style.FAINT, alpha=0.3, label=f"error: run − {compared}"))
+    if partly:
+        low, high = score.window
+        handles.append(Patch(facecolor=style.SHADE, label=f"not scored (scored: {low:g} to {high:g} s)"))
+    style.legend_below(figure, handles)
+    return figure
+
+
+def _joint_title(run: Run, score: Score, wanted: Wanted, beside: Beside | None, j: int) -> str:
+    parts = []
+    if beside is not None and score.recorded is not None:
+        parts.append(f"{_angle(score.recorded.rmse[j])} from the recording")
+    if wanted.followed:
+        parts.append(f"{_angle(score.tracking.rmse[j])} from the reference")
+    elif not parts:
+        parts.append(f"{_angle(_rest_rmse(run, score, wanted, j))} from the resting pose")
+    return f"{run.spec.joints[j]}   RMSE " + ", ".join(parts)
+
+
+def _rest_rmse(run: Run, score: Score, wanted: Wanted, j: int) -> float:
+    if wanted.position is run.reference:
+        return float(score.tracking.rmse[j])
+    inside = (run.time >= score.window[0]) & (run.time <= score.window[1])
+    return float(np.sqrt(((run.position - wanted.position)[inside, j] ** 2).mean()))
+
+
+def _angle(value: float) -> str:
+    return f"{np.degrees(value):.2f}° ({value:.4f} rad)"
+
+
+def _residual(run: Run, wanted: Wanted, beside: Beside | None, j: int) -> tuple[Array, Array]:
+    if beside is None:
+        return run.time, np.degrees(run.position[:, j] - wanted.position[:, j])
+    inside = (run.time >= beside.time[0]) & (run.time <= beside.time[-1])
+    time = run.time[inside]
+    return time, np.degrees(run.position[inside, j] - np.interp(time, beside.time, beside.position[:, j]))
+
+
+def _even_limits(axes: Axes, values: Array) -> None:
+    span = max(1.1 * float(np.abs(values).max()), 0.1)
+    axes.set_ylim(-span, span)
+
+
+def _plot_wanted(axes: Axes, x: Array, wanted: Wanted, y: Array, order: float = 2.5) -> None:
+    width = style.REFERENCE_WIDTH if wanted.followed else style.THIN_WIDTH
+    axes.plot(x, y, color=style.REFERENCE, linewidth=width, linestyle=style.DASHES, zorder=order)
+
+
+def _line_handles(wanted: Wanted, beside: Beside | None) -> list[Artist]:
+    width = style.REFERENCE_WIDTH if wanted.followed else style.THIN_WIDTH
+    handles: list[Artist] = [
+        Line2D([], [], color=style.REFERENCE, linewidth=width, linestyle=style.DASHES, label=wanted.label)
+    ]
+    if beside is not None:
+        handles.append(
+            Line2D(
+                [],
+                [],
+                color=style.RECORDED,
+                linewidth=style.RECORDED_WIDTH,
+                label=f"recorded ({beside.name})",
+            )
+        )
+    return handles
+
+
+def _many_coloured(label: str, nj: int) -> Line2D:
+    colour = style.joint_colour(0) if nj == 1 else style.INK
+    return Line2D([], [], color=colour, linewidth=style.RUN_WIDTH + 0.6, label=label)
+
+
+def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: Beside | None, label: str) -> Figure:
+    """The machine at a few poses of the run, and beside it the path alone and larger, in mm with y downwards."""
+    m, phase = kinematics.morphology, kinematics.phase
+    what = "foot" if phase == "swing" else "base"
+    figure = style.new_figure(WIDTH, 5.5, f"{label}: path of the {what}")
+    machine, path = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
+
+    def trace(angles: Array) -> Array:
+        bones = skeleton(m, angles, phase)
+        return np.asarray((bones.foot if phase == "swing" else bones.base) * MM)
+
+    walked, target = trace(run.position), first_pass(trace(wanted.position))
+    shown = [walked, target[np.isfinite(target[:, 0])]]
+    still = bool(np.ptp(shown[1], axis=0).max() < 1.0)
+    for axes in (machine, path):
+        axes.plot(*walked.T, color=style.FOOT, linewidth=style.RUN_WIDTH, zorder=3)
+        if still:
+            axes.plot(*target[0], **TARGET, zorder=6)
+        else:
+            _plot_wanted(axes, target[:, 0], wanted, target[:, 1], order=3.5)
+    if beside is not None:
+        shown.append(trace(beside.position))
+        for axes in (machine, path):
+            axes.plot(*shown[-1].T, color=style.RECORDED, linewidth=style.RECORDED_WIDTH, alpha=0.7, zorder=2.6)
+    chosen = far_apart(walked, 4)
+    for strength, k in zip((1.0, 0.25, 0.25, 0.25), chosen, strict=False):
+        sketch(machine, m, run.position[k], phase, strength=strength)
+    label_parts(machine, m, run.position[0], phase)
+    style.dress(machine, title="the machine at the start, later poses faded", x="x [mm]", y="y, downwards [mm]")
+    style.dress(path, title=f"the {what} alone", x="x [mm]", y="y, downwards [mm]")
+    start, end = walked[[0, -1]]
+    path.plot(*start, marker="o", markersize=8, markerfacecolor="white", markeredgecolor=style.INK, zorder=5)
+    path.plot(*end, marker="s", markersize=6, color=style.INK, zorder=5)
+    _equal(machine, np.concatenate([skeleton(m, run.position[chosen], phase).points * MM, *shown]))
+    _equal(path, np.concatenate(shown))
+    handles: list[Artist] = [Line2D([], [], color=style.FOOT, linewidth=style.RUN_WIDTH + 0.6, label="this run")]
+    handles += _line_handles(wanted, beside)
+    if still:
+        handles[1] = Line2D([], [], **TARGET, label=wanted.label)
+    handles.append(Line2D([], [], marker="o", color=style.INK, markerfacecolor="white", linestyle="", label="start"))
+    handles.append(Line2D([], [], marker="s", color=style.INK, linestyle="", label="end"))
+    style.legend_below(figure, handles)
+    return figure
+
+
+def _equal(axes: Axes, points: Array) -> None:
+    """Limits in which ``points`` (n, 2) fill a square with a margin, a millimetre being as long both ways."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = max(0.56 * float((high - low).max()), 5.0)
+    (x, y) = (low + high) / 2
+    axes.set_xlim(x - half, x + half)
+    axes.set_ylim(y + half, y - half)
+    axes.set_aspect("equal", adjustable="box")
+
+
+def pressures_figure(run: Run, score: Score, label: str) -> Figure:
+    """A panel of commanded pressure for each actuator, in kPa, with its limits and where they cut a command off."""
+    na = len(run.spec.actuators)
+    figure = style.new_figure(WIDTH, 1.1 + 1.9 * na, f"{label}: commanded pressures")
+    panels = figure.subplots(na, 1, sharex=True, squeeze=False)[:, 0]
+    for i, (axes, name) in enumerate(zip(panels, run.spec.actuators, strict=True)):
+        low, high = run.spec.command_low[i] * KPA, run.spec.command_high[i] * KPA
+        command, asked, clipped = run.command[:, i] * KPA, run.asked[:, i] * KPA, run.clipped[:, i]
+        title = f"{name}   {score.effort[i] * KPA:.1f} kPa RMS"
+        if clipped.any():
+            title += f", {100 * clipped.mean():.1f} % of commands clipped"
+        style.dress(axes, title=title, y=f"{name} [kPa]", x="time [s]" if i == na - 1 else "")
+        axes.set_xlim(run.time[0], run.time[-1] + run.spec.control_dt)
+        bottom, top = _pressure_limits(axes, command, low, high)
+        for edge, beyond in ((low, bottom), (high, top)):
+            axes.axhspan(edge, beyond, color=style.SHADE, linewidth=0, zorder=0)
+            axes.axhline(edge, color=style.FAINT, linewidth=style.THIN_WIDTH)
+        axes.step(run.time, command, where="post", color=style.actuator_colour(i), linewidth=style.RUN_WIDTH)
+        for edge, beyond, cut in ((low, bottom, asked < low), (high, top, asked > high)):
+            bars = _bars(run, clipped & cut)
+            axes.broken_barh(bars, (min(edge, beyond), abs(beyond - edge)), facecolor=style.ALERT, linewidth=0)
+    figure.align_ylabels()
+    handles: list[Artist] = [Patch(facecolor=style.SHADE, edgecolor=style.FAINT, label="beyond the limits")]
+    if run.clipped.any():
+        handles.append(Patch(facecolor=style.ALERT, label="clipped: more was asked for than the limit allows"))
+    style.legend_below(figure, handles)
+    return figure
+
+
+def _bars(run: Run, where: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """(from, width) [s] of the stretches where ``where`` holds, none too narrow to be seen."""
+    edges = np.diff(np.concatenate([[0], where.astype(int), [0]]))
+    dt, least = run.spec.control_dt, 0.002 * float(run.time[-1] - run.time[0])
+    begins, ends = run.time[np.flatnonzero(edges == 1)], run.time[np.flatnonzero(edges == -1) - 1] + dt
+    return [(float(a), max(float(b - a), least)) for a, b in zip(begins, ends, strict=True)]
+
+
+def _pressure_limits(axes: Axes, command: Array, low: float, high: float) -> tuple[float, float]:
+    """Show the whole range where the commands use half of it, else cut it above them and say where the limit is."""
+    span = high - low
+    bottom, top = low - 0.06 * span, high + 0.06 * span
+    highest = float(command.max())
+    if highest < low + 0.5 * span:
+        reach = max(highest - low, 0.02 * span)
+        bottom, top = low - 0.08 * reach, low + 1.25 * reach
+        axes.annotate(
+            f"limit {high:g} kPa ↑",
+            (1.0, 1.0),
+            xycoords="axes fraction",
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha="right",
+            fontsize=style.SMALL_SIZE,
+            color=style.FAINT,
+        )
+    axes.set_ylim(bottom, top)
+    return bottom, max(top, high)

@@ -1,0 +1,336 @@
+"""Tuning a PID: a study, a model and its scenarios in; gains that work on every leg of the ensemble out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from platform import python_version
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl.controllers.pid import PidController, PidSettings
+from equimus_ctrl.effects import AsymmetricLag, TransportDelay
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.valves import DELAY, FILL, VENT
+from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.models.model import Model, model_to_dict
+from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
+from equimus_ctrl.scenarios.references import SampledReference
+from equimus_ctrl.scenarios.scenario import Scenario
+from equimus_ctrl.simulate import run
+from equimus_ctrl.tuning.ensemble import Member, make_ensemble
+from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
+from equimus_ctrl.tuning.search import Journal, Search, Trial
+from equimus_ctrl.tuning.stability import Margins, margins
+from equimus_ctrl.tuning.study import Study
+from equimus_ctrl.types import Array, Start
+
+LIBRARIES = ("equimus-ctrl", "numpy", "scipy", "numba", "casadi", "mujoco", "cmaes", "control")
+
+
+class NothingFeasible(EquimusError):
+    """No set of gains within the limits was found."""
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on."""
+    found = {"python": python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except Exception:
+            found[name] = "unknown"
+    return found
+
+
+def make_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> Problem:
+    """What candidates of a study are judged by.
+
+    Args:
+        study: the study.
+        model: the middle of the ensemble, and what the controller computes with.
+        scenarios: one for each of the study's objectives, in their order.
+    """
+    members = make_ensemble(model, study.ensemble, study.ensemble.members, study.seed)
+    tasks = [
+        make_task(scenario, objective.weight, objective.duration, model, study.ensemble.noise, study.seed + k)
+        for k, (scenario, objective) in enumerate(zip(scenarios, study.objectives, strict=True))
+    ]
+    return Problem(model, members, tasks, study.weights, study.limits)
+
+
+def unseen_problem(problem: Problem, study: Study) -> Problem:
+    """The same problem on legs that took no part in the tuning."""
+    legs = make_ensemble(problem.model, study.ensemble, study.ensemble.unseen, study.seed + 1_000_003, fixed=False)
+    return replace(problem, members=legs, _starts={}, _legs={})
+
+
+def study_key(study: Study, problem: Problem) -> str:
+    """A fingerprint of everything an evaluation depends on; journals of another fingerprint are of no use."""
+    kernel = getattr(problem.kernel(), "__name__", "")
+    text = json.dumps([asdict(study), model_to_dict(problem.model), versions(), kernel], sort_keys=True)
+    digest = hashlib.sha256(text.encode())
+    for task in problem.tasks:
+        digest.update(task.reference.tobytes() + task.noise.tobytes() + task.command_before.tobytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class CrossCheck:
+    """The tuned loop on the MuJoCo plant beside the compiled one, noise included.
+
+    Attributes:
+        scenario: which.
+        rmse: (nj,) tracking error on the MuJoCo plant [rad].
+        difference: largest difference between the two engines' angles [rad].
+    """
+
+    scenario: str
+    rmse: Array
+    difference: float
+
+
+@dataclass(frozen=True, eq=False)
+class TuningResult:
+    """What a study found.
+
+    Attributes:
+        study: the study.
+        problem: what candidates were judged by.
+        history: every candidate, in order.
+        best: the result.
+        settings: its gains.
+        start: the gains the search began with.
+        start_evaluation: what those were worth.
+        margins: of the result on the model itself, at the first objective's last pose.
+        least_margins: least gain, phase and delay margin over every leg and pose.
+        unseen: the result on legs that took no part in the tuning.
+        start_unseen: the first gains on the same.
+        checks: the result on the MuJoCo plant.
+        interrupted: whether the search was stopped before its budget was spent.
+    """
+
+    study: Study
+    problem: Problem
+    history: list[Trial]
+    best: Trial
+    settings: PidSettings
+    start: PidSettings
+    start_evaluation: Evaluation
+    margins: list[Margins]
+    least_margins: list[Margins]
+    unseen: list[Evaluation]
+    start_unseen: list[Evaluation]
+    checks: list[CrossCheck]
+    interrupted: bool
+
+    def record(self) -> dict[str, Any]:
+        """Everything worth keeping, in plain types."""
+        joints = self.problem.model.morphology.joint_names
+        stable = sum(e.stable for e in self.unseen)
+        return {
+            "schema": "equimus-ctrl/tuning-record/1",
+            "seed": self.study.seed,
+            "versions": versions(),
+            "study": asdict(self.study),
+            "model": model_to_dict(self.problem.model),
+            "interrupted": self.interrupted,
+            "evaluated": len(self.history),
+            "settings": self.settings.to_dict(),
+            "best": self.best.to_dict(),
+            "start": {"settings": self.start.to_dict(), **self.start_evaluation.to_dict()},
+            "margins": [m.to_dict() for m in self.margins],
+            "least_margins": [m.to_dict() for m in self.least_margins],
+            "unseen": {
+                "legs": len(self.unseen),
+                "stable": stable,
+                "feasible": sum(e.feasible for e in self.unseen),
+                "costs": [e.cost for e in self.unseen],
+                "start_stable": sum(e.stable for e in self.start_unseen),
+            },
+            "mujoco": [
+                {
+                    "scenario": c.scenario,
+                    "rmse_rad": dict(zip(joints, map(float, c.rmse), strict=True)),
+                    "largest_difference_rad": c.difference,
+                }
+                for c in self.checks
+            ],
+            "evaluations": [trial.to_dict() for trial in self.history],
+        }
+
+
+def autotune(
+    study: Study,
+    problem: Problem,
+    journal: Journal,
+    notify: Callable[[Trial], None] = lambda trial: None,
+    workers: int | None = None,
+) -> TuningResult:
+    """Search, then look hard at what was found.
+
+    A KeyboardInterrupt ends the search and keeps the best so far.
+
+    Args:
+        study: what to look for.
+        problem: see ``make_problem``.
+        journal: where evaluations are kept and found again.
+        notify: called after each candidate.
+        workers: threads; all cores by default.
+
+    Raises:
+        NothingFeasible: where no candidate was stable and within the limits on every leg.
+    """
+    channels = study.settings(np.ones(64), ()).channels(problem.model.morphology)
+    ranges = [r for _, r in study.ranges(channels)]
+    search = Search(
+        low=np.array([r.low for r in ranges]),
+        high=np.array([r.high for r in ranges]),
+        start=np.array([r.start for r in ranges]),
+        budget=study.candidates,
+        polish=study.polish,
+        seed=study.seed,
+        evaluate=lambda batch: iter(()),
+        journal=journal,
+        notify=notify,
+        history=[],
+    )
+    interrupted = False
+    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        search.evaluate = lambda batch: problem.evaluate([study.settings(v, channels) for v in batch], pool)
+        try:
+            problem.warm_up()
+            search.run()
+        except KeyboardInterrupt:
+            interrupted = True
+        best = best_feasible(search.history, lambda t: problem.verified(study.settings(np.array(t.values), channels)))
+        settings = study.settings(np.array(best.values), channels)
+        start = search.history[0]
+        start_settings = study.settings(np.array(start.values), channels)
+        unseen = unseen_problem(problem, study)
+        unseen.warm_up()
+        on_unseen, start_unseen = (
+            [next(iter(one.evaluate([s], pool))) for one in _one_by_one(unseen)] for s in (settings, start_settings)
+        )
+    return TuningResult(
+        study,
+        problem,
+        search.history,
+        best,
+        settings,
+        start_settings,
+        start.evaluation,
+        _margins_of(problem, settings, problem.members[0], problem.poses()[0]),
+        _least_margins(problem, settings),
+        on_unseen,
+        start_unseen,
+        [cross_check(problem, settings, k) for k in range(len(problem.tasks))],
+        interrupted,
+    )
+
+
+def best_feasible(history: Sequence[Trial], verified: Callable[[Trial], bool] = lambda trial: True) -> Trial:
+    """The cheapest candidate that is stable and within the limits on every leg, and ``verified``.
+
+    Raises:
+        NothingFeasible: where there is none, saying what the nearest one lacked.
+    """
+    allowed = sorted((t for t in history if t.evaluation.feasible), key=lambda t: t.evaluation.cost)
+    for trial in allowed:
+        if verified(trial):
+            return trial
+    if not history:
+        raise NothingFeasible("the search was stopped before any set of gains was tried")
+    nearest = min(history, key=lambda trial: trial.evaluation.cost).evaluation
+    why = "is unstable on some leg" if not nearest.stable else (
+        f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time and its slowest mode "
+        f"has modulus {nearest.modulus:.4f}"
+    )
+    raise NothingFeasible(
+        f"none of {len(history)} sets of gains is stable and within the limits on every leg; the nearest {why}"
+    )
+
+
+def _one_by_one(problem: Problem) -> list[Problem]:
+    return [
+        replace(
+            problem,
+            members=[member],
+            _starts={(0, j): problem._starts[i, j] for j in range(len(problem.tasks))},
+            _legs={},
+        )
+        for i, member in enumerate(problem.members)
+    ]
+
+
+def _margins_of(problem: Problem, settings: PidSettings, member: Member, pose: Array) -> list[Margins]:
+    model = problem.model
+    return margins(settings, member, model.morphology, pose, problem.tasks[0].control_dt, model.phase)
+
+
+def _least_margins(problem: Problem, settings: PidSettings) -> list[Margins]:
+    every = [_margins_of(problem, settings, member, pose) for member in problem.members for pose in problem.poses()]
+    least = []
+    for k, actuator in enumerate(problem.model.morphology.actuator_names):
+        own = [row[k] for row in every]
+        tightest = min(own, key=lambda m: m.delay)
+        least.append(
+            Margins(
+                actuator, min(m.gain for m in own), min(m.phase for m in own), tightest.delay, tightest.crossover
+            )
+        )
+    return least
+
+
+class _ShiftedNoise:
+    """A plant whose measurements carry a given noise, so that two engines can be compared sample by sample."""
+
+    def __init__(self, plant: MujocoPlant, noise: Array) -> None:
+        self._plant, self._noise, self._k = plant, noise, 0
+        self.spec = plant.spec
+        self.close = plant.close
+
+    def reset(self, start: Start | None = None, seed: int | None = None) -> Any:
+        self._k = 0
+        return self._noisy(self._plant.reset(start, seed))
+
+    def step(self, command: Any) -> Any:
+        self._k += 1
+        return self._noisy(self._plant.step(command))
+
+    def _noisy(self, observation: Any) -> Any:
+        row = self._noise[min(self._k, len(self._noise) - 1)]
+        return replace(observation, position=observation.position + row)
+
+
+def cross_check(problem: Problem, settings: PidSettings, task: int) -> CrossCheck:
+    """Run the first leg in MuJoCo and compare with the compiled loop."""
+    model, t, leg = problem.model, problem.tasks[task], problem.members[0]
+    valves: list[Effect] = []
+    for row, actuator in zip(leg.valve, model.morphology.actuator_names, strict=True):
+        valves.append(TransportDelay(actuator, float(row[DELAY])))
+        valves.append(AsymmetricLag(actuator, float(row[FILL]), float(row[VENT])))
+    rate = 1 / t.control_dt
+    plant = MujocoPlant(
+        Model(leg.morphology, tuple(valves), model.phase),
+        nominal=model.morphology,
+        rates=PlantRates(control=rate, sensor=rate, physics=rate * problem.steps),
+    )
+    times = np.arange(len(t.reference)) * t.control_dt
+    outcome = run(
+        _ShiftedNoise(plant, t.noise),
+        PidController(settings),
+        SampledReference(times, t.reference),
+        len(times) * t.control_dt,
+        start=Start(command=t.command_before, position=t.position),
+    )
+    true = outcome.position - t.noise
+    compiled_q, _, _ = problem.simulate(settings, 0, task)
+    error = true - t.reference
+    return CrossCheck(t.name, np.sqrt((error**2).mean(axis=0)), float(np.abs(true - compiled_q).max()))

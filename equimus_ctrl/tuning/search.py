@@ -1,0 +1,176 @@
+"""The search itself: a spread of first tries, CMA-ES from the best of them, Nelder–Mead at the end; resumable.
+
+Everything is driven by the study's seed, and every evaluation is handed to a journal as soon as it is known. A search
+that is started again with the same journal asks for the same candidates in the same order and takes the answers it
+already has, so it ends with the same bits as one that was never interrupted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cmaes
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import qmc
+
+from equimus_ctrl.tuning.objective import Evaluation
+from equimus_ctrl.types import Array
+
+
+class Journal(Protocol):
+    """Where evaluations are kept."""
+
+    def known(self, index: int, values: Sequence[float]) -> Evaluation | None:
+        """The evaluation number ``index`` if it is there and was of the same values."""
+        ...
+
+    def add(self, index: int, stage: str, values: Sequence[float], evaluation: Evaluation) -> None:
+        """Keep one more."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One candidate that was tried.
+
+    Attributes:
+        index: in the order of the search.
+        stage: ``"start"``, ``"spread"``, ``"cma-es"`` or ``"nelder-mead"``.
+        values: the gains, see ``Study.ranges``.
+        evaluation: what they are worth.
+        reused: whether the answer came from the journal.
+    """
+
+    index: int
+    stage: str
+    values: tuple[float, ...]
+    evaluation: Evaluation
+    reused: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain types."""
+        return {"index": self.index, "stage": self.stage, "values": list(self.values), **self.evaluation.to_dict()}
+
+
+class _BudgetSpent(Exception):
+    pass
+
+
+@dataclass
+class Search:
+    """A search in progress.
+
+    Attributes:
+        low: (n,) least of each value.
+        high: (n,) most.
+        start: (n,) the first candidate.
+        budget: candidates in all.
+        polish: share of the budget for the local search.
+        seed: of everything random.
+        evaluate: values of several candidates → their evaluations, in order, as they are known.
+        journal: where they are kept.
+        notify: called after each candidate.
+        history: what was tried.
+    """
+
+    low: Array
+    high: Array
+    start: Array
+    budget: int
+    polish: float
+    seed: int
+    evaluate: Callable[[list[Array]], Iterator[Evaluation]]
+    journal: Journal
+    notify: Callable[[Trial], None]
+    history: list[Trial]
+
+    def run(self) -> None:
+        """Spend the budget; ``history`` grows as it goes."""
+        try:
+            self._spread()
+            while len(self.history) < self.budget - self._polish_budget():
+                self._cma()
+            self._nelder_mead()
+        except _BudgetSpent:
+            pass
+
+    def best(self) -> Trial:
+        """The cheapest candidate so far."""
+        return min(self.history, key=lambda trial: trial.evaluation.cost)
+
+    def _polish_budget(self) -> int:
+        return round(self.polish * self.budget)
+
+    def _values(self, unit: Array) -> Array:
+        """Gains of a point of the unit cube, on logarithmic scales."""
+        share = np.clip(unit, 0.0, 1.0)
+        return np.asarray(np.exp(np.log(self.low) + share * (np.log(self.high) - np.log(self.low))))
+
+    def _unit(self, values: Sequence[float]) -> Array:
+        span = np.log(self.high) - np.log(self.low)
+        return np.asarray((np.log(values) - np.log(self.low)) / span)
+
+    def _try(self, stage: str, units: Sequence[Array]) -> list[float]:
+        """Costs of points of the unit cube, from the journal where it has them."""
+        room = self.budget - len(self.history)
+        batch = [self._values(unit) for unit in units][:room]
+        first = len(self.history)
+        answers = [self.journal.known(first + k, values.tolist()) for k, values in enumerate(batch)]
+        fresh = self.evaluate([v for v, a in zip(batch, answers, strict=True) if a is None])
+        for k, (values, answer) in enumerate(zip(batch, answers, strict=True)):
+            evaluation = next(fresh) if answer is None else answer
+            if answer is None:
+                self.journal.add(first + k, stage, values.tolist(), evaluation)
+            trial = Trial(first + k, stage, tuple(values.tolist()), evaluation, answer is not None)
+            self.history.append(trial)
+            self.notify(trial)
+        if len(batch) < len(units):
+            raise _BudgetSpent
+        return [trial.evaluation.cost for trial in self.history[first:]]
+
+    def _spread(self) -> None:
+        n = len(self.low)
+        self._try("start", [self._unit(self.start.tolist())])
+        count = min(8 * n, self.budget // 6)
+        # The first tries cover the cube evenly, and half of them lie nearer to the start.
+        points = qmc.Sobol(n, rng=np.random.default_rng(self.seed)).random(max(1 << (count - 1).bit_length(), 1))[:count]
+        near = self._unit(self.start.tolist())
+        self._try("spread", [p if k % 2 else near + 0.4 * (p - 0.5) for k, p in enumerate(points)])
+
+    def _cma(self) -> None:
+        n = len(self.low)
+        restarts = sum(1 for a, b in zip(self.history, self.history[1:], strict=False) if _begins_cma(a, b))
+        optimiser = cmaes.CMA(
+            mean=self._unit(self.best().values),
+            sigma=0.15 if restarts == 0 else 0.3,
+            bounds=np.stack([np.zeros(n), np.ones(n)], axis=1),
+            seed=self.seed + restarts,
+            population_size=2 * (4 + int(3 * math.log(n))),
+        )
+        while not optimiser.should_stop():
+            if len(self.history) >= self.budget - self._polish_budget():
+                return
+            points = [optimiser.ask() for _ in range(optimiser.population_size)]
+            costs = self._try("cma-es", points)
+            optimiser.tell(list(zip(points, costs, strict=True)))
+
+    def _nelder_mead(self) -> None:
+        start = self._unit(self.best().values)
+        size = 0.04
+        while len(self.history) < self.budget and size > 1e-4:
+            simplex = np.vstack([start, start + size * np.eye(len(start))])
+            found = minimize(
+                lambda unit: self._try("nelder-mead", [unit])[0],
+                start,
+                method="Nelder-Mead",
+                options={"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-6, "adaptive": True, "maxfev": 10**6},
+            )
+            start, size = np.clip(found.x, 0.0, 1.0), size / 4
+
+
+def _begins_cma(before: Trial, after: Trial) -> bool:
+    return after.stage == "cma-es" and before.stage != "cma-es"

@@ -1,0 +1,234 @@
+"""The PID loop linearised: is the sampled loop stable, and with what margins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control
+import numpy as np
+from scipy.linalg import expm
+
+from equimus_ctrl.controllers.pid import PidSettings
+from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP, WEIGHT_P
+from equimus_ctrl.effects.valves import DELAY, FILL, VENT
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.linear import state_matrices
+from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.tuning.ensemble import Member
+from equimus_ctrl.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLeg:
+    """A leg about a pose, with its valves: d/dt x = A x + B u(t − delay), z = C x in channel coordinates.
+
+    A valve of two time constants is taken at their mean.
+
+    Attributes:
+        a: (n, n) of joint angles, velocities and lagged pressures.
+        b: (n, na).
+        c: (nz, n).
+        delay: (na,) [s].
+        effort_map: (na, nz) pressures per channel effort, as the controller's nominal model has it.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    delay: Array
+    effort_map: Array
+
+
+def linear_leg(member: Member, nominal: Morphology, pose: Array, space: str, phase: str) -> LinearLeg:
+    """Linearise a member of an ensemble about a pose it holds with its own static pressures."""
+    own = Kinematics(member.morphology, phase)  # type: ignore[arg-type]
+    known = Kinematics(nominal, phase)  # type: ignore[arg-type]
+    a, b = state_matrices(member.morphology, pose, own.static_pressure(pose), own.phase)
+    n, na = b.shape
+    jacobian = known.jacobian(pose)
+    area = np.array([x.area for x in nominal.actuators])
+    channel = jacobian if space == "length" else np.eye(n // 2)
+    effort_map = np.diag(1 / area) if space == "length" else np.linalg.pinv(jacobian.T * area)
+    c = np.hstack([channel, np.zeros_like(channel)])
+    lag = (member.valve[:, FILL] + member.valve[:, VENT]) / 2
+    slow = np.flatnonzero(lag > 0)
+    # Pressures behind a lag become states; the others act at once.
+    full_a = np.zeros((n + len(slow), n + len(slow)))
+    full_b = np.zeros((n + len(slow), na))
+    full_a[:n, :n] = a
+    full_b[:n] = b
+    for k, i in enumerate(slow):
+        full_b[:n, i] = 0.0
+        full_a[:n, n + k] = b[:, i]
+        full_a[n + k, n + k] = -1 / lag[i]
+        full_b[n + k, i] = 1 / lag[i]
+    return LinearLeg(
+        full_a, full_b, np.hstack([c, np.zeros((c.shape[0], len(slow)))]), member.valve[:, DELAY], effort_map
+    )
+
+
+def _held(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
+    """Exact discretisation of d/dt x = A x + B u with u held."""
+    n, m = b.shape
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = a * dt, b * dt
+    exponential = expm(block)
+    return exponential[:n, :n], exponential[:n, n:]
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLeg:
+    """A linear leg seen at the control instants, each command arriving whole periods and a rest late.
+
+    Attributes:
+        leg: linearised.
+        dt: control period [s].
+        phi: (n, n) state transition over one period.
+        whole: (na,) whole periods of delay.
+        newer: (n, na) effect of the command ``whole`` periods ago.
+        older: (n, na) effect of the one before, which still acts for the rest of the delay.
+    """
+
+    leg: LinearLeg
+    dt: float
+    phi: Array
+    whole: tuple[int, ...]
+    newer: Array
+    older: Array
+
+
+def sample(leg: LinearLeg, dt: float) -> SampledLeg:
+    """Discretise a linear leg exactly for commands held over ``dt`` [s]."""
+    whole = np.floor(leg.delay / dt + 1e-12).astype(int)
+    newer, older = np.empty_like(leg.b), np.empty_like(leg.b)
+    for i in range(leg.b.shape[1]):
+        rest = leg.delay[i] - whole[i] * dt
+        late_phi, late = _held(leg.a, leg.b[:, [i]], dt - rest)
+        newer[:, [i]] = late
+        older[:, [i]] = late_phi @ _held(leg.a, leg.b[:, [i]], rest)[1]
+    phi, _ = _held(leg.a, leg.b, dt)
+    return SampledLeg(leg, dt, phi, tuple(int(w) for w in whole), newer, older)
+
+
+def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
+    """State matrix of the closed sampled loop: leg, valves, delayed commands and the PID's memory.
+
+    Args:
+        sampled: the leg.
+        gains: (7, nz), see ``PidSettings.gain_matrix``.
+    """
+    leg, dt = sampled.leg, sampled.dt
+    n, na = leg.b.shape
+    nz = leg.c.shape[0]
+    depth = max(sampled.whole) + 1
+    # State: x, the last `depth` commands (newest first), integral, derivative, minus the previous measurement.
+    size = n + depth * na + 3 * nz
+    i_int, i_der, i_pre = (n + depth * na + k * nz for k in range(3))
+    z_row = np.zeros((nz, size))
+    z_row[:, :n] = leg.c
+    eye = np.eye(size)
+    alpha = (dt / (gains[FILTER] + dt))[:, None]
+    derivative = (1 - alpha) * eye[i_der : i_der + nz] + alpha * (-z_row - eye[i_pre : i_pre + nz]) / dt
+    effort = -gains[KP][:, None] * z_row + eye[i_int : i_int + nz] + gains[KD][:, None] * derivative
+    command = leg.effort_map @ effort  # (na, size)
+    out = np.zeros((size, size))
+    out[:n, :n] = sampled.phi
+    history = [command] + [eye[n + k * na : n + (k + 1) * na] for k in range(depth)]
+    for i, whole in enumerate(sampled.whole):
+        out[:n] += sampled.newer[:, [i]] @ history[whole][[i]] + sampled.older[:, [i]] @ history[whole + 1][[i]]
+    out[n : n + na] = command
+    out[n + na : n + depth * na] = eye[n : n + (depth - 1) * na]
+    out[i_int : i_int + nz] = eye[i_int : i_int + nz] - dt * gains[KI][:, None] * z_row
+    out[i_der : i_der + nz] = derivative
+    out[i_pre : i_pre + nz] = -z_row
+    return out
+
+
+def largest_modulus(legs: Sequence[SampledLeg], gains: Array) -> float:
+    """The largest |eigenvalue| of the closed sampled loop over all legs; below 1 is stable."""
+    return max(float(np.abs(np.linalg.eigvals(loop_matrix(leg, gains))).max()) for leg in legs)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Of one loop, broken at the command of one actuator with the others closed.
+
+    Attributes:
+        actuator: where the loop is broken.
+        gain: factor by which its gain may rise before the loop is unstable.
+        phase: by which its phase may fall [rad].
+        delay: which may be added [s].
+        crossover: gain crossover frequency [rad/s].
+    """
+
+    actuator: str
+    gain: float
+    phase: float
+    delay: float
+    crossover: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain types; infinite margins become None."""
+        values = {
+            "gain_margin": self.gain,
+            "phase_margin_deg": math.degrees(self.phase),
+            "delay_margin_s": self.delay,
+            "crossover_rad_s": self.crossover,
+        }
+        return {"actuator": self.actuator} | {k: v if math.isfinite(v) else None for k, v in values.items()}
+
+
+def loop_response(leg: LinearLeg, gains: Array, dt: float, omega: Array) -> Array:
+    """(n_omega, na, na) loop transfer at the commands: hold, delay, leg, sampled PID; negative feedback."""
+    s = 1j * omega[:, None, None]
+    z = np.exp(s * dt)
+    hold = (1 - 1 / z) / (s * dt)
+    inputs = leg.b * np.exp(-s * leg.delay) * hold  # (n_omega, n, na)
+    plant = leg.c @ np.linalg.solve(s * np.eye(len(leg.a)) - leg.a, inputs)  # (n_omega, nz, na)
+    alpha = (dt / (gains[FILTER] + dt))[:, None]
+    derivative = alpha * (1 - 1 / z) / dt / (1 - (1 - alpha) / z)
+    pid = gains[KP][:, None] + gains[KI][:, None] * dt / (z - 1) + gains[KD][:, None] * derivative  # (n_omega, nz, 1)
+    return np.asarray(leg.effort_map @ (pid * plant))
+
+
+def margins(
+    settings: PidSettings, member: Member, nominal: Morphology, pose: Array, dt: float, phase: str
+) -> list[Margins]:
+    """Gain, phase and delay margin of each actuator's loop with the others closed (python-control).
+
+    Only the feedback counts: the static feed-forward depends on the reference, not on what is measured.
+    """
+    gains = settings.gain_matrix(settings.channels(nominal))
+    assert np.all(gains[WEIGHT_P] >= 0)
+    leg = linear_leg(member, nominal, pose, settings.space, phase)
+    omega = np.geomspace(1e-2, math.pi / dt * 0.999, 800)
+    loop = loop_response(leg, gains, dt, omega)
+    found = []
+    na = loop.shape[1]
+    for i, actuator in enumerate(nominal.actuator_names):
+        others = [j for j in range(na) if j != i]
+        broken = loop[:, i, i].copy()
+        if others:
+            inner = np.eye(len(others)) + loop[:, others][:, :, others]
+            broken -= np.einsum(
+                "kj,kj->k", loop[:, i, others], np.linalg.solve(inner, loop[:, others, i][..., None])[..., 0]
+            )
+        response = control.frd(broken, omega, smooth=True)
+        gains_at, phases, _, _, crossings, _ = control.stability_margins(response, returnall=True)
+        rising = [float(g) for g in np.atleast_1d(gains_at) if g > 1]
+        # Each crossover has its own phase to lose; the delay that loses it first is the margin.
+        pairs = [(math.radians(p) % (2 * math.pi), float(w)) for p, w in zip(phases, crossings, strict=True)]
+        tightest = min(pairs, key=lambda pair: pair[0] / pair[1], default=(math.inf, math.nan))
+        found.append(
+            Margins(
+                actuator,
+                min(rising, default=math.inf),
+                min((p for p, _ in pairs), default=math.inf),
+                min((p / w for p, w in pairs), default=math.inf),
+                tightest[1],
+            )
+        )
+    return found
