@@ -7,6 +7,8 @@ package carries. What is written goes to the current folder, or to the checkout 
 from __future__ import annotations
 
 import importlib.util
+import json
+import math
 import os
 import sys
 import tempfile
@@ -151,3 +153,74 @@ def load_object(text: str) -> Any:
         public = [key for key in vars(module) if not key.startswith("_")]
         raise ControllerError(unknown_name("name", name, public, file))
     return getattr(module, name)
+
+
+class JsonLines:
+    """An append-only file of JSON rows under a header that says what they belong to.
+
+    A row is on disk as soon as it is appended, so a killed process loses none; a last row cut short is dropped when
+    the file is opened again. A file with another header is set aside, not overwritten.
+
+    Args:
+        path: of the file.
+        header: must equal the file's first row for its rows to be taken up.
+        fresh: set an existing file aside whatever its header.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, Any], fresh: bool = False) -> None:
+        self.path = path
+        self.rows: list[dict[str, Any]] = []
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            found = self._read()
+            if not fresh and found and found[0] == dict(header):
+                self.rows = found[1:]
+            else:
+                os.replace(path, self._aside())
+        # Written anew so that a cut last row is gone before the next is appended.
+        write_text(path, "".join(json.dumps(row) + "\n" for row in [dict(header), *self.rows]))
+        self._file = path.open("a", encoding="utf-8")
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Add a row and hand it to the operating system."""
+        self._file.write(json.dumps(row) + "\n")
+        self._file.flush()
+        self.rows.append(dict(row))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _read(self) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = []
+        for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:
+                break
+            if not isinstance(row, dict):
+                break
+            rows.append(row)
+        return rows
+
+    def _aside(self) -> Path:
+        k = 1
+        while (other := self.path.with_name(f"{self.path.stem}-{k}{self.path.suffix}")).exists():
+            k += 1
+        return other
+
+
+def plain(value: Any) -> Any:
+    """``value`` with tuples as lists and numbers that JSON does not have (NaN, infinity) as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def json_text(value: Any) -> str:
+    """Indented JSON of plain types."""
+    return json.dumps(plain(value), indent=1, allow_nan=False) + "\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from equimus_ctrl.engines.predict import Engine, check_columns, predict
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.models.morphology import Morphology
-from equimus_ctrl.plants.registry import PLANTS, make_plant
+from equimus_ctrl.plants.registry import make_plant
 from equimus_ctrl.recordings import locate, read_set
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario
 from equimus_ctrl.scenarios.scoring import Score, on_grid, score_run
@@ -286,4 +286,100 @@ def _scored_error(trial: Recording, predicted: Array, window: tuple[float, float
     return np.asarray(error, dtype=np.float64)
 
 
-__all__ = ["CONTROLLERS", "PLANTS", "RecordingsScore", "ScenarioRun", "load_model", "run_scenario", "score_recordings"]
+
+@dataclass(frozen=True, eq=False)
+class TunedPid:
+    """A finished tuning and where its results are.
+
+    Attributes:
+        result: what was found.
+        settings: the settings file.
+        record: the JSON record.
+        folder: of the record, the journal and the figures.
+        reused: how many evaluations an earlier, interrupted run had already made.
+    """
+
+    result: Any
+    settings: Path
+    record: Path
+    folder: Path
+    reused: int
+
+
+def tune_pid(
+    study: Path | None = None,
+    *,
+    model: Model | None = None,
+    scenarios: Sequence[str] = (),
+    candidates: int | None = None,
+    seed: int | None = None,
+    output: Path | None = None,
+    folder: Path | None = None,
+    recordings: Path | None = None,
+    fresh: bool = False,
+    workers: int | None = None,
+    begin: Callable[[int], None] = lambda total: None,
+    notify: Callable[[Any], None] = lambda trial: None,
+) -> TunedPid:
+    """Tune the PID of a study and write its settings and record; started again, it goes on where it was stopped.
+
+    Args:
+        study: a study file; ``tuning/pid.toml`` by default.
+        model: the middle of the ensemble; the nominal leg by default.
+        scenarios: objectives in place of the study's own, each of the same weight.
+        candidates: sets of gains to try in all, in place of the study's number.
+        seed: in place of the study's.
+        output: settings file to write; ``controllers/pid.toml`` by default.
+        folder: of the record and the journal; ``tuning/results/<study>`` by default.
+        recordings: folder scenarios look for recordings in.
+        fresh: do not take up an interrupted run.
+        workers: threads; all cores by default.
+        begin: called with the number of candidates before the first.
+        notify: called after each candidate.
+
+    Raises:
+        EquimusError: where an input is wrong, or nothing within the limits was found; nothing is written then.
+    """
+    from equimus_ctrl.tuning import autotune, journal
+    from equimus_ctrl.tuning.study import Objective, study_from_dict
+
+    path = study or presets.find("tuning", "pid.toml")
+    if path is None:
+        raise ConfigError("there is no tuning/pid.toml; name a study with --study")
+    settings = study_from_dict(presets.read_toml(path), str(path))
+    changes: dict[str, Any] = {"candidates": candidates, "seed": seed}
+    if scenarios:
+        changes["objectives"] = tuple(Objective(name) for name in scenarios)
+    settings = replace(settings, **{key: value for key, value in changes.items() if value is not None})
+    model = model or nominal_model()
+    built = [
+        load_scenario(o.scenario, model.morphology, phase=model.phase, recordings=recordings)
+        for o in settings.objectives
+    ]
+    problem = autotune.make_problem(settings, model, built)
+    root = presets.workspace()
+    target = output or root / "controllers" / "pid.toml"
+    results = folder or root / "tuning" / "results" / path.stem
+    store = presets.JsonLines(
+        results / "journal.jsonl", {"format": "equimus-ctrl/journal/1", "key": autotune.study_key(settings, problem)}, fresh
+    )
+    reused = len(store.rows)
+    begin(settings.candidates)
+    try:
+        result = autotune.autotune(settings, problem, journal.RowJournal(store), notify, workers)
+    finally:
+        store.close()
+    record = results / "record.json"
+    presets.write_text(record, presets.json_text(result.record()))
+    presets.write_text(target, presets.toml_text(result.settings.to_dict(), _settings_comment(result, path)))
+    return TunedPid(result, target, record, results, reused)
+
+
+def _settings_comment(result: Any, study: Path) -> str:
+    best = result.best.evaluation
+    unit = "N and m" if result.settings.space == "length" else "N·m and rad"
+    return (
+        f"PID gains, in {unit}; written by `equimus-ctrl autotune-pid`, free to edit.\n"
+        f"Study {study.name}, seed {result.study.seed}, {len(result.history)} sets of gains tried, cost {best.cost:.4f} "
+        f"(before: {result.start_evaluation.cost:.4f})."
+    )

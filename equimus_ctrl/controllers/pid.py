@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from equimus_ctrl.controllers import pid_kernel
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
-from equimus_ctrl.models.morphology import Morphology, pack
+from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 FORMAT = "equimus-ctrl/pid/1"
@@ -161,6 +161,8 @@ class PidState:
         constants: the nominal model's prepared numbers.
         gains: (7, n_channels).
         law: the compiled kernel module.
+        low: (n_actuators,) lowest command [Pa].
+        high: (n_actuators,) highest command [Pa].
     """
 
     memory: Array
@@ -170,6 +172,8 @@ class PidState:
     constants: Array
     gains: Array
     law: Any
+    low: Array
+    high: Array
 
 
 @dataclass(frozen=True)
@@ -201,12 +205,14 @@ class PidController:
             )
         law = compiled.load(spec.model, "swing", pid_kernel)
         gains = self.settings.gain_matrix(self.settings.channels(spec))
-        constants = law.prepare(pack(spec.model))
+        constants = compiled.prepared(spec.model, "swing")
         memory = np.zeros((3, gains.shape[1]))
         y = np.array(observation.position)
         lengths = self.settings.space == "length"
         law.pid_start(y, np.array(observation.command), gains, lengths, self.settings.feedforward, constants, memory)
-        return PidState(memory, np.full(len(spec.joints), np.nan), observation.time, spec, constants, gains, law)
+        # Writable copies: numba compiles anew for read-only arrays.
+        low, high = np.array(spec.command_low), np.array(spec.command_high)
+        return PidState(memory, np.full(len(spec.joints), np.nan), observation.time, spec, constants, gains, law, low, high)
 
     def step(self, observation: Observation, reference: Reference, state: PidState) -> tuple[Array, PidState]:
         """The next command, within the plant's limits."""
@@ -224,12 +230,11 @@ class PidController:
             state.gains,
             s.space == "length",
             s.feedforward,
-            spec.command_low,
-            spec.command_high,
+            state.low,
+            state.high,
             spec.control_dt,
             state.constants,
             memory,
             command,
         )
-        state = PidState(memory, offset, state.begun, spec, state.constants, state.gains, state.law)
-        return frozen_array(command), state
+        return frozen_array(command), replace(state, memory=memory, offset=offset)

@@ -99,15 +99,14 @@ def pid_start(y: Array, command: Array, gains: Array, lengths: bool, feedforward
         state: (3, nz) rows integral, derivative, previous c z(r) − z(y).
     """
     nz = state.shape[1]
-    rest = np.zeros(N_ACTUATORS)
-    if feedforward:
-        values = static_pressure(joint_tuple(y), c)
-        for i in range(N_ACTUATORS):
-            rest[i] = values[i]
+    extra = np.empty(N_ACTUATORS)
+    values = static_pressure(joint_tuple(y), c)
+    for i in range(N_ACTUATORS):
+        extra[i] = command[i] - values[i] if feedforward else command[i]
     z = np.empty(nz)
     effort = np.empty(nz)
     channel_values(y, lengths, c, z)
-    pressures_to_efforts(command - rest, y, lengths, c, effort)
+    pressures_to_efforts(extra, y, lengths, c, effort)
     for i in range(nz):
         state[INTEGRAL, i] = effort[i] - gains[KP, i] * (gains[WEIGHT_P, i] - 1.0) * z[i]
         state[DERIVATIVE, i] = 0.0
@@ -148,7 +147,8 @@ def pid_command(
             asked[i] += rest[i]
     for i in range(N_ACTUATORS):
         command[i] = min(max(asked[i], low[i]), high[i])
-    pressures_to_efforts(command - asked, y, lengths, c, w)
+        asked[i] = command[i] - asked[i]
+    pressures_to_efforts(asked, y, lengths, c, w)
     for i in range(nz):
         share = min(dt / gains[TRACKING, i], 1.0) if gains[TRACKING, i] > 0.0 else 1.0
         state[INTEGRAL, i] += dt * gains[KI, i] * (zr[i] - zy[i]) + share * w[i]

@@ -22,8 +22,9 @@ import numba
 import platformdirs
 
 from equimus_ctrl.models import codegen, morphology, symbolic
-from equimus_ctrl.models.morphology import Morphology, Phase, structure
+from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.models.symbolic import Structure
+from equimus_ctrl.types import Array
 
 DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")'
 _STUB = "equimus_ctrl.engines.model_functions"
@@ -43,45 +44,80 @@ def cache_folder() -> Path:
         return fallback
 
 
-def load(model: Morphology, phase: Phase, *kernels: ModuleType) -> ModuleType:
-    """The compiled counterpart of kernel modules for a morphology's structure, as one module.
+def load(model: Morphology, phase: Phase, kernel: ModuleType) -> ModuleType:
+    """The compiled counterpart of a kernel module for a morphology's structure.
 
     Args:
         model: whose structure; its numbers are arguments of the kernels.
         phase: base fixed or foot pinned.
-        kernels: modules written against ``engines.model_functions``; a later one may import from an earlier one.
+        kernel: a module written against ``engines.model_functions``; it may import from other such modules.
     """
-    return _load(structure(model), phase, kernels)
+    return _load(structure(model), phase, kernel)
+
+
+def prepared(model: Morphology, phase: Phase) -> Array:
+    """The constants that every compiled function of a morphology takes as its last argument."""
+    constants: Array = _model(structure(model), phase).prepare(pack(model))
+    return constants
 
 
 @lru_cache(maxsize=64)
-def _load(form: Structure, phase: Phase, kernels: tuple[ModuleType, ...]) -> ModuleType:
-    sources = [inspect.getsource(m) for m in (symbolic, codegen, morphology, sys.modules[__name__], *kernels)]
-    sources += [inspect.getsource(m) for m in _imported(kernels)]
-    key = hashlib.sha256(repr((form, phase, numba.__version__, sys.version_info[:2], sources)).encode()).hexdigest()
-    name = f"equimus_kernel_{key[:20]}"
-    path = cache_folder() / f"{name}.py"
+def _load(form: Structure, phase: Phase, kernel: ModuleType) -> ModuleType:
+    """The kernel's source with its imports of the stub and of other kernels led to their generated counterparts."""
+    replaced = {_STUB: _model(form, phase)}
+    for other in _imported(kernel):
+        if _STUB in inspect.getsource(other):
+            replaced[other.__name__] = _load(form, phase, other)
+    source = inspect.getsource(kernel)
+    lines = source.split("\n")
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.ImportFrom) and node.module in replaced:
+            lines[node.lineno - 1] = lines[node.lineno - 1].replace(node.module, replaced[node.module].__name__)
+    helpers = [inspect.getsource(m) for m in _imported(kernel) if m.__name__ not in replaced]
+    return _generated(kernel.__name__.rpartition(".")[2], "\n".join(lines), helpers)
+
+
+@lru_cache(maxsize=64)
+def _model(form: Structure, phase: Phase) -> ModuleType:
+    """The functions of ``engines.model_functions`` for one structure."""
+    sources = [inspect.getsource(m) for m in (symbolic, codegen, morphology, sys.modules[__name__])]
+    key = _digest([repr((form, phase)), *sources])
+    path = cache_folder() / f"equimus_model_{key}.py"
+    text = path.read_text(encoding="utf-8") if path.exists() else _source(form, phase)
+    return _written(path, text)
+
+
+def _generated(label: str, text: str, depends: list[str]) -> ModuleType:
+    return _written(cache_folder() / f"equimus_{label}_{_digest([text, *depends])}.py", text)
+
+
+def _digest(parts: list[str]) -> str:
+    text = repr((numba.__version__, sys.version_info[:2], parts))
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def _written(path: Path, text: str) -> ModuleType:
+    """Put a module into the cache folder, whole or not at all, and import it."""
     if not path.exists():
-        text = _source(form, phase, kernels)
         with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as out:
             out.write(text)
         os.replace(out.name, path)
-    spec = importlib.util.spec_from_file_location(name, path)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+    sys.modules[path.stem] = module
     spec.loader.exec_module(module)
     return module
 
 
-def _imported(kernels: tuple[ModuleType, ...]) -> list[ModuleType]:
-    """Modules of this package whose compiled functions the kernels use; their text is part of the cache key."""
-    used = {getattr(value, "__module__", None) for kernel in kernels for value in vars(kernel).values()}
-    own = {kernel.__name__ for kernel in kernels}
-    return [sys.modules[n] for n in sorted(n for n in used if isinstance(n, str) and n.startswith("equimus_ctrl.") and n not in own)]
+def _imported(kernel: ModuleType) -> list[ModuleType]:
+    """Modules of this package whose compiled functions a kernel uses."""
+    used = {getattr(value, "__module__", None) for value in vars(kernel).values()}
+    names = {n for n in used if isinstance(n, str) and n.startswith("equimus_ctrl.")} - {kernel.__name__, _STUB}
+    return [sys.modules[name] for name in sorted(names)]
 
 
-def _source(form: Structure, phase: Phase, kernels: tuple[ModuleType, ...]) -> str:
+def _source(form: Structure, phase: Phase) -> str:
     m = symbolic.build(form, phase)
     nj, na = len(form[0]), len(form[1])
     drive = m.jacobian.T @ ca.diag(m.area)
@@ -96,24 +132,8 @@ def _source(form: Structure, phase: Phase, kernels: tuple[ModuleType, ...]) -> s
     functions = codegen.generate(routines, m.p, DECORATOR)
     return (
         f"# Generated; safe to delete.\nfrom __future__ import annotations\n\nimport math\n\nimport numpy as np\nfrom numba import njit\n\n"
-        f"N_JOINTS = {nj}\nN_ACTUATORS = {na}\n\n\n{functions}\n\n{_tuples(nj, na)}\n\n{_rk4(nj)}\n\n"
-        f"{_joined(kernels)}"
+        f"N_JOINTS = {nj}\nN_ACTUATORS = {na}\n\n\n{functions}\n\n{_tuples(nj, na)}\n\n{_rk4(nj)}"
     )
-
-
-def _joined(kernels: tuple[ModuleType, ...]) -> str:
-    """The kernels' sources one after the other, without what they import from the stub and from each other."""
-    provided = {_STUB, "__future__"} | {kernel.__name__ for kernel in kernels}
-    text = []
-    for kernel in kernels:
-        source = inspect.getsource(kernel)
-        lines = source.split("\n")
-        for node in ast.parse(source).body:
-            if isinstance(node, ast.ImportFrom) and node.module in provided:
-                assert node.end_lineno is not None
-                lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
-        text.append("\n".join(lines))
-    return "\n\n".join(text)
 
 
 def _tuples(nj: int, na: int) -> str:

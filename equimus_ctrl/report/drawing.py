@@ -25,12 +25,14 @@ class Skeleton:
     Attributes:
         links: (n, nj, 2, 2) both ends of the link each joint carries [m].
         actuators: (n, na, 2, 2) origin and insertion of each actuator [m].
+        brackets: (n, nb, 2, 2) from a link's axis to an attachment point that lies off it [m].
         base: (n, 2) the base's origin [m].
         foot: (n, 2) the foot [m].
     """
 
     links: Array
     actuators: Array
+    brackets: Array
     base: Array
     foot: Array
 
@@ -63,14 +65,28 @@ def skeleton(morphology: Morphology, angles: ArrayLike, phase: Phase = "swing") 
         frames[joint.child] = (start, frames[joint.parent][1] + q[:, i])
         links.append(np.stack([start, place(Point(joint.child, morphology.link(joint.child).length))], axis=1))
     actuators = [np.stack([place(a.origin), place(a.insertion)], axis=1) for a in morphology.actuators]
+    brackets = [np.stack([place(a), place(b)], axis=1) for a, b in bracket_points(morphology)]
     foot = place(Point(morphology.foot, morphology.link(morphology.foot).length))
     shift = -foot if phase == "stance" else np.zeros((n, 2))
     return Skeleton(
         links=np.stack(links, axis=1) + shift[:, None, None],
         actuators=np.stack(actuators, axis=1) + shift[:, None, None],
+        brackets=np.stack(brackets, axis=1) + shift[:, None, None] if brackets else np.empty((n, 0, 2, 2)),
         base=shift,
         foot=foot + shift,
     )
+
+
+def bracket_points(morphology: Morphology) -> list[tuple[Point, Point]]:
+    """(on the link's axis, attachment) for each attachment that lies off its link's axis."""
+    found = []
+    for point in (end for a in morphology.actuators for end in (a.origin, a.insertion) if end.body != BASE):
+        x, y = point.xy
+        length = morphology.link(point.body).length
+        nearest = min(max(x, 0.0), length)
+        if np.hypot(x - nearest, y) > 0.01 * length:
+            found.append((Point(point.body, nearest), point))
+    return found
 
 
 def far_apart(points: Array, count: int) -> list[int]:
@@ -142,6 +158,8 @@ def sketch(
     for i, (start, end) in enumerate(bones.actuators[0] * MM):
         colour = style.actuator_colour(i)
         axes.plot(*zip(start, end, strict=True), color=colour, linewidth=5, alpha=strength, solid_capstyle="butt")
+    for start, end in bones.brackets[0] * MM:
+        axes.plot(*zip(start, end, strict=True), color=style.FAINT, linewidth=2.5, alpha=strength)
     for start, end in bones.links[0] * MM:
         axes.plot(*zip(start, end, strict=True), color=style.INK, linewidth=3, alpha=strength, solid_capstyle="round")
     for spot in (bones.links[0, :, 0] * MM).tolist():

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from equimus_ctrl.effects.valves import ValveEffect, valve_settings
 from equimus_ctrl.models.kinematics import Kinematics
@@ -34,6 +33,12 @@ class Member:
     def rest(self, pressure: Array, phase: str) -> Array:
         """(nj,) its equilibrium under constant pressures [rad]."""
         return Kinematics(self.morphology, phase).equilibrium(pressure)  # type: ignore[arg-type]
+
+
+def latin_hypercube(count: int, dimensions: int, rng: np.random.Generator) -> Array:
+    """(count, dimensions) points of the unit cube, one in each of ``count`` slices along every axis (McKay, 1979)."""
+    slices = np.stack([rng.permutation(count) for _ in range(dimensions)], axis=1)
+    return np.asarray((slices + rng.random((count, dimensions))) / max(count, 1))
 
 
 def _spread(model: Model, settings: EnsembleSettings) -> list[tuple[tuple[str, ...], float]]:
@@ -65,8 +70,8 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     corner = [1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in groups]
     known = [np.full(len(groups) + 2 * na, 0.5), np.array([*corner, *([1.0] * (2 * na))])][:count] if fixed else []
     drawn = count - len(known)
-    shares = qmc.LatinHypercube(len(groups) + 2 * na, rng=np.random.default_rng(seed)).random(max(drawn, 1))
-    rows = [*known, *shares[:drawn]]
+    shares = latin_hypercube(drawn, len(groups) + 2 * na, np.random.default_rng(seed))
+    rows = [*known, *shares]
     labels = ["model", "hardest"][: len(known)]
     own = valve_settings(model.effects, m.actuator_names)
     has_own = any(isinstance(effect, ValveEffect) for effect in model.effects)

@@ -36,6 +36,7 @@ def run_loop(
     start_time: float,
     reference: Array,
     q0: Array,
+    v0: Array,
     before: Array,
     low: Array,
     high: Array,
@@ -56,7 +57,8 @@ def run_loop(
         feedforward: whether the controller adds the static pressures.
         start_time: of the bumpless blend [s].
         reference: (n, nj) at each control instant [rad].
-        q0: (nj,) pose at the start, at rest [rad].
+        q0: (nj,) pose at the start [rad].
+        v0: (nj,) joint velocities there [rad/s].
         before: (na,) command in force before the start [Pa].
         low: (na,) lowest command [Pa].
         high: (na,) highest command [Pa].
@@ -74,14 +76,20 @@ def run_loop(
     c_nominal = prepare(nominal)
     area = actuator_areas(c)
     dt = control_dt / steps
+    still = np.empty(N_JOINTS)
+    for j in range(N_JOINTS):
+        still[j] = 0.0
     q = joint_tuple(q0)
-    v = joint_tuple(np.zeros(N_JOINTS))
-    tau = joint_tuple(np.zeros(N_JOINTS))
-    pressure = before.copy()
-    force = np.zeros(N_ACTUATORS)
-    cursor = np.full(N_ACTUATORS, -1)
+    v = joint_tuple(v0)
+    tau = joint_tuple(still)
+    pressure = np.empty(N_ACTUATORS)
+    force = np.empty(N_ACTUATORS)
+    cursor = np.empty(N_ACTUATORS, dtype=np.int64)
+    for i in range(N_ACTUATORS):
+        pressure[i] = before[i]
+        cursor[i] = -1
     times = np.empty(n)
-    state = np.zeros((3, gains.shape[1]))
+    state = np.empty((3, gains.shape[1]))
     y = np.empty(N_JOINTS)
     r = np.empty(N_JOINTS)
     offset = np.empty(N_JOINTS)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.controllers import pid_kernel
 from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.engines import compiled
@@ -25,7 +24,7 @@ from equimus_ctrl.types import Array
 
 BAND = 0.03
 """A joint has settled when it stays this close to its reference [rad]."""
-TERMS = ("error", "overshoot", "settling", "effort", "chatter")
+TERMS = ("error", "overshoot", "settling", "offset", "effort", "chatter")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +78,7 @@ class Outcome:
     """One candidate on one leg in one scenario.
 
     Attributes:
-        terms: (5,) error, overshoot, settling, effort, chatter.
+        terms: (6,) error, overshoot, settling, offset, effort, chatter.
         saturation: share of the time at a pressure limit.
         restless: how far the joints still swing in the last quarter of a step-like scenario [rad].
         diverged: whether the simulation left the range where its numbers mean anything.
@@ -222,7 +221,7 @@ class Problem:
 
     def kernel(self) -> Any:
         """The compiled closed loop."""
-        return compiled.load(self.model.morphology, self.model.phase, pid_kernel, loop_kernel)
+        return compiled.load(self.model.morphology, self.model.phase, loop_kernel)
 
     def simulate(self, settings: PidSettings, member: int, task: int) -> tuple[Array, Array, int]:
         """(angles (n, nj), commands (n, na), steps that went well) of one closed-loop run on the reduced engine."""
@@ -242,6 +241,7 @@ class Problem:
             settings.start_time,
             t.reference,
             np.array(self._starts[member, task]),
+            np.zeros(nj),
             t.command_before,
             np.full(na, m.command_low),
             np.full(na, m.command_high),
@@ -261,7 +261,7 @@ class Problem:
             return Outcome(np.full(len(TERMS), math.inf), 1.0, math.inf, True)
         span = m.command_high - m.command_low
         error = q - t.reference
-        overshoot, settling, restless = 0.0, 0.0, 0.0
+        overshoot, settling, offset, restless = 0.0, 0.0, 0.0, 0.0
         if t.step_like:
             step = t.reference[-1] - q[0]
             moved = (q - q[0]) * np.sign(step)
@@ -269,12 +269,15 @@ class Problem:
             overshoot = float(np.max((moved.max(axis=0) - np.abs(step)) / size, initial=0.0))
             outside = np.flatnonzero(np.any(np.abs(error) > BAND, axis=1))
             settling = 0.0 if len(outside) == 0 else float((outside[-1] + 1) * t.control_dt)
-            restless = float(np.ptp(q[-(len(q) // 4) :], axis=0).max())
+            late = slice(-(len(q) // 4), None)
+            restless = float(np.ptp(q[late], axis=0).max())
+            offset = math.sqrt(float((error[late] ** 2).mean()))
         terms = np.array(
             [
                 math.sqrt(float((error**2).mean())),
                 max(overshoot, 0.0),
                 settling,
+                offset,
                 math.sqrt(float((((u - m.command_low) / span) ** 2).mean())),
                 float(np.abs(np.diff(u, axis=0)).mean()) / span / t.control_dt,
             ]

@@ -15,8 +15,8 @@ from typing import Any, Protocol
 import cmaes
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import qmc
 
+from equimus_ctrl.tuning.ensemble import latin_hypercube
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.types import Array
 
@@ -137,7 +137,7 @@ class Search:
         self._try("start", [self._unit(self.start.tolist())])
         count = min(8 * n, self.budget // 6)
         # The first tries cover the cube evenly, and half of them lie nearer to the start.
-        points = qmc.Sobol(n, rng=np.random.default_rng(self.seed)).random(max(1 << (count - 1).bit_length(), 1))[:count]
+        points = latin_hypercube(count, n, np.random.default_rng(self.seed))
         near = self._unit(self.start.tolist())
         self._try("spread", [p if k % 2 else near + 0.4 * (p - 0.5) for k, p in enumerate(points)])
 

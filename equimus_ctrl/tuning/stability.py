@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import control
 import numpy as np
 from scipy.linalg import expm
 
@@ -201,6 +200,8 @@ def margins(
 
     Only the feedback counts: the static feed-forward depends on the reference, not on what is measured.
     """
+    import control  # takes a second, and only this function needs it
+
     gains = settings.gain_matrix(settings.channels(nominal))
     assert np.all(gains[WEIGHT_P] >= 0)
     leg = linear_leg(member, nominal, pose, settings.space, phase)

@@ -47,6 +47,7 @@ class Weights:
         error: of the root mean square tracking error [1/rad].
         overshoot: of the largest overshoot as a share of the step.
         settling: of the time until within 0.03 rad for good [1/s].
+        offset: of the root mean square error in the last quarter of a step [1/rad].
         effort: of the root mean square pressure as a share of the range.
         chatter: of the pressure travelled per second as a share of the range [s].
         worst: share of the worst member in the cost.
@@ -55,6 +56,7 @@ class Weights:
     error: float = 10.0
     overshoot: float = 0.5
     settling: float = 0.1
+    offset: float = 20.0
     effort: float = 0.2
     chatter: float = 0.05
     worst: float = 0.5
@@ -78,7 +80,7 @@ class Limits:
     overshoot: float = 0.25
     saturation: float = 0.5
     modulus: float = 0.998
-    gain_margin: float = 1.4
+    gain_margin: float = 1.6
 
     def __post_init__(self) -> None:
         _check("limits", "overshoot", self.overshoot, 0.0)

@@ -1,0 +1,151 @@
+"""``equimus-ctrl autotune-pid``: PID gains that work on a whole ensemble of legs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from equimus_ctrl.cli.common import Json, ModelFile, Recordings, people, print_json, shown_path
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from equimus_ctrl.workflow import TunedPid
+
+
+def autotune_pid(
+    study: Annotated[Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml by default.")] = None,
+    model: ModelFile = None,
+    scenario: Annotated[
+        list[str] | None, typer.Option("--scenario", help="Objective in place of the study's own; may be repeated.")
+    ] = None,
+    candidates: Annotated[int | None, typer.Option(help="Sets of gains to try in all.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of the search, the ensemble and the noise.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Settings file to write; controllers/pid.toml by default.")
+    ] = None,
+    results: Annotated[
+        Path | None, typer.Option(help="Folder for record, journal and figures; tuning/results/<study> by default.")
+    ] = None,
+    recordings: Recordings = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start anew instead of going on where a run stopped.")] = False,
+    workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
+    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Tune the PID in simulation, over an ensemble of perturbed legs with slow and late valves.
+
+    Ctrl-C keeps the best so far. The same command goes on where it was stopped, even after a crash.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl autotune-pid
+    equimus-ctrl autotune-pid --candidates 2000 --seed 7
+    equimus-ctrl autotune-pid --scenario hold --scenario chirp --output my_pid.toml
+    equimus-ctrl autotune-pid --model corrected.toml --json
+    """  # noqa: D301
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = people()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("best {task.fields[best]}"),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("getting ready", total=None, best="–")
+        from equimus_ctrl import workflow
+
+        lowest = float("inf")
+
+        def begin(total: int) -> None:
+            progress.update(task, description="compiling the loop", total=total)
+
+        def notify(trial: Any) -> None:
+            nonlocal lowest
+            if trial.evaluation.feasible:
+                lowest = min(lowest, trial.evaluation.cost)
+            best = "none yet" if lowest == float("inf") else f"{lowest:.4f}"
+            progress.update(task, description=trial.stage, completed=trial.index + 1, best=best)
+
+        tuned = workflow.tune_pid(
+            study,
+            model=workflow.load_model(model),
+            scenarios=scenario or [],
+            candidates=candidates,
+            seed=seed,
+            output=output,
+            folder=results,
+            recordings=recordings,
+            fresh=fresh,
+            workers=workers,
+            begin=begin,
+            notify=notify,
+        )
+    files = [tuned.settings, tuned.record]
+    if figures:
+        from equimus_ctrl.report.tuning_figures import save_tuning_figures
+
+        files += save_tuning_figures(tuned.result, tuned.folder)
+    _tell(console, tuned)
+    for file in files:
+        console.print(f"wrote {shown_path(file)}", markup=False)
+    if as_json:
+        record = tuned.result.record()
+        del record["evaluations"]
+        print_json({**record, "reused": tuned.reused, "files": [str(f) for f in files]})
+    if tuned.result.interrupted:
+        raise typer.Exit(130)
+
+
+def _tell(console: Console, tuned: TunedPid) -> None:
+    from rich.table import Table
+
+    result = tuned.result
+    best, start = result.best.evaluation, result.start_evaluation
+    if result.interrupted:
+        console.print(
+            f"stopped after {len(result.history)} of {result.study.candidates} sets of gains: the best so far was kept; "
+            "the same command goes on from here"
+        )
+    if tuned.reused:
+        console.print(f"{tuned.reused} evaluations were taken over from an earlier run")
+    gains = Table(title=f"Gains ({result.settings.space})", title_justify="left")
+    for name in ("channel", "kp", "ki", "kd"):
+        gains.add_column(name, justify="left" if name == "channel" else "right")
+    for channel, g in result.settings.gains.items():
+        gains.add_row(channel, f"{g.kp:.4g}", f"{g.ki:.4g}", f"{g.kd:.4g}")
+    console.print(gains)
+    table = Table(title="Before and after, over the ensemble", title_justify="left")
+    for name in ("", "first gains", "tuned"):
+        table.add_column(name, justify="right" if name else "left")
+    table.add_row("cost", f"{start.cost:.4f}", f"{best.cost:.4f}")
+    for key, value in best.terms.items():
+        table.add_row(f"  {key}", f"{start.terms[key]:.4f}", f"{value:.4f}")
+    table.add_row("largest overshoot", f"{start.overshoot:.1%}", f"{best.overshoot:.1%}")
+    table.add_row("largest share at a limit", f"{start.saturation:.1%}", f"{best.saturation:.1%}")
+    unseen = len(result.unseen)
+    if unseen:
+        before, after = (sum(e.stable for e in legs) for legs in (result.start_unseen, result.unseen))
+        table.add_row(f"stable on {unseen} unseen legs", str(before), str(after))
+    console.print(table)
+    margins = Table(title="Margins of the linearised loop: on the model, and the least over all legs", title_justify="left")
+    for name in ("loop", "gain", "phase", "delay", "least gain", "least phase", "least delay"):
+        margins.add_column(name, justify="left" if name == "loop" else "right")
+    for own, least in zip(result.margins, result.least_margins, strict=True):
+        row = [own.actuator]
+        for m in (own, least):
+            row += [f"×{m.gain:.2f}", f"{m.phase * 57.29578:.0f}°", f"{m.delay * 1e3:.0f} ms"]
+        margins.add_row(*row)
+    console.print(margins)
+    for check in result.checks:
+        rmse = ", ".join(f"{value:.4f}" for value in check.rmse)
+        console.print(
+            f"{check.scenario} on the MuJoCo plant: RMSE {rmse} rad; the two engines differ by at most "
+            f"{check.difference:.1e} rad"
+        )

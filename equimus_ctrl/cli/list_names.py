@@ -1,0 +1,93 @@
+"""``equimus-ctrl list``: what can be named on the command line."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Any
+
+import typer
+
+from equimus_ctrl.cli.common import Json, print_json
+
+
+class Kind(StrEnum):
+    """What can be listed."""
+
+    scenarios = "scenarios"
+    controllers = "controllers"
+    plants = "plants"
+    effects = "effects"
+    models = "models"
+
+
+def list_names(
+    kind: Annotated[Kind, typer.Argument(help="What to list.")],
+    as_json: Json = False,
+) -> None:
+    """List scenarios, controllers, plants, effects or built-in models.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl list scenarios
+    equimus-ctrl list effects --json
+    """  # noqa: D301
+    from rich.console import Console
+    from rich.table import Table
+
+    rows = _rows(kind)
+    if as_json:
+        print_json({kind.value: rows})
+        return
+    console = Console(highlight=False)
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for row in rows:
+        extra = row.get("options") or row.get("parameters") or {}
+        detail = ", ".join(f"{key} = {value}" if kind is Kind.scenarios else value for key, value in extra.items())
+        summary = str(row["summary"]) + (f"\n[dim]{detail}[/dim]" if detail else "")
+        table.add_row(f"[bold]{row['name']}[/bold]", summary)
+    console.print(table)
+
+
+def _rows(kind: Kind) -> list[dict[str, Any]]:
+    if kind is Kind.scenarios:
+        return _scenarios()
+    if kind is Kind.controllers:
+        from equimus_ctrl.controllers.registry import CONTROLLERS
+
+        rows = [{"name": name, "summary": entry.summary} for name, entry in CONTROLLERS.items()]
+        return [*rows, {"name": "path/to/file.py:Name", "summary": "your own, a class or a function"}]
+    if kind is Kind.plants:
+        from equimus_ctrl.plants.registry import PLANTS
+
+        return [{"name": name, "summary": entry.summary} for name, entry in PLANTS.items()]
+    if kind is Kind.models:
+        from equimus_ctrl.models.leg import MORPHOLOGIES
+
+        return [{"name": name, "summary": (make.__doc__ or "").strip()} for name, make in MORPHOLOGIES.items()]
+    from equimus_ctrl.effects import REGISTRY
+
+    return [
+        {
+            "name": name,
+            "summary": f"{cls.summary} (at each {cls.sits_at}, {cls.side} side)",
+            "sits_at": cls.sits_at,
+            "side": cls.side,
+            "parameters": {
+                key: f"{key} [{info['unit']}] {info['low']:g} to {info['high']:g}: {info['doc']}"
+                for key, info in cls.parameter_info().items()
+            },
+        }
+        for name, cls in sorted(REGISTRY.items())
+    ]
+
+
+def _scenarios() -> list[dict[str, Any]]:
+    from equimus_ctrl import presets
+    from equimus_ctrl.scenarios.scenario import option_defaults
+
+    rows = []
+    for name, path in presets.names("scenarios", ".py").items():
+        build, _ = presets.load_scenario(name)
+        summary = (presets.load_script(path).__doc__ or "").strip().partition("\n\n")[0].replace("\n", " ")
+        rows.append({"name": name, "summary": summary, "options": option_defaults(build)})
+    return rows

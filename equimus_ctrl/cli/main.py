@@ -1,0 +1,70 @@
+"""The command ``equimus-ctrl``: one verb a file, errors as sentences, exit codes that mean something."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import Annotated
+
+import typer
+
+from equimus_ctrl.cli import autotune_pid, list_names, recordings, run, score
+from equimus_ctrl.errors import EquimusError
+
+EXIT_CODES = """\
+[bold]Exit codes[/bold]  0 done · 1 a fault of the program · 2 something given is wrong or missing ·
+3 nothing within the limits was found, or a simulation diverged · 130 stopped by Ctrl-C"""
+
+app = typer.Typer(
+    name="equimus-ctrl",
+    help="Simulate, control, tune and diagnose robots driven by linear elastic actuators.",
+    epilog=EXIT_CODES,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("autotune-pid")(autotune_pid.autotune_pid)
+app.command("run")(run.run)
+app.command("score")(score.score)
+app.command("list")(list_names.list_names)
+app.add_typer(recordings.app, name="recordings")
+
+
+def _version(value: bool) -> None:
+    if value:
+        from equimus_ctrl import __version__
+
+        typer.echo(f"equimus-ctrl {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command with ``arguments`` (those of the process by default) and return its exit code."""
+    warnings.showwarning = _show_warning
+    try:
+        app(args=arguments, prog_name="equimus-ctrl")
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except EquimusError as error:
+        print(f"equimus-ctrl: {error}", file=sys.stderr)
+        return 3 if type(error).__name__ in ("NothingFeasible", "SimulationDiverged") else 2
+    return 0
+
+
+def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
+    print(f"equimus-ctrl: warning: {message}", file=sys.stderr)
+
+
+def entry() -> None:
+    """The console script."""
+    sys.exit(main())

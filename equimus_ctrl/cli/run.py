@@ -1,0 +1,108 @@
+"""``equimus-ctrl run``: a scenario, driven, scored and drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from equimus_ctrl.cli.common import Json, ModelFile, Recordings, key_values, people, print_json, shown_path
+
+
+def run(
+    scenario: Annotated[str, typer.Argument(help="Scenario by name (see: list scenarios) or path to a script.")],
+    controller: Annotated[
+        str | None,
+        typer.Option("--controller", "-c", help="Controller by name or path/to/file.py:Name; the scenario's by default."),
+    ] = None,
+    plant: Annotated[str, typer.Option(help="Plant by name (see: list plants).")] = "mujoco",
+    model: ModelFile = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", metavar="NAME:PLACE:KEY=VALUE", help="Attach an effect to the simulated robot."),
+    ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="An option of the scenario.")
+    ] = None,
+    settings: Annotated[Path | None, typer.Option(help="The controller's settings file (TOML).")] = None,
+    noise: Annotated[float, typer.Option(help="White noise on the measured angles, standard deviation in rad.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
+    recordings: Recordings = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for figures and table; results/run/… by default.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="DIR", help="Also write the run as a recording into this folder.")
+    ] = None,
+    video: Annotated[Path | None, typer.Option(help="Also write a video (.mp4 or .gif).")] = None,
+    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Run a scenario and score it.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl run triangle
+    equimus-ctrl run triangle --controller pid --json
+    equimus-ctrl run hold --set hip=80 --set knee=20 --controller pid --noise 0.001
+    equimus-ctrl run hold --controller controllers/example_custom.py:Spring
+    equimus-ctrl run chirp --effect transport_delay:baa:delay=0.1 --record my_recordings
+    """  # noqa: D301
+    from rich.progress import Progress
+
+    from equimus_ctrl import presets, workflow
+    from equimus_ctrl.effects import parse
+    from equimus_ctrl.recordings import write
+    from equimus_ctrl.report.tables import run_table, score_to_dict
+
+    console = people()
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task(f"{scenario}", total=1.0)
+        done = workflow.run_scenario(
+            scenario,
+            controller,
+            model=workflow.load_model(model),
+            effects=[parse(text) for text in effect or []],
+            plant=plant,
+            options=key_values(option, "--set"),
+            recordings=recordings,
+            settings=settings,
+            noise=noise,
+            seed=seed,
+            progress=lambda share: progress.update(task, completed=share),
+        )
+    folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
+    files: list[Path] = []
+    if figures:
+        from equimus_ctrl.models.kinematics import Kinematics
+        from equimus_ctrl.report.run_figures import save_run_figures
+
+        kinematics = Kinematics(done.model.morphology, done.model.phase)
+        files += save_run_figures(done.run, done.scenario, done.score, kinematics, folder, done.controller)
+    if record is not None:
+        path = record / f"{done.scenario.name}.csv"
+        write(path, done.run.recording(done.scenario.name))
+        files.append(path)
+    result = score_to_dict(done.score, done.run, done.scenario, done.controller)
+    note = None
+    if video is not None:
+        from equimus_ctrl.report.video import save_video
+
+        shown = save_video(done.run, done.model, video)
+        files.append(shown.path)
+        note = shown.note
+    result |= {"plant": done.plant, "model": done.model.name, "seed": seed, "files": [str(f) for f in files]}
+    presets.write_text(folder / "score.json", presets.json_text(result))
+    console.print(run_table(done.score, done.run, done.scenario, done.controller))
+    for sentence in (done.scenario.missing, note):
+        if sentence:
+            console.print(sentence, markup=False)
+    for file in files:
+        console.print(f"wrote {shown_path(file)}", markup=False)
+    if as_json:
+        print_json(result)
+
+
+def _file_name(controller: str) -> str:
+    return "".join(ch if ch.isalnum() or ch in "-_" else "_" for ch in controller.rpartition(":")[2] or controller)

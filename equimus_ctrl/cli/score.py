@@ -1,0 +1,60 @@
+"""``equimus-ctrl score``: a model against recordings, open loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from equimus_ctrl.cli.common import Json, ModelFile, people, print_json
+
+
+def score(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
+    model: ModelFile = None,
+    engine: Annotated[str, typer.Option(help="reduced (exact, compiled) or mujoco (3-2-1 elements).")] = "reduced",
+    window: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Score this part of each trial, in s.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Compare on a grid of this rate, in Hz; at the recorded rows by default.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Predict recordings with a model, each trial from its own measured start, and print the error.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl score ../shared/recordings/concealed/open_1
+    equimus-ctrl score my_recordings --model corrected.toml --json
+    equimus-ctrl score step_release.csv --window 5 9 --engine mujoco
+    """  # noqa: D301
+    from rich.progress import Progress
+    from rich.table import Table
+
+    from equimus_ctrl import workflow
+
+    console = people()
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task("score", total=1.0)
+        found = workflow.score_recordings(
+            recordings,
+            workflow.load_model(model),
+            engine=engine,  # type: ignore[arg-type]
+            window=window,
+            rate=rate,
+            progress=lambda share: progress.update(task, completed=share),
+        )
+    joints = found.model.morphology.joint_names
+    table = Table(title=f"{found.model.name} against {len(found.trials)} trial(s), RMSE [rad]", title_justify="left")
+    table.add_column("trial")
+    for joint in joints:
+        table.add_column(joint, justify="right")
+    for trial in found.trials:
+        table.add_row(trial.recording.name, *(f"{value:.5f}" for value in trial.rmse))
+    table.add_section()
+    table.add_row("all", *(f"{value:.5f}" for value in found.rmse), style="bold")
+    console.print(table)
+    if as_json:
+        print_json(found.to_dict())

@@ -1,0 +1,200 @@
+"""Figures of a tuning: how it converged, the response before and after, and how it holds on other legs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from equimus_ctrl.report import style
+from equimus_ctrl.tuning.autotune import TuningResult, unseen_problem
+from equimus_ctrl.tuning.objective import Evaluation
+
+STAGES = {
+    "start": ("start", style.INK),
+    "spread": ("spread", style.JOINT_COLOURS[2]),
+    "cma-es": ("CMA-ES", style.JOINT_COLOURS[0]),
+    "nelder-mead": ("Nelder–Mead", style.JOINT_COLOURS[1]),
+}
+BEFORE, AFTER = style.FAINT, style.JOINT_COLOURS[0]
+MOST_LEGS = 20
+
+
+def save_tuning_figures(result: TuningResult, folder: Path) -> list[Path]:
+    """Write convergence.png, response.png and robustness.png."""
+    figures = {
+        "convergence": convergence_figure(result),
+        "response": response_figure(result),
+        "robustness": robustness_figure(result),
+    }
+    return [style.save(figure, folder / f"{name}.png") for name, figure in figures.items()]
+
+
+def convergence_figure(result: TuningResult) -> Figure:
+    """Cost of every candidate, in the order they were tried, and the best so far."""
+    figure = style.new_figure(9.0, 4.6, "Convergence")
+    axes = figure.add_subplot()
+    trials = result.history
+    allowed = [t for t in trials if t.evaluation.feasible]
+    costs = np.array([t.evaluation.cost for t in allowed])
+    low = costs.min()
+    high = max(
+        low + 1.15 * (np.quantile(costs, 0.9) - low), result.start_evaluation.cost if allowed else low, low + 1e-3
+    )
+    top = high + 0.06 * (high - low)
+    handles = []
+    for stage, (label, colour) in STAGES.items():
+        own = [t for t in allowed if t.stage == stage]
+        if own:
+            shown = np.minimum([t.evaluation.cost for t in own], high)
+            size = 70 if stage == "start" else 16
+            axes.scatter([t.index for t in own], shown, s=size, color=colour, alpha=0.75, linewidths=0, zorder=3)
+            handles.append(Line2D([], [], marker="o", linestyle="", color=colour, label=f"{label} ({len(own)})"))
+    refused = [t.index for t in trials if not t.evaluation.feasible]
+    axes.plot(refused, np.full(len(refused), top), "|", color=style.ALERT, markersize=7, alpha=0.7, zorder=2)
+    if refused:
+        handles.append(
+            Line2D(
+                [],
+                [],
+                marker="|",
+                linestyle="",
+                color=style.ALERT,
+                label=f"unstable or beyond a limit ({len(refused)})",
+            )
+        )
+    best = np.minimum.accumulate([t.evaluation.cost if t.evaluation.feasible else np.inf for t in trials])
+    axes.plot(np.arange(len(trials)), np.minimum(best, high), color=style.INK, linewidth=1.6, zorder=4)
+    handles.append(Line2D([], [], color=style.INK, linewidth=1.6, label="best so far"))
+    axes.set_ylim(low - 0.06 * (high - low), top + 0.05 * (high - low))
+    before, after = result.start_evaluation.cost, result.best.evaluation.cost
+    style.dress(
+        axes,
+        title=f"cost {before:.3f} before, {after:.3f} after {len(trials)} sets of gains on {len(result.problem.members)} legs",
+        x="set of gains, in the order tried",
+        y="cost",
+    )
+    style.legend_below(figure, handles)
+    return figure
+
+
+def response_figure(result: TuningResult) -> Figure:
+    """What the model's leg does with the first and with the tuned gains, and the tuned ones on every leg."""
+    problem = result.problem
+    joints = problem.model.morphology.joint_names
+    figure = style.new_figure(
+        5.0 * len(problem.tasks) + 1.0, 2.5 * (len(joints) + 1) + 0.6, "Response before and after"
+    )
+    grid = figure.subplots(len(joints) + 1, len(problem.tasks), squeeze=False, sharex="col")
+    for k, task in enumerate(problem.tasks):
+        time = np.arange(len(task.reference)) * task.control_dt
+        q_before, u_before, done_before = problem.simulate(result.start, 0, k)
+        q_after, u_after, _ = problem.simulate(result.settings, 0, k)
+        others = [problem.simulate(result.settings, i, k)[0] for i in range(1, len(problem.members))]
+        for j, joint in enumerate(joints):
+            axes = grid[j, k]
+            for other in others:
+                axes.plot(time, np.degrees(other[:, j]), color=AFTER, alpha=0.25, linewidth=0.8)
+            axes.plot(time[:done_before], np.degrees(q_before[:done_before, j]), color=BEFORE, linewidth=1.5)
+            axes.plot(time, np.degrees(q_after[:, j]), color=AFTER, linewidth=1.8)
+            axes.plot(
+                time, np.degrees(task.reference[:, j]), color=style.REFERENCE, linestyle=style.DASHES, linewidth=1.1
+            )
+            style.dress(axes, title=f"{task.name}: {joint}", y="angle [°]")
+        _pressure_panel(grid[-1, k], result, time, u_before[:done_before], u_after)
+    handles = [
+        Line2D([], [], color=style.REFERENCE, linestyle=style.DASHES, label="reference"),
+        Line2D([], [], color=BEFORE, linewidth=1.5, label="first gains"),
+        Line2D([], [], color=AFTER, linewidth=1.8, label="tuned"),
+        Line2D([], [], color=AFTER, alpha=0.4, linewidth=0.8, label="tuned, on the other legs of the ensemble"),
+    ]
+    styles = ["-", (0, (1, 1)), (0, (4, 1, 1, 1))]
+    for i, actuator in enumerate(problem.model.morphology.actuator_names):
+        handles.append(Line2D([], [], color=style.INK, linestyle=styles[i % 3], label=f"pressure of {actuator}"))
+    style.legend_below(figure, handles)
+    return figure
+
+
+def _pressure_panel(axes: Axes, result: TuningResult, time: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
+    styles = ["-", (0, (1, 1)), (0, (4, 1, 1, 1))]
+    for i in range(after.shape[1]):
+        axes.plot(time[: len(before)], before[:, i] / 1e3, color=BEFORE, linestyle=styles[i % 3], linewidth=1.1)
+        axes.plot(time, after[:, i] / 1e3, color=AFTER, linestyle=styles[i % 3], linewidth=1.3)
+    style.dress(axes, title="commands", x="time [s]", y="pressure [kPa]")
+
+
+def robustness_figure(result: TuningResult) -> Figure:
+    """Cost on every leg before and after, and the tuned response on legs that took no part in the tuning."""
+    figure = style.new_figure(11.0, 5.4, "Robustness")
+    spans = figure.add_gridspec(len(result.problem.model.morphology.joints), 2, width_ratios=(1.1, 1))
+    axes = figure.add_subplot(spans[:, 0])
+    seen_after = list(result.best.evaluation.member_costs)
+    seen_before = list(result.start_evaluation.member_costs)
+    groups = [
+        (seen_before, seen_after, "tuned on"),
+        (_costs(result.start_unseen), _costs(result.unseen), "never tuned on"),
+    ]
+    finite = [c for before, after, _ in groups for c in (*before, *after) if np.isfinite(c)]
+    low, high = min(finite), max(finite)
+    lost = high + 0.12 * (high - low)
+    x = 0
+    for before, after, label in groups:
+        order = np.argsort(after)
+        places = x + np.arange(len(after))
+        for values, colour, size in ((before, BEFORE, 22), (after, AFTER, 30)):
+            shown = np.array([values[i] for i in order])
+            good = np.isfinite(shown)
+            axes.scatter(places[good], shown[good], s=size, color=colour, linewidths=0, zorder=3)
+            axes.scatter(places[~good], np.full((~good).sum(), lost), s=36, color=colour, marker="x", zorder=3)
+        axes.text(
+            places.mean(),
+            low - 0.1 * (high - low),
+            f"{label}\n({len(after)})",
+            ha="center",
+            va="top",
+            fontsize=style.SMALL_SIZE,
+        )
+        axes.axvspan(
+            x - 0.6, x + len(after) - 0.4, color=style.SHADE, zorder=0, alpha=0.6 if label == "tuned on" else 0.25
+        )
+        x += len(after) + 2
+    axes.set_xticks([])
+    axes.set_ylim(low - 0.32 * (high - low), lost + 0.08 * (high - low))
+    style.dress(axes, title="cost on each leg, from the easiest to the hardest", y="cost")
+    if any(not np.isfinite(c) for before, after, _ in groups for c in (*before, *after)):
+        axes.axhline(lost, color=style.ALERT, linewidth=0.8, linestyle=":")
+    handles = [
+        Line2D([], [], marker="o", linestyle="", color=BEFORE, label="first gains"),
+        Line2D([], [], marker="o", linestyle="", color=AFTER, label="tuned"),
+        Line2D([], [], marker="x", linestyle="", color=style.INK, label="unstable"),
+        Line2D([], [], color=style.REFERENCE, linestyle=style.DASHES, label="reference"),
+    ]
+    _unseen_panels(figure, spans, result)
+    style.legend_below(figure, handles)
+    return figure
+
+
+def _unseen_panels(figure: Figure, spans: object, result: TuningResult) -> None:
+    if not result.unseen:
+        return
+    problem = unseen_problem(result.problem, result.study)
+    problem.warm_up()
+    task = problem.tasks[0]
+    time = np.arange(len(task.reference)) * task.control_dt
+    angles = np.array([problem.simulate(result.settings, i, 0)[0] for i in range(min(len(problem.members), MOST_LEGS))])
+    for j, joint in enumerate(problem.model.morphology.joint_names):
+        axes = figure.add_subplot(spans[j, 1])  # type: ignore[index]
+        for leg in angles:
+            axes.plot(time, np.degrees(leg[:, j]), color=AFTER, alpha=0.35, linewidth=0.9)
+        axes.plot(time, np.degrees(task.reference[:, j]), color=style.REFERENCE, linestyle=style.DASHES, linewidth=1.1)
+        last = j == len(problem.model.morphology.joints) - 1
+        title = f"{task.name}: {joint}, on {len(angles)} legs never tuned on"
+        style.dress(axes, title=title, y="angle [°]", x="time [s]" if last else "")
+
+
+def _costs(evaluations: list[Evaluation]) -> list[float]:
+    """Costs of single legs without the penalty of a limit; NaN where unstable."""
+    return [e.member_costs[0] if e.stable else float("nan") for e in evaluations]
