@@ -1,7 +1,7 @@
 """A controller of your own, in two forms. Copy this file and edit it.
 
-    equimus-ctrl run hold --controller controllers/example_custom.py:Spring
-    equimus-ctrl run hold --controller controllers/example_custom.py:spring
+equimus-ctrl run hold --controller controllers/example_custom.py:Spring
+equimus-ctrl run hold --controller controllers/example_custom.py:spring
 """
 
 import numpy as np

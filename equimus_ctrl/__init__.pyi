@@ -69,3 +69,5 @@ from .workflow import (
     save_model as save_model,
     score_recordings as score_recordings,
 )
+
+__version__: str

@@ -155,15 +155,13 @@ def run_scenario(
     if effects:
         model = Model(model.morphology, (*model.effects, *effects), model.phase)
     if isinstance(scenario, str):
-        scenario = load_scenario(
-            scenario, model.morphology, phase=model.phase, options=options, recordings=recordings
-        )
+        scenario = load_scenario(scenario, model.morphology, phase=model.phase, options=options, recordings=recordings)
     if controller is None:
         controller = scenario.controller
     if isinstance(controller, str):
         label, driven = controller, load_controller(controller, scenario, settings)
     else:
-        label = getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__)
+        label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
     if isinstance(plant, str):
         plant_name, machine = plant, make_plant(plant, model, scenario.recorded, noise)
@@ -286,7 +284,6 @@ def _scored_error(trial: Recording, predicted: Array, window: tuple[float, float
     return np.asarray(error, dtype=np.float64)
 
 
-
 @dataclass(frozen=True, eq=False)
 class TunedPid:
     """A finished tuning and where its results are.
@@ -361,7 +358,9 @@ def tune_pid(
     target = output or root / "controllers" / "pid.toml"
     results = folder or root / "tuning" / "results" / path.stem
     store = presets.JsonLines(
-        results / "journal.jsonl", {"format": "equimus-ctrl/journal/1", "key": autotune.study_key(settings, problem)}, fresh
+        results / "journal.jsonl",
+        {"format": "equimus-ctrl/journal/1", "key": autotune.study_key(settings, problem)},
+        fresh,
     )
     reused = len(store.rows)
     begin(settings.candidates)
@@ -380,6 +379,6 @@ def _settings_comment(result: Any, study: Path) -> str:
     unit = "N and m" if result.settings.space == "length" else "N·m and rad"
     return (
         f"PID gains, in {unit}; written by `equimus-ctrl autotune-pid`, free to edit.\n"
-        f"Study {study.name}, seed {result.study.seed}, {len(result.history)} sets of gains tried, cost {best.cost:.4f} "
-        f"(before: {result.start_evaluation.cost:.4f})."
+        f"Study {study.name}, seed {result.study.seed}, {len(result.history)} sets of gains tried, "
+        f"cost {best.cost:.4f} (before: {result.start_evaluation.cost:.4f})."
     )

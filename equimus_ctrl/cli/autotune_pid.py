@@ -110,8 +110,8 @@ def _tell(console: Console, tuned: TunedPid) -> None:
     best, start = result.best.evaluation, result.start_evaluation
     if result.interrupted:
         console.print(
-            f"stopped after {len(result.history)} of {result.study.candidates} sets of gains: the best so far was kept; "
-            "the same command goes on from here"
+            f"stopped after {len(result.history)} of {result.study.candidates} sets of gains: the best so far was "
+            "kept; the same command goes on from here"
         )
     if tuned.reused:
         console.print(f"{tuned.reused} evaluations were taken over from an earlier run")
@@ -134,7 +134,9 @@ def _tell(console: Console, tuned: TunedPid) -> None:
         before, after = (sum(e.stable for e in legs) for legs in (result.start_unseen, result.unseen))
         table.add_row(f"stable on {unseen} unseen legs", str(before), str(after))
     console.print(table)
-    margins = Table(title="Margins of the linearised loop: on the model, and the least over all legs", title_justify="left")
+    margins = Table(
+        title="Margins of the linearised loop: on the model, and the least over all legs", title_justify="left"
+    )
     for name in ("loop", "gain", "phase", "delay", "least gain", "least phase", "least delay"):
         margins.add_column(name, justify="left" if name == "loop" else "right")
     for own, least in zip(result.margins, result.least_margins, strict=True):

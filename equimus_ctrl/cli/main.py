@@ -50,7 +50,7 @@ def _root(
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command with ``arguments`` (those of the process by default) and return its exit code."""
-    warnings.showwarning = _show_warning
+    warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
         app(args=arguments, prog_name="equimus-ctrl")
     except SystemExit as stop:

@@ -14,7 +14,9 @@ def run(
     scenario: Annotated[str, typer.Argument(help="Scenario by name (see: list scenarios) or path to a script.")],
     controller: Annotated[
         str | None,
-        typer.Option("--controller", "-c", help="Controller by name or path/to/file.py:Name; the scenario's by default."),
+        typer.Option(
+            "--controller", "-c", help="Controller by name or path/to/file.py:Name; the scenario's by default."
+        ),
     ] = None,
     plant: Annotated[str, typer.Option(help="Plant by name (see: list plants).")] = "mujoco",
     model: ModelFile = None,

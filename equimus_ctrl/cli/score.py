@@ -47,7 +47,7 @@ def score(
             progress=lambda share: progress.update(task, completed=share),
         )
     joints = found.model.morphology.joint_names
-    table = Table(title=f"{found.model.name} against {len(found.trials)} trial(s), RMSE [rad]", title_justify="left")
+    table = Table(title=f"{found.model.name} against {len(found.trials)} trial(s), RMSE in rad", title_justify="left")
     table.add_column("trial")
     for joint in joints:
         table.add_column(joint, justify="right")

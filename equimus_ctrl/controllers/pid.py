@@ -201,7 +201,7 @@ class PidController:
         if self.settings.space == "joint" and len(spec.joints) > len(spec.actuators):
             raise ControllerError(
                 f"a joint-space PID needs at least as many actuators as joints, this plant has {len(spec.actuators)} "
-                f"for {len(spec.joints)}; use space = \"length\""
+                f'for {len(spec.joints)}; use space = "length"'
             )
         law = compiled.load(spec.model, "swing", pid_kernel)
         gains = self.settings.gain_matrix(self.settings.channels(spec))
@@ -212,7 +212,9 @@ class PidController:
         law.pid_start(y, np.array(observation.command), gains, lengths, self.settings.feedforward, constants, memory)
         # Writable copies: numba compiles anew for read-only arrays.
         low, high = np.array(spec.command_low), np.array(spec.command_high)
-        return PidState(memory, np.full(len(spec.joints), np.nan), observation.time, spec, constants, gains, law, low, high)
+        return PidState(
+            memory, np.full(len(spec.joints), np.nan), observation.time, spec, constants, gains, law, low, high
+        )
 
     def step(self, observation: Observation, reference: Reference, state: PidState) -> tuple[Array, PidState]:
         """The next command, within the plant's limits."""

@@ -16,8 +16,6 @@ torques for angles. Two-degree-of-freedom form, derivative filter and back-calcu
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 

@@ -13,7 +13,9 @@ from equimus_ctrl.types import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mean_command(times: Array, values: Array, before: float, cursor: int, start: float, end: float) -> tuple[float, int]:
+def mean_command(
+    times: Array, values: Array, before: float, cursor: int, start: float, end: float
+) -> tuple[float, int]:
     """Mean of a zero-order-held command over [start, end], so that a change within a step counts by its share.
 
     Args:

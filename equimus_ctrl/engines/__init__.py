@@ -1,0 +1,1 @@
+"""Engines predict joint angles for given commands, parameters and effects: reduced (compiled) and MuJoCo."""

@@ -130,10 +130,16 @@ def _source(form: Structure, phase: Phase) -> str:
         codegen.Routine("pressure_torque", {"q": m.q, "f": m.f}, drive @ m.f),
     ]
     functions = codegen.generate(routines, m.p, DECORATOR)
-    return (
-        f"# Generated; safe to delete.\nfrom __future__ import annotations\n\nimport math\n\nimport numpy as np\nfrom numba import njit\n\n"
-        f"N_JOINTS = {nj}\nN_ACTUATORS = {na}\n\n\n{functions}\n\n{_tuples(nj, na)}\n\n{_rk4(nj)}"
-    )
+    header = [
+        "# Generated; safe to delete.",
+        "from __future__ import annotations\n",
+        "import math\n",
+        "import numpy as np",
+        "from numba import njit\n",
+        f"N_JOINTS = {nj}",
+        f"N_ACTUATORS = {na}\n\n",
+    ]
+    return "\n".join([*header, functions, "", _tuples(nj, na), "", _rk4(nj)])
 
 
 def _tuples(nj: int, na: int) -> str:

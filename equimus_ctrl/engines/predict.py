@@ -22,7 +22,7 @@ SETTLED_SPAN = 0.1
 
 
 def measured_start(recording: Recording) -> Array:
-    """(nj,) the angles a trial starts from [rad]: the mean of its first 0.1 s while the command in force before it holds.
+    """(nj,) the angles a trial starts from [rad]: the mean of its first 0.1 s while the command before it still holds.
 
     A recording starts at rest (see the recording format), so these samples differ by noise alone. Where the command
     changes in the very first row, or a note says ``settled = no``, the first measurement stands alone.

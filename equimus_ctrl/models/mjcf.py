@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ModelError
-from equimus_ctrl.types import Array
 from equimus_ctrl.models.morphology import BASE, ElasticActuator, Joint, JointStop, Morphology, Phase, Point
+from equimus_ctrl.types import Array
 
 HINGE_AXIS = (0.0, 1.0, 0.0)
 POINT_INERTIA = 1e-9  # MuJoCo wants more than none; a millionth of a link's
@@ -155,9 +155,7 @@ def _point_mass(body: mujoco.MjsBody, mass: float) -> None:
     body.explicitinertial = True
 
 
-def build_spec(
-    morphology: Morphology, phase: Phase = "swing", settings: SolverSettings | None = None
-) -> mujoco.MjSpec:
+def build_spec(morphology: Morphology, phase: Phase = "swing", settings: SolverSettings | None = None) -> mujoco.MjSpec:
     """The MjSpec of a morphology, base fixed (swing) or foot pinned (stance).
 
     In stance the base slides freely in the plane and keeps its orientation, and an equality pins the foot to the

@@ -116,9 +116,10 @@ def model_to_dict(model: Model) -> dict[str, Any]:
 def _same_shape(a: Morphology, b: Morphology) -> bool:
     """Whether the two differ in nothing but their name and numbers."""
     keys = a.parameters().keys()
-    return keys == b.parameters().keys() and _build(
-        Morphology, {**_shallow(a.with_parameters(b.parameters())), "name": b.name}, "morphology"
-    ) == b
+    return (
+        keys == b.parameters().keys()
+        and _build(Morphology, {**_shallow(a.with_parameters(b.parameters())), "name": b.name}, "morphology") == b
+    )
 
 
 def _shallow(part: Any) -> dict[str, Any]:
@@ -152,7 +153,9 @@ def _numbers(data: Any, where: str) -> dict[str, float]:
         raise ConfigError(f"{where}: {data!r} is not a table of numbers")
     for key, value in data.items():
         if isinstance(value, Mapping):
-            raise ConfigError(f"{where}: {key!r} is a table; put a dotted name in quotes, such as \"maa.stiffness\" = 280")
+            raise ConfigError(
+                f'{where}: {key!r} is a table; put a dotted name in quotes, such as "maa.stiffness" = 280'
+            )
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ConfigError(f"{where}: {key} is {value!r}, expected a number")
     return dict(data)

@@ -371,7 +371,7 @@ def _replaced(part: _P, prefix: str, values: Mapping[str, float]) -> _P:
             changes[item.name] = _replaced(value, f"{prefix}{item.name}.", values)
         elif isinstance(value, tuple):
             changes[item.name] = tuple(_replaced(child, f"{child.name}.", values) for child in value)
-    return replace(part, **changes)
+    return replace(part, **changes)  # type: ignore[arg-type]  # mypy cannot follow replace through a type variable
 
 
 def pack(morphology: Morphology) -> Array:

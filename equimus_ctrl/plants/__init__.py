@@ -1,0 +1,1 @@
+"""Plants take pressures and give joint angles: simulated, replayed."""

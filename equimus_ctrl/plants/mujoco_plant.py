@@ -209,7 +209,9 @@ class MujocoPlant:
             base = [self.mujoco_model.joint(f"base/{axis}") for axis in "xy"]
             self.data.qpos[[joint.qposadr[0] for joint in base]] = -foot
             if velocity is not None:
-                self.data.qvel[[joint.dofadr[0] for joint in base]] = -self._kinematics.foot_jacobian(position) @ velocity
+                self.data.qvel[[joint.dofadr[0] for joint in base]] = (
+                    -self._kinematics.foot_jacobian(position) @ velocity
+                )
         close_elements(self.mujoco_model, self.data)
 
     def _physics_step(self) -> None:

@@ -70,7 +70,7 @@ def fetch(
         NotAvailable: the network or the repository does not answer, a file is not in the tree, a hash is wrong, or the
             folder cannot be written.
     """
-    import pooch  # type: ignore[import-untyped]
+    import pooch
 
     pooch.get_logger().setLevel("ERROR")
     folder = fetch_folder() if output is None else Path(output)

@@ -7,6 +7,7 @@ whatever its name.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -217,10 +218,10 @@ def _pieces(sheet: Sheet, time: Array, key: Array, columns: Sequence[str]) -> li
             f"{_TIME} does not restart",
         )
     bounds = [0, *(int(row) for row in np.flatnonzero(restart)), len(time)]
-    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+    for first, last in itertools.pairwise(bounds):
         if last - first < 2:
             raise sheet.error(first, _TIME, "this row stands alone between two restarts; at least two belong together")
-    return list(zip(bounds[:-1], bounds[1:], strict=True))
+    return list(itertools.pairwise(bounds))
 
 
 def _provenance(sheet: Sheet, first: int, last: int) -> dict[str, str]:

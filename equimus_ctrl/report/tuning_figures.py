@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ STAGES = {
 }
 BEFORE, AFTER = style.FAINT, style.JOINT_COLOURS[0]
 MOST_LEGS = 20
+LINES: tuple[tuple[float, Sequence[float]], ...] = ((0, ()), (0, (1, 1)), (0, (4, 1, 1, 1)))
 
 
 def save_tuning_figures(result: TuningResult, folder: Path) -> list[Path]:
@@ -71,9 +73,10 @@ def convergence_figure(result: TuningResult) -> Figure:
     handles.append(Line2D([], [], color=style.INK, linewidth=1.6, label="best so far"))
     axes.set_ylim(low - 0.06 * (high - low), top + 0.05 * (high - low))
     before, after = result.start_evaluation.cost, result.best.evaluation.cost
+    legs = len(result.problem.members)
     style.dress(
         axes,
-        title=f"cost {before:.3f} before, {after:.3f} after {len(trials)} sets of gains on {len(result.problem.members)} legs",
+        title=f"cost {before:.3f} before, {after:.3f} after {len(trials)} sets of gains on {legs} legs",
         x="set of gains, in the order tried",
         y="cost",
     )
@@ -111,18 +114,18 @@ def response_figure(result: TuningResult) -> Figure:
         Line2D([], [], color=AFTER, linewidth=1.8, label="tuned"),
         Line2D([], [], color=AFTER, alpha=0.4, linewidth=0.8, label="tuned, on the other legs of the ensemble"),
     ]
-    styles = ["-", (0, (1, 1)), (0, (4, 1, 1, 1))]
     for i, actuator in enumerate(problem.model.morphology.actuator_names):
-        handles.append(Line2D([], [], color=style.INK, linestyle=styles[i % 3], label=f"pressure of {actuator}"))
+        handles.append(
+            Line2D([], [], color=style.INK, linestyle=LINES[i % len(LINES)], label=f"pressure of {actuator}")
+        )
     style.legend_below(figure, handles)
     return figure
 
 
 def _pressure_panel(axes: Axes, result: TuningResult, time: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
-    styles = ["-", (0, (1, 1)), (0, (4, 1, 1, 1))]
     for i in range(after.shape[1]):
-        axes.plot(time[: len(before)], before[:, i] / 1e3, color=BEFORE, linestyle=styles[i % 3], linewidth=1.1)
-        axes.plot(time, after[:, i] / 1e3, color=AFTER, linestyle=styles[i % 3], linewidth=1.3)
+        axes.plot(time[: len(before)], before[:, i] / 1e3, color=BEFORE, linestyle=LINES[i % len(LINES)], linewidth=1.1)
+        axes.plot(time, after[:, i] / 1e3, color=AFTER, linestyle=LINES[i % len(LINES)], linewidth=1.3)
     style.dress(axes, title="commands", x="time [s]", y="pressure [kPa]")
 
 

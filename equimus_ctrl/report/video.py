@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import shutil
@@ -89,7 +90,7 @@ def save_video(
 def find_ffmpeg() -> str | None:
     """The ffmpeg that imageio-ffmpeg brings, or the system's, or None."""
     try:
-        import imageio_ffmpeg  # type: ignore[import-not-found,unused-ignore]
+        import imageio_ffmpeg  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError):
@@ -153,11 +154,9 @@ def _mp4(frames: Iterator[Frame], path: Path, film: Film, strip: int, ffmpeg: st
             raise _EncoderError(str(error)) from None
         assert process.stdin is not None
         try:
-            for frame in frames:
-                process.stdin.write(frame.tobytes())
-            process.stdin.close()
-            code = process.wait()
-        except BrokenPipeError:
+            with contextlib.suppress(BrokenPipeError), process.stdin:
+                for frame in frames:
+                    process.stdin.write(frame.tobytes())
             code = process.wait()
         except BaseException:
             process.kill()

@@ -1,0 +1,1 @@
+"""Scenarios: references, what a run is scored against, and how."""

@@ -56,11 +56,11 @@ class SampledReference:
         """(nj,) [rad]."""
         k = int(np.searchsorted(self.times, time, side="right")) - 1
         if k < 0:
-            return self.values[0]
+            return np.asarray(self.values[0])
         if k >= len(self.times) - 1:
-            return self.values[-1]
+            return np.asarray(self.values[-1])
         share = (time - self.times[k]) / (self.times[k + 1] - self.times[k])
-        return (1 - share) * self.values[k] + share * self.values[k + 1]
+        return np.asarray((1 - share) * self.values[k] + share * self.values[k + 1])
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class CommandProfile:
     def at(self, time: float) -> Array:
         """(na,) the commands in force at ``time`` [Pa]."""
         k = int(np.searchsorted(self.times, time + 1e-9, side="right")) - 1
-        return self.values[max(k, 0)]
+        return np.asarray(self.values[max(k, 0)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,9 @@ class ScenarioContext:
         profile = CommandProfile(times, values)
         if profile.values.shape[1] != len(m.actuators):
             raise ConfigError(f"a command profile for {m.name} needs {len(m.actuators)} pressures in each row")
-        worst = profile.values[np.abs(profile.values - (m.command_low + m.command_high) / 2).argmax() // len(m.actuators)]
+        worst = profile.values[
+            np.abs(profile.values - (m.command_low + m.command_high) / 2).argmax() // len(m.actuators)
+        ]
         if profile.values.min() < m.command_low or profile.values.max() > m.command_high:
             raise ConfigError(
                 f"a command of {np.array2string(worst / 1e3, precision=3)} kPa lies outside the range of {m.name}, "

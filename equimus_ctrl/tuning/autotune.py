@@ -248,9 +248,13 @@ def best_feasible(history: Sequence[Trial], verified: Callable[[Trial], bool] = 
     if not history:
         raise NothingFeasible("the search was stopped before any set of gains was tried")
     nearest = min(history, key=lambda trial: trial.evaluation.cost).evaluation
-    why = "is unstable on some leg" if not nearest.stable else (
-        f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time and its slowest mode "
-        f"has modulus {nearest.modulus:.4f}"
+    why = (
+        "is unstable on some leg"
+        if not nearest.stable
+        else (
+            f"overshoots by {nearest.overshoot:.0%}, is saturated {nearest.saturation:.0%} of the time, its slowest "
+            f"mode has modulus {nearest.modulus:.4f}, and {nearest.raised_modulus:.4f} with the gain margin"
+        )
     )
     raise NothingFeasible(
         f"none of {len(history)} sets of gains is stable and within the limits on every leg; the nearest {why}"
@@ -281,9 +285,7 @@ def _least_margins(problem: Problem, settings: PidSettings) -> list[Margins]:
         own = [row[k] for row in every]
         tightest = min(own, key=lambda m: m.delay)
         least.append(
-            Margins(
-                actuator, min(m.gain for m in own), min(m.phase for m in own), tightest.delay, tightest.crossover
-            )
+            Margins(actuator, min(m.gain for m in own), min(m.phase for m in own), tightest.delay, tightest.crossover)
         )
     return least
 
@@ -322,7 +324,7 @@ def cross_check(problem: Problem, settings: PidSettings, task: int) -> CrossChec
         nominal=model.morphology,
         rates=PlantRates(control=rate, sensor=rate, physics=rate * problem.steps),
     )
-    times = np.arange(len(t.reference)) * t.control_dt
+    times = np.asarray(np.arange(len(t.reference)) * t.control_dt, dtype=np.float64)
     outcome = run(
         _ShiftedNoise(plant, t.noise),
         PidController(settings),

@@ -67,7 +67,9 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     m = model.morphology
     groups = _spread(model, settings)
     na = len(m.actuators)
-    corner = [1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in groups]
+    corner = [
+        1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in groups
+    ]
     known = [np.full(len(groups) + 2 * na, 0.5), np.array([*corner, *([1.0] * (2 * na))])][:count] if fixed else []
     drawn = count - len(known)
     shares = latin_hypercube(drawn, len(groups) + 2 * na, np.random.default_rng(seed))

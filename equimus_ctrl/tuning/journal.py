@@ -45,9 +45,7 @@ class RowJournal:
 
     def add(self, index: int, stage: str, values: Sequence[float], evaluation: Evaluation) -> None:
         """Keep one more."""
-        self._store.append(
-            {"index": index, "stage": stage, "values": list(values), "evaluation": evaluation.to_dict()}
-        )
+        self._store.append({"index": index, "stage": stage, "values": list(values), "evaluation": evaluation.to_dict()})
 
 
 class NoJournal:

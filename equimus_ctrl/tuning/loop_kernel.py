@@ -105,9 +105,7 @@ def run_loop(
         weight = blend(now, start_time)
         for j in range(N_JOINTS):
             r[j] = reference[k, j] + weight * offset[j]
-        pid_command(
-            r, y, gains, lengths, feedforward, low, high, control_dt, c_nominal, state, out_command[k]
-        )
+        pid_command(r, y, gains, lengths, feedforward, low, high, control_dt, c_nominal, state, out_command[k])
         times[k] = now
         for s in range(steps):
             t = now + s * dt

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.controllers.pid import PidSettings
+from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import pack
@@ -53,7 +53,13 @@ class Task:
 
 
 def make_task(
-    scenario: Scenario, weight: float, duration: float, model: Model, noise: float, seed: int, control_rate: float = 120.0
+    scenario: Scenario,
+    weight: float,
+    duration: float,
+    model: Model,
+    noise: float,
+    seed: int,
+    control_rate: float = 120.0,
 ) -> Task:
     """Sample a scenario's reference and draw its noise."""
     n = round((duration or scenario.duration) * control_rate)
@@ -191,11 +197,14 @@ class Problem:
         found: list[Array] = []
         for task in self.tasks:
             n = len(task.reference)
-            found += [task.reference[k] for k in ([n - 1] if task.step_like else [n * (2 * i + 1) // (2 * along) for i in range(along)])]
+            found += [
+                task.reference[k]
+                for k in ([n - 1] if task.step_like else [n * (2 * i + 1) // (2 * along) for i in range(along)])
+            ]
         return found
 
     def moduli(self, settings: PidSettings, member: int, along: int = 1) -> tuple[float, float]:
-        """The largest eigenvalue of a leg's linearised sampled loops: as it is, and with all gains raised by the margin."""
+        """The largest eigenvalue of a leg's linearised sampled loops: as they are, and with all gains raised."""
         m, phase, dt = self.model.morphology, self.model.phase, self.tasks[0].control_dt
         key = (settings.space, member, along)
         if key not in self._legs:
