@@ -46,6 +46,7 @@ def run(
     position, wanted = np.empty((n, nj)), np.empty((n, nj))
     command, asked, clipped = np.empty((n, na)), np.empty((n, na)), np.zeros((n, na), dtype=bool)
     observation = plant.reset(start, seed)
+    before = np.array(observation.command)
     state = controller.init(spec, observation)
     for k in range(n):
         begun = clock.perf_counter()
@@ -62,7 +63,7 @@ def run(
         clipped[k] = observation.clipped
         if progress is not None:
             progress((k + 1) / n)
-    return Run(spec, times, position, wanted, command, asked, clipped, solve_time)
+    return Run(spec, times, position, wanted, command, asked, clipped, solve_time, before)
 
 
 def checked_command(command: object, spec: PlantSpec, at: float, who: str) -> Array:

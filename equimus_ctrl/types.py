@@ -159,6 +159,7 @@ class Run:
         asked: (n, na) commands the controller asked for [Pa].
         clipped: (n, na) True where the two differ.
         solve_time: (n,) how long each controller step took [s]; a statistic, never part of the physics.
+        before: (na,) command in force before the start [Pa].
     """
 
     spec: PlantSpec
@@ -169,10 +170,21 @@ class Run:
     asked: Array
     clipped: NDArray[np.bool_]
     solve_time: Array
+    before: Array
 
-    def recording(self, name: str) -> Recording:
+    def recording(self, name: str, notes: Mapping[str, str] | None = None) -> Recording:
         """The run in the recording vocabulary."""
-        return Recording(name, self.time, self.command, self.position, self.spec.actuators, self.spec.joints)
+        spec = self.spec
+        return Recording(
+            name,
+            self.time,
+            self.command,
+            self.position,
+            spec.actuators,
+            spec.joints,
+            before=self.before,
+            notes=notes or {},
+        )
 
 
 @runtime_checkable

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,9 @@ def make_run(m: Morphology, *, n: int = 240, asked: Array | None = None) -> Run:
         asked = 1e3 * (20 + 10 * np.sin(time[:, None] + np.arange(na)))
     command = np.clip(asked, m.command_low, m.command_high)
     spec = make_spec(m, 1 / 120, m)
-    return Run(spec, time, position, wanted, command, asked, command != asked, np.full(n, 1e-5))
+    return Run(
+        spec, time, position, wanted, command, asked, command != asked, np.full(n, 1e-5), np.zeros(asked.shape[1])
+    )
 
 
 def make_scenario(run: Run, **changes: Any) -> Scenario:
@@ -204,9 +207,7 @@ def test_a_reference_that_already_is_where_slow_commands_lead_is_kept() -> None:
     level = np.array([1e4, 2e4])
     run = make_run(m, asked=np.tile(level, (240, 1)))
     pose = kinematics.equilibrium(level)
-    run = Run(
-        run.spec, run.time, run.position, np.tile(pose, (240, 1)), run.command, run.asked, run.clipped, run.solve_time
-    )
+    run = replace(run, reference=np.tile(pose, (240, 1)))
     scenario = Scenario("hold", "", 2.0, HoldReference(pose), commands=CommandProfile([0.0], [level]))
     wanted = run_figures.wanted_of(run, scenario, kinematics)
     assert not wanted.followed

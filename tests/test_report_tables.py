@@ -31,7 +31,15 @@ def make_run() -> Run:
     solve = np.full(N, 2e-6)
     solve[:20] = 3e-3
     return Run(
-        make_spec(nominal_leg(), 1 / 120, None), TIME, position, REFERENCE, command, asked, command != asked, solve
+        make_spec(nominal_leg(), 1 / 120, None),
+        TIME,
+        position,
+        REFERENCE,
+        command,
+        asked,
+        command != asked,
+        solve,
+        np.zeros(2),
     )
 
 

@@ -36,7 +36,7 @@ def run() -> Run:
     command = np.where(time[:, None] < 0.25, [0.0, 25e3], [50e3, 25e3])
     spec = make_spec(nominal_leg(), 1 / 120, None)
     still = np.tile([np.pi / 2, 0.5], (n, 1))
-    return Run(spec, time, position, still, command, command, np.zeros((n, 2), bool), np.zeros(n))
+    return Run(spec, time, position, still, command, command, np.zeros((n, 2), bool), np.zeros(n), np.zeros(2))
 
 
 @pytest.fixture(scope="module")

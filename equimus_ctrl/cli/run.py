@@ -74,6 +74,7 @@ def run(
             seed=seed,
             progress=lambda share: progress.update(task, completed=share),
         )
+    label = f"{done.scenario.name}, {done.controller}"
     folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
     files: list[Path] = []
     if figures:
@@ -81,17 +82,23 @@ def run(
         from equimus_ctrl.report.run_figures import save_run_figures
 
         kinematics = Kinematics(done.model.morphology, done.model.phase)
-        files += save_run_figures(done.run, done.scenario, done.score, kinematics, folder, done.controller)
+        files += save_run_figures(done.run, done.scenario, done.score, kinematics, folder, label)
     if record is not None:
         path = record / f"{done.scenario.name}.csv"
-        write(path, done.run.recording(done.scenario.name))
+        record.mkdir(parents=True, exist_ok=True)
+        notes = {"scenario": done.scenario.name, "controller": done.controller, "seed": str(seed)}
+        write(path, done.run.recording(done.scenario.name, notes))
         files.append(path)
     result = score_to_dict(done.score, done.run, done.scenario, done.controller)
     note = None
     if video is not None:
         from equimus_ctrl.report.video import save_video
 
-        shown = save_video(done.run, done.model, video)
+        with Progress(console=console, transient=True) as progress:
+            task = progress.add_task("video", total=1.0)
+            shown = save_video(
+                done.run, done.model, video, progress=lambda share: progress.update(task, completed=share)
+            )
         files.append(shown.path)
         note = shown.note
     result |= {"plant": done.plant, "model": done.model.name, "seed": seed, "files": [str(f) for f in files]}

@@ -111,10 +111,10 @@ def _written(path: Path, text: str) -> ModuleType:
 
 
 def _imported(kernel: ModuleType) -> list[ModuleType]:
-    """Modules of this package whose compiled functions a kernel uses."""
-    used = {getattr(value, "__module__", None) for value in vars(kernel).values()}
-    names = {n for n in used if isinstance(n, str) and n.startswith("equimus_ctrl.")} - {kernel.__name__, _STUB}
-    return [sys.modules[name] for name in sorted(names)]
+    """Modules of this package that a kernel imports from."""
+    nodes = ast.parse(inspect.getsource(kernel)).body
+    names = {n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.module and "equimus_ctrl" in n.module}
+    return [sys.modules[name] for name in sorted(names - {_STUB})]
 
 
 def _source(form: Structure, phase: Phase) -> str:

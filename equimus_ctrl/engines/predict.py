@@ -10,6 +10,7 @@ import numpy as np
 from equimus_ctrl.effects.command import lag, mean_command
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, valve_settings
 from equimus_ctrl.engines import compiled, trial_kernel
+from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.mjcf import SolverSettings, close_elements, compile_model
 from equimus_ctrl.models.model import Model
@@ -118,7 +119,7 @@ def _mujoco_trial(model: Model, recording: Recording, q0: Array, dt: float, out:
             pressure[i], data.ctrl[i] = lag(pressure[i], target, valve[i, FILL], valve[i, VENT], dt)
         q, v = data.qpos[qpos].copy(), data.qvel[dof].copy()
         mujoco.mj_step(compiled_model, data)
-        if any(w.number for w in data.warning):
+        if any(w.number for w in data.warning) or not np.all(np.abs(data.qvel[dof]) < MAX_SPEED):
             return k
         while k < len(time) and time[k] <= t + dt:
             share = (time[k] - t) / dt

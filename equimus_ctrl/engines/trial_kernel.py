@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from equimus_ctrl.effects.command import lag, mean_command
+from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.model_functions import (
     N_ACTUATORS,
     N_JOINTS,
@@ -16,8 +17,6 @@ from equimus_ctrl.engines.model_functions import (
     rk4,
 )
 from equimus_ctrl.types import Array
-
-LIMIT = 1e3  # beyond this an angle [rad] or a velocity [krad/s] is no leg's
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -84,7 +83,7 @@ def run_trial(
         f = actuator_tuple(force)
         q_next, v_next = rk4(q, v, f, tau, dt, c)
         for j in range(N_JOINTS):
-            if not (abs(q_next[j]) < LIMIT and abs(v_next[j]) < 1e3 * LIMIT):
+            if not abs(v_next[j]) < MAX_SPEED:
                 return k
         while k < m and out_times[k] <= t + dt:
             share = (out_times[k] - t) / dt

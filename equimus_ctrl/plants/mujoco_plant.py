@@ -10,14 +10,13 @@ from numpy.typing import ArrayLike
 
 from equimus_ctrl.effects.command import lag, mean_command
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, valve_settings
+from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import SolverSettings, close_elements, compile_model
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
-
-MAX_SPEED = 1e3  # [rad/s], far beyond any leg's
 
 
 def whole_ratio(fast: float, slow: float, what: str) -> int:

@@ -6,8 +6,6 @@ Figures are built with matplotlib's objects and drawn by Agg; nothing global is 
 from __future__ import annotations
 
 import io
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
+
+from equimus_ctrl.presets import write_bytes
 
 JOINT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499")
 ACTUATOR_COLOURS = ("#E69F00", "#56B4E9", "#117733", "#882255", "#999933", "#332288")
@@ -109,19 +109,10 @@ def legend_below(figure: Figure, handles: Sequence[Artist]) -> Legend | None:
     )
 
 
-def write_atomically(path: Path, data: bytes) -> Path:
-    """Write a file whole or not at all: to a temporary file beside it, then renamed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as out:
-        out.write(data)
-    os.chmod(out.name, 0o644)
-    os.replace(out.name, path)
-    return path
-
-
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG, whole or not at all; the same figure gives the same bytes."""
     canvas = FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     canvas.print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
-    return write_atomically(path, buffer.getvalue())
+    write_bytes(path, buffer.getvalue())
+    return path

@@ -11,6 +11,7 @@ from numba import njit
 
 from equimus_ctrl.controllers.pid_kernel import blend, pid_command, pid_start
 from equimus_ctrl.effects.command import lag, mean_command
+from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.model_functions import (
     N_ACTUATORS,
     N_JOINTS,
@@ -21,8 +22,6 @@ from equimus_ctrl.engines.model_functions import (
     rk4,
 )
 from equimus_ctrl.types import Array
-
-MAX_SPEED = 1e3  # [rad/s], far beyond any leg's
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -204,7 +204,11 @@ class Problem:
         return found
 
     def moduli(self, settings: PidSettings, member: int, along: int = 1) -> tuple[float, float]:
-        """The largest eigenvalue of a leg's linearised sampled loops: as they are, and with all gains raised."""
+        """The largest eigenvalue of a leg's linearised sampled loops: as they are, and with all gains raised.
+
+        While searching (``along`` = 1) the second is computed on the first two legs only, the model and the one that
+        is hardest to keep stable, and is 0 on the others; ``verified`` looks at all of them.
+        """
         m, phase, dt = self.model.morphology, self.model.phase, self.tasks[0].control_dt
         key = (settings.space, member, along)
         if key not in self._legs:
@@ -216,6 +220,8 @@ class Problem:
         modulus = largest_modulus(self._legs[key], gains)
         if modulus >= 1:
             return modulus, math.nan
+        if along == 1 and member > 1:
+            return modulus, 0.0
         gains[: KD + 1] *= self.limits.gain_margin
         return modulus, largest_modulus(self._legs[key], gains)
 

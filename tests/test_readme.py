@@ -1,0 +1,95 @@
+"""The README's and the docs' commands and code, run as they stand."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from equimus_ctrl.cli.main import main
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+INSTALLS = "python3 -m venv"
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def commands(text: str) -> list[str]:
+    lines = [line for block in blocks(text, "sh") for line in block.splitlines() if line.strip()]
+    return [line for line in lines if line.startswith("equimus-ctrl ")]
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for folder in ("controllers", "scenarios", "tuning", "docs"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results", "images"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_readme_commands_run_one_after_the_other(workspace: Path) -> None:
+    found = commands(README)
+    assert len(found) >= 8
+    for command in found:
+        assert main(shlex.split(command)[1:]) == 0, command
+    assert (workspace / "my_pid.toml").is_file()
+    assert (workspace / "my_recordings" / "chirp.csv").is_file()
+
+
+def test_format_commands_run(workspace: Path) -> None:
+    assert main(shlex.split("equimus-ctrl run chirp --set duration=2 --record my_recordings --no-figures")[1:]) == 0
+    for command in commands((ROOT / "docs" / "formats.md").read_text(encoding="utf-8")):
+        assert main(shlex.split(command)[1:]) == 0, command
+
+
+@pytest.mark.parametrize("code", blocks(README, "python"))
+def test_readme_code_runs(code: str, workspace: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=workspace)
+    assert done.returncode == 0, done.stderr
+
+
+def test_readme_shows_the_example_controller_as_it_is() -> None:
+    shown = next(block for block in blocks(README, "python") if "class Spring" in block)
+    body = shown[shown.index("class Spring") : shown.index("done =")]
+    example = (ROOT / "controllers" / "example_custom.py").read_text(encoding="utf-8")
+    for line in body.splitlines():
+        assert line in example.splitlines() or not line.strip(), line
+
+
+def test_ci_calls_the_test_command_of_the_readme() -> None:
+    installs = [line for block in blocks(README, "sh") for line in block.splitlines() if line.startswith(INSTALLS)]
+    assert len(installs) == 2
+    assert installs[0].endswith("equimus-ctrl autotune-pid")
+    assert installs[1] in (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+
+
+def test_recording_example_reads(tmp_path: Path) -> None:
+    from equimus_ctrl import recordings
+
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    example = next(block for block in blocks(text, "") if "cmd.maa" in block)
+    path = tmp_path / "example.csv"
+    path.write_text(example)
+    recording = recordings.read(path)
+    assert recording.joints == ("hip", "knee")
+    assert recording.notes["source"] == "made up"
+    assert recording.command_before.tolist() == [0.0, 0.0]
+
+
+def test_links_of_the_documents_lead_somewhere() -> None:
+    for document in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        for target in re.findall(r"\]\(([^)#]+)\)", document.read_text(encoding="utf-8")):
+            assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_constraints_hold_names_and_versions_only() -> None:
+    for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
+        assert re.fullmatch(r"[A-Za-z0-9_.-]+==[0-9][0-9A-Za-z.+-]*", line), line
