@@ -18,7 +18,7 @@ class Spring:
     stiffness = 300.0  # N per metre of missing length
 
     def init(self, spec, observation):
-        return eq.Kinematics(spec.model)
+        return eq.Kinematics(spec.model, spec.phase)
 
     def step(self, observation, reference, kinematics):
         wanted = reference.position(observation.time)
@@ -29,7 +29,7 @@ class Spring:
 
 def spring(observation, reference, spec):
     """The same as a function: no state, pressures in Pa out; they are clipped to the plant's range."""
-    return Spring().step(observation, reference, eq.Kinematics(spec.model))[0]
+    return Spring().step(observation, reference, eq.Kinematics(spec.model, spec.phase))[0]
 
 
 if __name__ == "__main__":

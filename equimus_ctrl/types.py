@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -93,6 +93,7 @@ class PlantSpec:
         command_high: (n_actuators,) highest command [Pa].
         control_dt: time between two commands [s].
         model: the nominal model the controller may compute with (a ``Morphology``), or None.
+        phase: ``"swing"`` (base fixed) or ``"stance"`` (foot pinned), which the model's statics depend on.
         joint_low: (n_joints,) lower end of the joint range [rad].
         joint_high: (n_joints,) upper end of the joint range [rad].
     """
@@ -105,6 +106,7 @@ class PlantSpec:
     joint_low: Array
     joint_high: Array
     model: Any = None
+    phase: Literal["swing", "stance"] = "swing"
 
 
 @dataclass(frozen=True, eq=False)

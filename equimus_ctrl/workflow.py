@@ -58,6 +58,7 @@ def load_scenario(
     phase: Any = "swing",
     options: Mapping[str, str] | None = None,
     recordings: Path | None = None,
+    search: bool = True,
 ) -> Scenario:
     """A scenario by name or path, built for a robot.
 
@@ -67,12 +68,14 @@ def load_scenario(
         phase: base fixed or foot pinned.
         options: the script's options as text.
         recordings: folder to look for recordings in.
+        search: whether recordings are looked for at all.
 
     Raises:
         ConfigError: where there is no such scenario, or an option does not fit.
     """
     build, where = presets.load_scenario(name)
-    context = ScenarioContext(morphology, phase, recordings_of(recordings), locate.missing_hint())
+    find = recordings_of(recordings) if search else (lambda kind: ())
+    context = ScenarioContext(morphology, phase, find, locate.missing_hint())
     return build_scenario(build, context, options, where)
 
 
@@ -328,7 +331,8 @@ def tune_pid(
         seed: in place of the study's.
         output: settings file to write; ``controllers/pid.toml`` by default.
         folder: of the record and the journal; ``tuning/results/<study>`` by default.
-        recordings: folder scenarios look for recordings in.
+        recordings: folder that scenarios may take recordings from; none by default, so that the same command gives
+            the same gains whether recordings are at hand or not.
         fresh: do not take up an interrupted run.
         workers: threads; all cores by default.
         begin: called with the number of candidates before the first.
@@ -350,7 +354,9 @@ def tune_pid(
     settings = replace(settings, **{key: value for key, value in changes.items() if value is not None})
     model = model or nominal_model()
     built = [
-        load_scenario(o.scenario, model.morphology, phase=model.phase, recordings=recordings)
+        load_scenario(
+            o.scenario, model.morphology, phase=model.phase, recordings=recordings, search=recordings is not None
+        )
         for o in settings.objectives
     ]
     problem = autotune.make_problem(settings, model, built)

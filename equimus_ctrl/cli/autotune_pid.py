@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, Recordings, people, print_json, shown_path
+from equimus_ctrl.cli.common import Json, ModelFile, people, print_json, shown_path
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,7 +29,10 @@ def autotune_pid(
     results: Annotated[
         Path | None, typer.Option(help="Folder for record, journal and figures; tuning/results/<study> by default.")
     ] = None,
-    recordings: Recordings = None,
+    recordings: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder that scenarios may take recordings from; none by default."),
+    ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start anew instead of going on where a run stopped.")] = False,
     workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
     figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,

@@ -34,7 +34,7 @@ class OpenLoopController:
             return lambda time, reference: commands(time)
         if not isinstance(spec.model, Morphology):
             raise ControllerError("open loop needs commands to play, or a plant with a nominal model")
-        kinematics = Kinematics(spec.model)
+        kinematics = Kinematics(spec.model, spec.phase)
         return lambda time, reference: np.clip(
             kinematics.static_pressure(reference.position(time)), spec.command_low, spec.command_high
         )

@@ -203,9 +203,9 @@ class PidController:
                 f"a joint-space PID needs at least as many actuators as joints, this plant has {len(spec.actuators)} "
                 f'for {len(spec.joints)}; use space = "length"'
             )
-        law = compiled.load(spec.model, "swing", pid_kernel)
+        law = compiled.load(spec.model, spec.phase, pid_kernel)
         gains = self.settings.gain_matrix(self.settings.channels(spec))
-        constants = compiled.prepared(spec.model, "swing")
+        constants = compiled.prepared(spec.model, spec.phase)
         memory = np.zeros((3, gains.shape[1]))
         y = np.array(observation.position)
         lengths = self.settings.space == "length"

@@ -15,7 +15,7 @@ from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import SolverSettings, close_elements, compile_model
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
 
 
@@ -53,7 +53,9 @@ class PlantRates:
         whole_ratio(self.physics, self.sensor, "physics rate over sensor rate")
 
 
-def make_spec(morphology: Morphology, control_dt: float, nominal: Morphology | None) -> PlantSpec:
+def make_spec(
+    morphology: Morphology, control_dt: float, nominal: Morphology | None, phase: Phase = "swing"
+) -> PlantSpec:
     """What a controller may know of a robot: its names, limits, control period and a nominal model."""
     low, high = morphology.joint_range
     n = len(morphology.actuators)
@@ -66,6 +68,7 @@ def make_spec(morphology: Morphology, control_dt: float, nominal: Morphology | N
         joint_low=low,
         joint_high=high,
         model=nominal,
+        phase=phase,
     )
 
 
@@ -108,7 +111,7 @@ class MujocoPlant:
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._valve = valve_settings(model.effects, model.morphology.actuator_names)
-        self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model.morphology)
+        self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model.morphology, model.phase)
         self._step_count = -1
 
     @property

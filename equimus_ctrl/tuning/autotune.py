@@ -208,6 +208,8 @@ def autotune(
             problem.warm_up()
             search.run()
         except KeyboardInterrupt:
+            if not search.history:
+                raise
             interrupted = True
         best = best_feasible(search.history, lambda t: problem.verified(study.settings(np.array(t.values), channels)))
         settings = study.settings(np.array(best.values), channels)
