@@ -61,6 +61,18 @@ def prepared(model: Morphology, phase: Phase) -> Array:
     return constants
 
 
+def compiled_mark(kernel: ModuleType) -> Path:
+    """A file beside a loaded kernel that whoever has compiled it leaves there, so that others need not."""
+    return cache_folder() / f"{kernel.__name__}.compiled"
+
+
+def compile_motion(model: Morphology, phase: Phase) -> None:
+    """Compile the equations of motion and their integration step for a structure, or load them from the cache."""
+    module = _model(structure(model), phase)
+    joints, actuators = (0.5,) * len(model.joints), (0.0,) * len(model.actuators)
+    module.rk4(joints, joints, actuators, joints, 1e-3, prepared(model, phase))
+
+
 @lru_cache(maxsize=64)
 def _load(form: Structure, phase: Phase, kernel: ModuleType) -> ModuleType:
     """The kernel's source with its imports of the stub and of other kernels led to their generated counterparts."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.controllers import precompile
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.engines import compiled
@@ -186,7 +187,11 @@ class Problem:
 
     def warm_up(self) -> None:
         """Compile, or load, the kernel and find every leg's rest pose."""
-        self.kernel()
+        other = precompile.start(self.model)
+        try:
+            compiled.compile_motion(self.model.morphology, self.model.phase)
+        finally:
+            precompile.finish(other)
         for i, member in enumerate(self.members):
             for j, task in enumerate(self.tasks):
                 pose = task.position

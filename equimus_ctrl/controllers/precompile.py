@@ -1,0 +1,68 @@
+"""The PID's law compiled in a second process, while the first compiles the robot's equations of motion.
+
+Compiling takes seconds the first time a robot's structure is met, and numba compiles one function at a time within a
+process. Both processes leave what they made in the same cache.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+
+from equimus_ctrl.controllers import pid_kernel
+from equimus_ctrl.engines import compiled
+from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
+
+
+def compile_law(model: Model) -> None:
+    """Compile the PID's functions for a model's structure, or load them from the cache."""
+    m = model.morphology
+    law = compiled.load(m, model.phase, pid_kernel)
+    constants = compiled.prepared(m, model.phase)
+    nj, na = len(m.joints), len(m.actuators)
+    y, command, gains, state = np.ones(nj), np.zeros(na), np.ones((7, na)), np.zeros((3, na))
+    law.pid_start(y, command, gains, True, True, constants, state)
+    law.pid_command(y, y, gains, True, True, np.zeros(na), np.ones(na), 0.01, constants, state, command)
+    compiled.compiled_mark(law).touch()
+
+
+def start(model: Model) -> subprocess.Popen[str] | None:
+    """Begin to compile the law in another process; None where it is compiled already.
+
+    Wait for it with ``finish``. A process that fails is no loss: the law is then compiled where it is needed.
+    """
+    if compiled.compiled_mark(compiled.load(model.morphology, model.phase, pid_kernel)).exists():
+        return None
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-m", __name__],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert process.stdin is not None
+        process.stdin.write(json.dumps(model_to_dict(model)))
+        process.stdin.close()
+    except OSError:
+        return None
+    return process
+
+
+def finish(process: subprocess.Popen[str] | None) -> None:
+    """Wait until the other process is done; stop it where the wait is interrupted."""
+    if process is None:
+        return
+    try:
+        process.wait()
+    except BaseException:
+        process.kill()
+        process.wait()
+        raise
+
+
+if __name__ == "__main__":
+    compile_law(model_from_dict(json.load(sys.stdin)))
