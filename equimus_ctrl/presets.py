@@ -133,7 +133,7 @@ def load_script(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ConfigError(f"{path}: fails when it is loaded: {type(error).__name__}: {error}") from error
     return module
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
-from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError
 from equimus_ctrl.types import Array, Controller, Plant, PlantSpec, Reference, Run, Start
 
 
@@ -33,12 +35,13 @@ def run(
         progress: called with the share done.
 
     Raises:
-        ConfigError: for a duration shorter than one control period.
-        ControllerError: where the controller's command has the wrong size, is not finite or not a pair with a state.
+        ConfigError: for a duration shorter than one control period, or a reference that does not fit the robot.
+        ControllerError: where the controller fails, or its command has the wrong size, is not finite or not a pair with
+            a state.
         SimulationDiverged: where the plant's simulation did.
     """
     spec = plant.spec
-    n = round(duration / spec.control_dt)
+    n = round(duration / spec.control_dt) if math.isfinite(duration) else 0
     if n < 1:
         raise ConfigError(f"duration is {duration:g} s, expected at least one control period of {spec.control_dt:g} s")
     nj, na = len(spec.joints), len(spec.actuators)
@@ -47,23 +50,55 @@ def run(
     command, asked, clipped = np.empty((n, na)), np.empty((n, na)), np.zeros((n, na), dtype=bool)
     observation = plant.reset(start, seed)
     before = np.array(observation.command)
-    state = controller.init(spec, observation)
+    with _blamed(controller, "init", 0.0):
+        state = controller.init(spec, observation)
     for k in range(n):
+        wanted[k] = wanted_pose(reference, spec, observation.time)
         begun = clock.perf_counter()
-        result = controller.step(observation, reference, state)
+        with _blamed(controller, "step", observation.time):
+            result = controller.step(observation, reference, state)
         solve_time[k] = clock.perf_counter() - begun
         if not (isinstance(result, tuple) and len(result) == 2):
             raise ControllerError(f"{_name(controller)}.step returned {result!r}, expected (command, state)")
         state = result[1]
         asked[k] = checked_command(result[0], spec, observation.time, _name(controller))
         times[k], position[k] = observation.time, observation.position
-        wanted[k] = reference.position(observation.time)
         observation = plant.step(asked[k])
         command[k] = np.clip(asked[k], spec.command_low, spec.command_high)
         clipped[k] = observation.clipped
         if progress is not None:
             progress((k + 1) / n)
+    for array in (times, position, wanted, command, asked, clipped, solve_time, before):
+        array.flags.writeable = False
     return Run(spec, times, position, wanted, command, asked, clipped, solve_time, before)
+
+
+@contextmanager
+def _blamed(controller: Controller, method: str, at: float) -> Iterator[None]:
+    """Turn an exception from inside a controller into a sentence that says whose, where and when."""
+    try:
+        yield
+    except EquimusError:
+        raise
+    except Exception as error:
+        raise ControllerError(
+            f"{_name(controller)}.{method} failed at {at:.3f} s: {type(error).__name__}: {error}"
+        ) from error
+
+
+def wanted_pose(reference: Reference, spec: PlantSpec, at: float) -> Array:
+    """(nj,) the reference at a time.
+
+    Raises:
+        ConfigError: where it is not one finite angle for each joint.
+    """
+    pose = np.asarray(reference.position(at), dtype=np.float64)
+    if pose.shape != (len(spec.joints),) or not np.all(np.isfinite(pose)):
+        raise ConfigError(
+            f"the reference is {pose.tolist()} at {at:.3f} s, expected one finite angle in rad for each of "
+            f"{', '.join(spec.joints)}"
+        )
+    return pose
 
 
 def checked_command(command: object, spec: PlantSpec, at: float, who: str) -> Array:

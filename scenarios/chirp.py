@@ -14,6 +14,10 @@ def build(
     high: float = 2.0,
 ) -> eq.Scenario:
     """Mean and amplitude in kPa, frequencies in Hz; the sweep is exponential and starts at the mean's equilibrium."""
+    if not (0 < duration < 1e4 and 0 < low < high):
+        raise eq.ConfigError(
+            f"duration is {duration:g} s from {low:g} to {high:g} Hz; expected 0 < duration, 0 < low < high"
+        )
     times = np.arange(0.0, duration, 1 / 120)
     rate = np.log(high / low) / duration
     phase = 2 * np.pi * low * (np.exp(rate * times) - 1) / rate

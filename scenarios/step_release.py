@@ -9,6 +9,7 @@ def build(
     context: eq.ScenarioContext, maa: float = 40.0, baa: float = 30.0, hold: float = 5.0, duration: float = 10.0
 ) -> eq.Scenario:
     """Pressures in kPa, times in seconds; scored beside the recorded group of these pressures where there is one."""
+    context.require(("hip", "knee"), ("maa", "baa"), "step_release")
     pressure = np.array([maa, baa]) * 1e3
     trials = context.recording("step_release")
     recorded = next((trial for trial in trials if np.allclose(trial.command.max(axis=0), pressure, atol=1.0)), None)

@@ -22,7 +22,7 @@ def build(context: eq.ScenarioContext, duration: float = 40.0) -> eq.Scenario:
     trials = context.recording("triangle")
     recorded = trials[0] if trials else None
     if recorded is not None:
-        profile = context.profile(recorded.time, recorded.command)
+        profile = context.profile(np.r_[0.0, recorded.time[1:]], recorded.command)
         start = eq.Start(command=recorded.command_before, position=recorded.position[0])
     else:
         # The recording begins with the leg at rest without pressure and the command of the second corner.

@@ -89,7 +89,9 @@ def random_morphology(structure: str, seed: int, *, damped: bool = True, stops: 
     )
 
 
-def random_poses(morphology: Morphology, rng: np.random.Generator, n: int, low: float = -1.2, high: float = 1.2) -> Array:
+def random_poses(
+    morphology: Morphology, rng: np.random.Generator, n: int, low: float = -1.2, high: float = 1.2
+) -> Array:
     """(n, nj) poses at which no actuator is shorter than 3 cm, where its direction would be ill defined."""
     kinematics = Kinematics(morphology)
     found: list[Array] = []

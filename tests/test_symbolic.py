@@ -9,7 +9,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from morphologies import (
@@ -177,7 +177,8 @@ def check_conserved(energy: Array) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "phase"), [("one_joint", "swing"), ("mono_and_bi", "swing"), ("branched", "swing"), ("one_joint", "stance")]
+    ("name", "phase"),
+    [("one_joint", "swing"), ("mono_and_bi", "swing"), ("branched", "swing"), ("one_joint", "stance")],
 )
 def test_energy_is_conserved_without_damping(name: str, phase: Phase) -> None:
     m = random_morphology(name, 1, damped=False)
@@ -247,9 +248,7 @@ def test_a_double_pendulum_is_the_textbook_one() -> None:
 def test_a_lone_spring_oscillates_at_the_root_of_k_over_a_third_of_its_mass() -> None:
     """Without gravity, small angles about the pose where the rod stands square to the link: ω² = k r²/(I + m r²/3)."""
     m = pendulum(inertia=4e-3, mass=0.7, com=0.25)
-    rod = replace(
-        m.actuators[0], origin=Point.cartesian("base", 0.1, 0.3), mass=0.9, stiffness=80.0, rest_length=0.3
-    )
+    rod = replace(m.actuators[0], origin=Point.cartesian("base", 0.1, 0.3), mass=0.9, stiffness=80.0, rest_length=0.3)
     k = Kinematics(replace(m, gravity=0.0, actuators=(rod,)))
     h = 1e-5
     slope = (k.acceleration([h], [0], [0]) - k.acceleration([-h], [0], [0]))[0] / (2 * h)
@@ -275,7 +274,12 @@ def test_static_pressure_holds_the_pose_or_comes_as_close_as_can_be(name: str, s
 
 
 @settings(deadline=None, max_examples=100, derandomize=True)
-@given(q=st.floats(-3, 4), v=st.floats(-20, 20))
+@given(
+    q=st.one_of(st.floats(-3, 4), st.floats(-0.1, 0.0), st.floats(1.9, 2.1)),
+    v=st.one_of(st.floats(-20, 20), st.floats(-1000, 1000)),
+)
+@example(q=-0.1, v=50.0)
+@example(q=2.1, v=-50.0)
 def test_a_stop_pushes_back_and_never_pulls(q: float, v: float) -> None:
     m = nominal_leg()
     pose, rate = np.array([1.2, q]), np.array([0.0, v])

@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from equimus_ctrl.errors import ControllerError
+from equimus_ctrl.errors import ControllerError, EquimusError
 from equimus_ctrl.types import Controller, Observation, PlantSpec, Reference
 
 
@@ -31,9 +31,25 @@ class FunctionController:
 
     def step(self, observation: Observation, reference: Reference, state: PlantSpec) -> tuple[ArrayLike, PlantSpec]:
         """The function's command."""
-        if len(inspect.signature(self.function).parameters) == 3:
+        if _wants_spec(self.function):
             return self.function(observation, reference, state), state
         return self.function(observation, reference), state
+
+
+def _accepts(function: Callable[..., Any], count: int) -> bool:
+    """Whether a function can be called with ``count`` positional arguments."""
+    try:
+        inspect.signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # a built-in that does not tell
+        return count == 2
+    return True
+
+
+def _wants_spec(function: Callable[..., Any]) -> bool:
+    """Whether a function needs the spec, rather than having a default in the third place."""
+    return not _accepts(function, 2)
 
 
 def as_controller(thing: Any, name: str) -> Controller:
@@ -44,19 +60,24 @@ def as_controller(thing: Any, name: str) -> Controller:
     """
     if inspect.isclass(thing):
         try:
-            thing = thing()
+            inspect.signature(thing).bind()
         except TypeError as error:
             raise ControllerError(f"{name}: the class cannot be made without arguments ({error})") from None
+        except ValueError:  # a built-in that does not tell
+            pass
+        try:
+            thing = thing()
+        except EquimusError:
+            raise
+        except Exception as error:
+            raise ControllerError(f"{name}: fails when it is made: {type(error).__name__}: {error}") from error
     if callable(getattr(thing, "init", None)) and callable(getattr(thing, "step", None)):
         controller: Controller = thing
         return controller
     if callable(thing):
-        try:
-            count = len(inspect.signature(thing).parameters)
-        except (TypeError, ValueError):
-            count = -1
-        if count in (2, 3):
+        if _accepts(thing, 2) or _accepts(thing, 3):
             return FunctionController(thing, name)
+        count = len(inspect.signature(thing).parameters)
         raise ControllerError(
             f"{name}: a controller function takes (observation, reference) or (observation, reference, spec), "
             f"this one takes {count} parameters"

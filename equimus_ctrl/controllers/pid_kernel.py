@@ -7,7 +7,7 @@ pose, y the measured one:
     D ← D + dt/(T_f + dt)·(Δ(c z(r) − z(y))/dt − D)
     w = k_p (b z(r) − z(y)) + I + k_d D
     P = clip(P_static(r) + map(w))
-    I ← I + dt k_i e + (dt/T_t) unmap(P − P_asked)
+    I ← I + dt k_i e + (dt/T_t) unmap(P − P_asked)     where k_i > 0
 
 where map turns a channel's effort into pressures: force/area for a length, the least-norm pressures of the joint
 torques for angles. Two-degree-of-freedom form, derivative filter and back-calculation follow Åström & Hägglund,
@@ -149,4 +149,5 @@ def pid_command(
     pressures_to_efforts(asked, y, lengths, c, w)
     for i in range(nz):
         share = min(dt / gains[TRACKING, i], 1.0) if gains[TRACKING, i] > 0.0 else 1.0
-        state[INTEGRAL, i] += dt * gains[KI, i] * (zr[i] - zy[i]) + share * w[i]
+        if gains[KI, i] > 0.0:
+            state[INTEGRAL, i] += dt * gains[KI, i] * (zr[i] - zy[i]) + share * w[i]

@@ -26,7 +26,7 @@ def compile_law(model: Model) -> None:
     y, command, gains, state = np.ones(nj), np.zeros(na), np.ones((7, na)), np.zeros((3, na))
     law.pid_start(y, command, gains, True, True, constants, state)
     law.pid_command(y, y, gains, True, True, np.zeros(na), np.ones(na), 0.01, constants, state, command)
-    compiled.compiled_mark(law).touch()
+    compiled.mark_compiled(law)
 
 
 def start(model: Model) -> subprocess.Popen[str] | None:
@@ -34,7 +34,7 @@ def start(model: Model) -> subprocess.Popen[str] | None:
 
     Wait for it with ``finish``. A process that fails is no loss: the law is then compiled where it is needed.
     """
-    if compiled.compiled_mark(compiled.load(model.morphology, model.phase, pid_kernel)).exists():
+    if compiled.is_marked_compiled(compiled.load(model.morphology, model.phase, pid_kernel)):
         return None
     try:
         process = subprocess.Popen(

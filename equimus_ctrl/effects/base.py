@@ -32,6 +32,8 @@ class Effect:
     side: ClassVar[Side]
     sits_at: ClassVar[str]
     summary: ClassVar[str]
+    exclusive: ClassVar[str | None] = None
+    """Of effects that share this word one place can have only one."""
 
     location: str
 
@@ -97,6 +99,8 @@ def parse(text: str) -> Effect:
     values: dict[str, float] = {}
     for item in filter(None, parts[2].split(",")):
         key, equals, value = item.partition("=")
+        if key.strip() in values:
+            raise ConfigError(f"effect {text!r}: {key.strip()!r} is given twice; {form}")
         try:
             values[key.strip()] = float(value)
         except ValueError:
@@ -113,3 +117,13 @@ def check_locations(effects: Sequence[Effect], joints: Sequence[str], actuators:
         known = places[effect.sits_at]
         if effect.location not in known:
             raise ConfigError(unknown_name(effect.sits_at, effect.location, known, f"{where}: effect {effect.name}"))
+    taken: dict[tuple[str, str], str] = {}
+    for effect in effects:
+        if effect.exclusive is None:
+            continue
+        slot = (effect.exclusive, effect.location)
+        if slot in taken:
+            raise ConfigError(
+                f"{where}: {effect.location!r} has two effects that exclude each other, {taken[slot]} and {effect.name}"
+            )
+        taken[slot] = effect.name

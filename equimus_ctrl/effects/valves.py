@@ -46,6 +46,7 @@ class FirstOrderLag(ValveEffect):
     side = "command"
     sits_at = "actuator"
     summary = "the pressure follows the command with one time constant"
+    exclusive = "lag"
     time_constant: float = parameter("s", 0.0, 5.0, "of the pressure")
 
     def apply(self, valve: Array) -> None:
@@ -61,6 +62,7 @@ class AsymmetricLag(ValveEffect):
     side = "command"
     sits_at = "actuator"
     summary = "filling and venting have different time constants"
+    exclusive = "lag"
     fill: float = parameter("s", 0.0, 5.0, "time constant of a rising pressure")
     vent: float = parameter("s", 0.0, 5.0, "time constant of a falling pressure")
 

@@ -61,9 +61,14 @@ def prepared(model: Morphology, phase: Phase) -> Array:
     return constants
 
 
-def compiled_mark(kernel: ModuleType) -> Path:
-    """A file beside a loaded kernel that whoever has compiled it leaves there, so that others need not."""
-    return cache_folder() / f"{kernel.__name__}.compiled"
+def mark_compiled(kernel: ModuleType) -> None:
+    """Leave a mark in the cache that a loaded kernel's functions have been compiled."""
+    (cache_folder() / f"{kernel.__name__}.compiled").touch()
+
+
+def is_marked_compiled(kernel: ModuleType) -> bool:
+    """Whether ``mark_compiled`` was called for a kernel on this machine."""
+    return (cache_folder() / f"{kernel.__name__}.compiled").exists()
 
 
 def compile_motion(model: Morphology, phase: Phase) -> None:

@@ -12,7 +12,8 @@ from equimus_ctrl.effects.valves import DELAY, FILL, VENT, valve_settings
 from equimus_ctrl.engines import compiled, trial_kernel
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
-from equimus_ctrl.models.mjcf import SolverSettings, close_elements, compile_model
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place, step_quietly
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import pack
 from equimus_ctrl.types import Array, Recording
@@ -73,6 +74,13 @@ def predict(
     if engine not in get_args(Engine):
         raise ConfigError(unknown_name("engine", engine, get_args(Engine)))
     q0 = measured_start(recording) if start is None else np.asarray(start, dtype=np.float64)
+    if q0.shape != (len(recording.joints),) or not np.all(np.isfinite(q0)):
+        raise ConfigError(
+            f"{recording.name}: the start is {q0.tolist()}, expected one finite angle in rad for each of "
+            f"{', '.join(recording.joints)}"
+        )
+    if dt is not None and not 0 < dt < float("inf"):
+        raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
     out = np.empty_like(recording.position)
     if engine == "mujoco":
         reached = _mujoco_trial(model, recording, q0, dt or 1 / 480, out)
@@ -104,8 +112,7 @@ def _mujoco_trial(model: Model, recording: Recording, q0: Array, dt: float, out:
     data = mujoco.MjData(compiled_model)
     qpos = np.array([compiled_model.joint(name).qposadr[0] for name in m.joint_names])
     dof = np.array([compiled_model.joint(name).dofadr[0] for name in m.joint_names])
-    data.qpos[qpos] = q0
-    close_elements(compiled_model, data)
+    place(compiled_model, data, Kinematics(m, model.phase), q0)
     valve = valve_settings(model.effects, m.actuator_names)
     # Plain copies: numba compiles anew for read-only arrays.
     time, command, before = np.array(recording.time), np.array(recording.command), recording.command_before
@@ -118,8 +125,7 @@ def _mujoco_trial(model: Model, recording: Recording, q0: Array, dt: float, out:
             target, cursor[i] = mean_command(time, command[:, i], before[i], cursor[i], at, at + dt)
             pressure[i], data.ctrl[i] = lag(pressure[i], target, valve[i, FILL], valve[i, VENT], dt)
         q, v = data.qpos[qpos].copy(), data.qvel[dof].copy()
-        mujoco.mj_step(compiled_model, data)
-        if any(w.number for w in data.warning) or not np.all(np.abs(data.qvel[dof]) < MAX_SPEED):
+        if not step_quietly(compiled_model, data) or not np.all(np.abs(data.qvel[dof]) < MAX_SPEED):
             return k
         while k < len(time) and time[k] <= t + dt:
             share = (time[k] - t) / dt

@@ -117,7 +117,13 @@ class Kinematics:
         Raises:
             ModelError: where no pose at rest is found.
         """
-        force = self.drive_force(pressure)
+        given = np.asarray(pressure, dtype=np.float64)
+        if given.shape != (len(self.morphology.actuators),) or not np.all(np.isfinite(given)):
+            raise ModelError(
+                f"{self.morphology.name}: pressures are {given.tolist()}, expected one finite number of Pa for each of "
+                f"{', '.join(self.morphology.actuator_names)}"
+            )
+        force = self.drive_force(given)
         zero = np.zeros(len(self.morphology.joints))
         low, high = (np.clip(side, -np.pi, np.pi) for side in self.morphology.joint_range)
         starts = [np.asarray(start, dtype=np.float64)] if start is not None else []

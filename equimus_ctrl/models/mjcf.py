@@ -15,10 +15,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from equimus_ctrl.errors import ModelError
+from equimus_ctrl.errors import ModelError, unknown_name
+from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.morphology import BASE, ElasticActuator, Joint, JointStop, Morphology, Phase, Point
 from equimus_ctrl.types import Array
 
+INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
 HINGE_AXIS = (0.0, 1.0, 0.0)
 POINT_INERTIA = 1e-9  # MuJoCo wants more than none; a millionth of a link's
 STOP_IMPEDANCE = 1e-4  # the least MuJoCo allows: the limit then acts as the plain spring and damper it stands for
@@ -43,6 +45,19 @@ class SolverSettings:
     impedance: float = 0.9999
     iterations: int = 50
     tolerance: float = 1e-10
+
+    def check(self) -> None:
+        """Raise ModelError where MuJoCo could not work with these settings."""
+        if self.integrator not in INTEGRATORS:
+            raise ModelError(unknown_name("integrator", self.integrator, INTEGRATORS, "solver settings"))
+        for key in ("timestep", "time_constant", "tolerance"):
+            value = getattr(self, key)
+            if value is not None and not 0 < value < math.inf:
+                raise ModelError(f"solver settings: {key} is {value:g}, expected more than 0")
+        if not 0 < self.impedance < 1:
+            raise ModelError(f"solver settings: impedance is {self.impedance:g}, expected between 0 and 1")
+        if self.iterations < 1:
+            raise ModelError(f"solver settings: iterations is {self.iterations}, expected at least 1")
 
 
 def point_position(point: Point) -> tuple[float, float, float]:
@@ -91,27 +106,42 @@ def add_elastic_actuator(
         ModelError: where a site does not exist or a number cannot be.
     """
     settings = settings or SolverSettings()
-    start, end = spec.site(origin), spec.site(insertion)
-    for label, site in ((origin, start), (insertion, end)):
-        if site is None:
-            known = ", ".join(s.name for s in spec.sites if s.name) or "none"
-            raise ModelError(f"actuator {name!r}: there is no site {label!r} (known: {known})")
-    if start.parent.name == end.parent.name:
-        raise ModelError(f"actuator {name!r}: both sites are on body {start.parent.name!r}, so it cannot lengthen")
+    settings.check()
+    names = [site.name for site in spec.sites]
+    for label in (origin, insertion):
+        if label not in names:
+            raise ModelError(
+                f"actuator {name!r}: there is no site {label!r} (known: {', '.join(n for n in names if n) or 'none'})"
+            )
     for key, value in (("mass", mass), ("rest_length", rest_length)):
-        if not value > 0:
+        if not 0 < value < math.inf:
             raise ModelError(f"actuator {name!r}: {key} is {value:g}, expected more than 0")
+    for key, value in (("stiffness", stiffness), ("damping", damping)):
+        if not 0 <= value < math.inf:
+            raise ModelError(f"actuator {name!r}: {key} is {value:g}, expected at least 0")
+    try:
+        # Where a site really is (frames, Euler angles, defaults) is known to MuJoCo's compiler alone.
+        resolved = spec.copy().compile()
+    except ValueError as error:
+        raise ModelError(f"actuator {name!r}: the model it is added to does not compile ({error})") from None
+    start = resolved.site(origin)
+    if start.bodyid[0] == resolved.site(insertion).bodyid[0]:
+        where = resolved.body(int(start.bodyid[0])).name or "the same body"
+        raise ModelError(f"actuator {name!r}: both sites are on body {where!r}, so it cannot lengthen")
 
-    parent = start.parent
-    upper = parent.add_body(name=f"{name}/upper", pos=start.pos, quat=start.quat)
+    upper = spec.site(origin).parent.add_body(name=f"{name}/upper", pos=start.pos, quat=start.quat)
     _point_mass(upper, mass / 6)
-    upper.add_joint(name=f"{name}/hinge", type=mujoco.mjtJoint.mjJNT_HINGE, axis=HINGE_AXIS)
+    _plain_joint(upper, f"{name}/hinge", mujoco.mjtJoint.mjJNT_HINGE, HINGE_AXIS)
     tendon = spec.add_tendon(name=f"{name}/length")
+    tendon.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    tendon.stiffness[:] = 0.0
+    tendon.damping[:] = 0.0
+    tendon.frictionloss = tendon.armature = 0.0
     body = upper
     for half, share in (("middle", 2 / 3), ("lower", 1 / 6)):
         body = body.add_body(name=f"{name}/{half}")
         _point_mass(body, mass * share)
-        slide = body.add_joint(name=f"{name}/{half}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1.0, 0.0, 0.0))
+        slide = _plain_joint(body, f"{name}/{half}", mujoco.mjtJoint.mjJNT_SLIDE, (1.0, 0.0, 0.0))
         slide.stiffness[0] = 2 * stiffness
         slide.damping[0] = 2 * damping
         slide.springref = rest_length / 2
@@ -141,11 +171,29 @@ def add_elastic_actuator(
     actuator = spec.add_actuator(
         name=name, trntype=mujoco.mjtTrn.mjTRN_TENDON, target=tendon.name, gaintype=mujoco.mjtGain.mjGAIN_FIXED
     )
+    actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+    actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+    actuator.gear[:] = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    actuator.forcelimited = actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
     actuator.gainprm[0] = area
     if command_range is not None:
         actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.ctrlrange = command_range
     return actuator
+
+
+def _plain_joint(
+    body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: tuple[float, float, float]
+) -> mujoco.MjsJoint:
+    """A joint that takes nothing from the model's default classes."""
+    joint = body.add_joint(name=name, type=kind, axis=axis)
+    joint.pos = (0.0, 0.0, 0.0)
+    joint.limited = joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    joint.stiffness[:] = 0.0
+    joint.damping[:] = 0.0
+    joint.springdamper = (0.0, 0.0)
+    joint.armature = joint.frictionloss = joint.springref = joint.ref = 0.0
+    return joint
 
 
 def _point_mass(body: mujoco.MjsBody, mass: float) -> None:
@@ -162,6 +210,7 @@ def build_spec(morphology: Morphology, phase: Phase = "swing", settings: SolverS
     world's site ``foothold``.
     """
     settings = settings or SolverSettings()
+    settings.check()
     spec = mujoco.MjSpec()
     spec.modelname = morphology.name
     spec.compiler.degree = False
@@ -332,11 +381,51 @@ def close_elements(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def _element_names(model: mujoco.MjModel) -> list[str]:
-    names = [model.joint(i).name for i in range(model.njnt)]
-    return [name.removesuffix("/hinge") for name in names if name.endswith("/hinge")]
+    names = [model.equality(i).name for i in range(model.neq)]
+    found = [name.removesuffix("/insertion") for name in names if name.endswith("/insertion")]
+    parts = ((mujoco.mjtObj.mjOBJ_JOINT, "hinge"), (mujoco.mjtObj.mjOBJ_BODY, "upper"))
+    return [n for n in found if all(mujoco.mj_name2id(model, kind, f"{n}/{part}") >= 0 for kind, part in parts)]
 
 
 def _rotation(quaternion: Array) -> Array:
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
+
+
+def place(
+    model: mujoco.MjModel, data: mujoco.MjData, kinematics: Kinematics, position: Array, velocity: Array | None = None
+) -> None:
+    """Put a compiled morphology into a pose: joints, base (in stance, so that the foot is on its foothold), elements.
+
+    Args:
+        model: made by ``compile_model``.
+        data: changed in place.
+        kinematics: of the same morphology and phase.
+        position: (nj,) [rad].
+        velocity: (nj,) [rad/s]; none by default.
+    """
+    joints = [model.joint(name) for name in kinematics.morphology.joint_names]
+    speed = np.zeros(len(joints)) if velocity is None else velocity
+    data.qpos[[joint.qposadr[0] for joint in joints]] = position
+    data.qvel[[joint.dofadr[0] for joint in joints]] = speed
+    if kinematics.phase == "stance":
+        base = [model.joint(f"{BASE}/{axis}") for axis in "xy"]
+        data.qpos[[joint.qposadr[0] for joint in base]] = -kinematics.foot(position)
+        data.qvel[[joint.dofadr[0] for joint in base]] = -kinematics.foot_jacobian(position) @ speed
+    close_elements(model, data)
+
+
+def step_quietly(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+    """One step without MuJoCo's own words on the screen and in its log; False where it warned or lost its numbers."""
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(_heard)
+    try:
+        mujoco.mj_step(model, data)
+    finally:
+        mujoco.set_mju_user_warning(previous)
+    return not any(warning.number for warning in data.warning)
+
+
+def _heard(message: str) -> None:
+    """Warnings are counted in MjData, which is where they are read."""

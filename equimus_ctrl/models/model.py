@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect
@@ -49,7 +49,10 @@ class Model:
     phase: Phase = "swing"
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "effects", tuple(self.effects))
         m = self.morphology
+        if self.phase not in get_args(Phase):
+            raise ConfigError(unknown_name("phase", str(self.phase), get_args(Phase), m.name))
         effects_base.check_locations(self.effects, m.joint_names, m.actuator_names, m.name)
 
     @property
@@ -70,6 +73,15 @@ def model_from_dict(data: Mapping[str, Any], where: str = "model") -> Model:
         ConfigError: for an unknown key, a wrong type or an unknown name, in one sentence that starts with ``where``.
         ModelError: for a morphology that cannot be.
     """
+    try:
+        return _model_from_dict(data, where)
+    except (ConfigError, ModelError) as error:
+        if str(error).startswith(f"{where}: "):
+            raise
+        raise type(error)(f"{where}: {error}") from None
+
+
+def _model_from_dict(data: Mapping[str, Any], where: str) -> Model:
     known = ("format", "name", "morphology", "phase", "parameters", "effects")
     for key in data:
         if key not in known:
@@ -86,10 +98,7 @@ def model_from_dict(data: Mapping[str, Any], where: str = "model") -> Model:
     else:
         raise ConfigError(f"{where}: morphology is {described!r}, expected a name or a table")
     parameters = _numbers(data.get("parameters", {}), f"{where}: parameters")
-    try:
-        morphology = morphology.with_parameters(parameters)
-    except ModelError as error:
-        raise ModelError(f"{where}: {error}") from None
+    morphology = morphology.with_parameters(parameters)
     if "name" in data:
         morphology = _build(Morphology, {**_shallow(morphology), "name": data["name"]}, where)
     phase = data.get("phase", "swing")
@@ -177,11 +186,16 @@ def _build(cls: Any, data: Mapping[str, Any], where: str) -> Any:
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:
-    options = [t for t in get_args(hint) if t is not type(None)]
-    if value is None or is_dataclass(value):
+    if is_dataclass(value):
         return value
-    if options and isinstance(value, list | tuple):
-        return tuple(_convert(options[0], item, f"{where}[{i}]") for i, item in enumerate(value))
+    if get_origin(hint) is tuple:
+        item_type = get_args(hint)[0]
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"{where} is {value!r}, expected a list of tables")
+        return tuple(_convert(item_type, item, f"{where}[{i}]") for i, item in enumerate(value))
+    options = [t for t in get_args(hint) if t is not type(None)]
+    if value is None and options:
+        return None
     target = options[0] if options else hint
     if is_dataclass(target):
         if not isinstance(value, Mapping):
@@ -191,5 +205,4 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         return float(value)
     if target is str and isinstance(value, str):
         return value
-    kind = {float: "a number", str: "a text"}.get(target, "a list of tables")
-    raise ConfigError(f"{where} is {value!r}, expected {kind}")
+    raise ConfigError(f"{where} is {value!r}, expected {'a number' if target is float else 'a text'}")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -23,6 +24,7 @@ Phase = Literal["swing", "stance"]
 """Swing: the base is fixed. Stance: the foot is pinned, the base translates and keeps its orientation."""
 
 BASE = "base"
+RESERVED = (BASE, "world")
 
 
 def _require(condition: bool, message: str) -> None:
@@ -228,6 +230,7 @@ class Morphology:
     def __post_init__(self) -> None:
         _check_least(self.name, 0.0, base_mass=self.base_mass)
         _check_finite(self.name, gravity=self.gravity, tilt=self.tilt)
+        _check_finite(self.name, command_low=self.command_low, command_high=self.command_high)
         _require(
             self.command_low < self.command_high,
             f"{self.name}: the lowest command {self.command_low:g} Pa is not below the highest, "
@@ -237,7 +240,8 @@ class Morphology:
         _require(bool(self.actuators), f"{self.name}: a morphology needs at least one actuator")
         names = [item.name for group in (self.links, self.joints, self.actuators) for item in group]
         for name in names:
-            _require(names.count(name) == 1 and name != BASE, f"{self.name}: the name {name!r} is used twice")
+            _require(names.count(name) == 1, f"{self.name}: the name {name!r} is used twice")
+            _require(name not in RESERVED, f"{self.name}: the name {name!r} is taken; it means the ground")
             _require(name.isidentifier(), f"{self.name}: {name!r} is not a plain name of letters, digits and '_'")
         self._check_tree()
         self._check_actuators()
@@ -279,6 +283,23 @@ class Morphology:
                 f"{owner} has both ends on {actuator.origin.body!r}, so no joint moves it; "
                 "its ends must be on two different bodies",
             )
+            _require(
+                not self._lies_on_pivot(actuator.origin, actuator.insertion)
+                and not self._lies_on_pivot(actuator.insertion, actuator.origin),
+                f"{owner} has an end on the only joint between its two bodies, so its length never changes; "
+                "move that end off the joint",
+            )
+
+    def _lies_on_pivot(self, point: Point, other: Point) -> bool:
+        """Whether ``point`` sits on the one joint that separates its body from the other point's."""
+        here, there = self.chain(point.body), self.chain(other.body)
+        between = [joint for joint in (*here, *there) if (joint in here) != (joint in there)]
+        if len(between) != 1:
+            return False
+        joint = between[0]
+        x, y = point.xy
+        at = self.joint_point(joint).xy if point.body == joint.parent else (0.0, 0.0)
+        return math.hypot(x - at[0], y - at[1]) < 1e-9
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -355,7 +376,7 @@ def _children(part: _Part, prefix: str) -> Iterator[tuple[str, str, _Part]]:
 def _walk(part: _Part, prefix: str = "") -> Iterator[tuple[str, float]]:
     for item in fields(part):
         value = getattr(part, item.name)
-        if isinstance(value, float | int) and not isinstance(value, bool):
+        if isinstance(value, Real):
             yield prefix + item.name, float(value)
     for _, child_prefix, child in _children(part, prefix):
         yield from _walk(child, child_prefix)

@@ -13,7 +13,7 @@ from equimus_ctrl.effects.valves import DELAY, FILL, VENT, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.mjcf import SolverSettings, close_elements, compile_model
+from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place, step_quietly
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
@@ -113,6 +113,7 @@ class MujocoPlant:
         self._valve = valve_settings(model.effects, model.morphology.actuator_names)
         self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model.morphology, model.phase)
         self._step_count = -1
+        self._diverged: str | None = None
 
     @property
     def spec(self) -> PlantSpec:
@@ -127,6 +128,7 @@ class MujocoPlant:
     @property
     def pressure(self) -> Array:
         """(na,) true pressures [Pa]; for figures and tests, not for controllers."""
+        self._require_reset()
         return self._pressure.copy()
 
     def reset(self, start: Start | None = None, seed: int | None = None) -> Observation:
@@ -150,7 +152,9 @@ class MujocoPlant:
         ):
             if array is not None and array.shape != (size,):
                 raise ConfigError(f"start {key} has shape {array.shape}, expected ({size},)")
-        if np.any(command < self.spec.command_low) or np.any(command > self.spec.command_high):
+            if array is not None and key != "command" and not np.all(np.isfinite(array)):
+                raise ConfigError(f"start {key} is {array.tolist()}, expected finite numbers")
+        if not (np.all(command >= self.spec.command_low) and np.all(command <= self.spec.command_high)):
             raise ConfigError(
                 f"start command {_kpa(command)} kPa lies outside {_kpa(self.spec.command_low)} to "
                 f"{_kpa(self.spec.command_high)} kPa"
@@ -158,6 +162,7 @@ class MujocoPlant:
         position = self._kinematics.equilibrium(command) if start.position is None else start.position
         mujoco.mj_resetData(self.mujoco_model, self.data)
         self._place(np.asarray(position), start.velocity)
+        self._diverged = None
         self._rng = np.random.default_rng(seed)
         self._step_count = 0
         self._control_count = 0
@@ -177,8 +182,9 @@ class MujocoPlant:
             ConfigError: for a command of the wrong size or not finite.
             SimulationDiverged: where MuJoCo warns or the numbers are no leg's.
         """
-        if self._step_count < 0:
-            raise ConfigError(f"{self.model.name}: the plant was stepped before it was reset")
+        self._require_reset()
+        if self._diverged is not None:
+            raise SimulationDiverged(self._diverged)
         asked = np.asarray(command, dtype=np.float64)
         if asked.shape != (len(self.spec.actuators),):
             raise ConfigError(f"command has shape {asked.shape}, expected ({len(self.spec.actuators)},)")
@@ -202,19 +208,12 @@ class MujocoPlant:
     def close(self) -> None:
         """Nothing to let go of."""
 
+    def _require_reset(self) -> None:
+        if self._step_count < 0:
+            raise ConfigError(f"{self.model.name}: the plant was stepped before it was reset")
+
     def _place(self, position: Array, velocity: Array | None) -> None:
-        self.data.qpos[self._qpos] = position
-        if velocity is not None:
-            self.data.qvel[self._dof] = velocity
-        if self.model.phase == "stance":
-            foot = self._kinematics.foot(position)
-            base = [self.mujoco_model.joint(f"base/{axis}") for axis in "xy"]
-            self.data.qpos[[joint.qposadr[0] for joint in base]] = -foot
-            if velocity is not None:
-                self.data.qvel[[joint.dofadr[0] for joint in base]] = (
-                    -self._kinematics.foot_jacobian(position) @ velocity
-                )
-        close_elements(self.mujoco_model, self.data)
+        place(self.mujoco_model, self.data, self._kinematics, position, velocity)
 
     def _physics_step(self) -> None:
         n = self._control_count
@@ -227,14 +226,18 @@ class MujocoPlant:
             self._pressure[i], self.data.ctrl[i] = lag(
                 self._pressure[i], target, self._valve[i, FILL], self._valve[i, VENT], self._dt
             )
-        mujoco.mj_step(self.mujoco_model, self.data)
+        slow = self._is_slow()
+        sound = step_quietly(self.mujoco_model, self.data)
         self._step_count += 1
-        speed = np.abs(self.data.qvel[self._dof])
-        if np.any([w.number for w in self.data.warning]) or not np.all(speed < MAX_SPEED):
-            raise SimulationDiverged(
+        if not (slow and sound and self._is_slow()):
+            self._diverged = (
                 f"{self.model.name}: the simulation diverged at {self._step_count * self._dt:.3f} s under commands of "
                 f"{_kpa(self._commands[n - 1])} kPa; a shorter physics step or gentler gains would be needed"
             )
+            raise SimulationDiverged(self._diverged)
+
+    def _is_slow(self) -> bool:
+        return bool(np.all(np.abs(self.data.qvel[self._dof]) < MAX_SPEED))
 
     def _measure(self) -> None:
         self._stamp = self._step_count * self._dt

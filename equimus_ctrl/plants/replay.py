@@ -63,6 +63,8 @@ class ReplayPlant:
         asked = np.asarray(command, dtype=np.float64)
         if asked.shape != (len(self.spec.actuators),):
             raise ConfigError(f"command has shape {asked.shape}, expected ({len(self.spec.actuators)},)")
+        if not np.all(np.isfinite(asked)):
+            raise ConfigError(f"command at {self._count * self.spec.control_dt:.3f} s is {asked}, not finite")
         if (self._count + 1) * self.spec.control_dt > self.duration + self.spec.control_dt:
             raise ConfigError(f"{self.recording.name}: the recording ends after {self.duration:.3f} s")
         self._clipped = (asked < self.spec.command_low) | (asked > self.spec.command_high)
@@ -81,7 +83,7 @@ class ReplayPlant:
         return Observation(
             time=now,
             position=frozen_array(self.recording.position[row]),
-            stamp=float(self.recording.time[row] - first),
+            stamp=min(float(self.recording.time[row] - first), now),
             command=frozen_array(self.recording.command[row]),
             clipped=clipped,
         )

@@ -26,6 +26,8 @@ class HoldReference:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", frozen_array(self.pose, 1, "reference pose"))
+        if not np.all(np.isfinite(self.pose)):
+            raise ConfigError(f"reference pose is {self.pose.tolist()}, expected finite angles in rad")
 
     def position(self, time: float) -> Array:
         """(nj,) [rad]."""
@@ -49,8 +51,10 @@ class SampledReference:
         object.__setattr__(self, "values", frozen_array(self.values, 2, "reference values"))
         if len(self.times) != len(self.values) or len(self.times) == 0:
             raise ConfigError(f"reference: {len(self.times)} times for {len(self.values)} values")
-        if np.any(np.diff(self.times) <= 0):
+        if not np.all(np.diff(self.times) > 0):
             raise ConfigError("reference: times must ascend")
+        if not (np.all(np.isfinite(self.times)) and np.all(np.isfinite(self.values))):
+            raise ConfigError("reference: times and values must be finite numbers")
 
     def position(self, time: float) -> Array:
         """(nj,) [rad]."""
@@ -92,15 +96,22 @@ def pose_of_foot(kinematics: Kinematics, foot: ArrayLike, near: ArrayLike) -> Ar
     """
     target, guess = np.asarray(foot, dtype=np.float64), np.asarray(near, dtype=np.float64)
     low, high = kinematics.morphology.joint_range
-    found = least_squares(
-        lambda q: kinematics.foot(q) - target,
-        np.clip(guess, low + 1e-6, high - 1e-6),
-        jac=lambda q: kinematics.foot_jacobian(q),
-        bounds=(low, high),
-        xtol=1e-14,
-        ftol=1e-14,
-        gtol=1e-14,
-    )
+    near_low, near_high = (np.clip(side, -np.pi, np.pi) for side in (low, high))
+    inside = [np.clip(guess, low + 1e-6, high - 1e-6)]
+    # A guess outside the ranges may be stuck at their edge; then places within them are tried too.
+    inside += [near_low + share * (near_high - near_low) for share in (0.5, 0.25, 0.75)]
+    for first in inside:
+        found = least_squares(
+            lambda q: kinematics.foot(q) - target,
+            first,
+            jac=lambda q: kinematics.foot_jacobian(q),
+            bounds=(low, high),
+            xtol=1e-14,
+            ftol=1e-14,
+            gtol=1e-14,
+        )
+        if np.linalg.norm(kinematics.foot(found.x) - target) <= 1e-6:
+            break
     miss = float(np.linalg.norm(kinematics.foot(found.x) - target))
     if miss > 1e-6:
         raise ConfigError(

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.errors import ConfigError, EquimusError, unknown_name
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.types import Array, Recording, Reference, Start, frozen_array
+
+RANGE_MARGIN = 0.1
+"""How far into a joint's stop a reference may begin [rad]: an equilibrium may press on a stop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +34,10 @@ class CommandProfile:
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", frozen_array(self.times, 1, "command times"))
         object.__setattr__(self, "values", frozen_array(self.values, 2, "command values"))
-        if len(self.times) != len(self.values) or len(self.times) == 0 or np.any(np.diff(self.times) <= 0):
+        if len(self.times) != len(self.values) or len(self.times) == 0 or not np.all(np.diff(self.times) > 0):
             raise ConfigError("a command profile needs one row of pressures for each of its ascending times")
+        if not (np.all(np.isfinite(self.times)) and np.all(np.isfinite(self.values))):
+            raise ConfigError("a command profile's times and pressures must be finite numbers")
 
     def at(self, time: float) -> Array:
         """(na,) the commands in force at ``time`` [Pa]."""
@@ -141,17 +147,59 @@ def build_scenario(
     Raises:
         ConfigError: for an unknown option or a text that is not of the default's type.
     """
-    known = {p.name: p.default for p in list(inspect.signature(build).parameters.values())[1:]}
+    known = option_defaults(build)
+    for key, default in known.items():
+        if default is inspect.Parameter.empty:
+            raise ConfigError(f"{where}: build's parameter {key!r} has no default; each option of a scenario needs one")
     values: dict[str, Any] = {}
     for key, text in (options or {}).items():
         if key not in known:
             raise ConfigError(unknown_name("option", key, known, where))
-        kind = type(known[key])
-        try:
-            values[key] = text.lower() in ("true", "yes", "1") if kind is bool else kind(text)
-        except ValueError:
-            raise ConfigError(f"{where}: option {key} is {text!r}, expected {kind.__name__}") from None
-    return build(context, **values)
+        values[key] = _read_option(key, text, type(known[key]), where)
+    given = "".join(f" with {key} = {text}" for key, text in (options or {}).items())
+    try:
+        scenario = build(context, **values)
+        _check_scenario(scenario, context)
+    except EquimusError as error:
+        raise type(error)(f"{where}{given}: {error}" if where or given else str(error)) from None
+    except Exception as error:
+        raise ConfigError(f"{where}{given}: build fails: {type(error).__name__}: {error}") from error
+    return scenario
+
+
+def _read_option(key: str, text: str, kind: type, where: str) -> Any:
+    if kind is bool:
+        words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+        if text.lower() not in words:
+            raise ConfigError(f"{where}: option {key} is {text!r}, expected true or false")
+        return words[text.lower()]
+    try:
+        value = kind(text)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{where}: option {key} is {text!r}, expected {kind.__name__}") from None
+    if kind is float and math.isnan(value):
+        raise ConfigError(f"{where}: option {key} is {text!r}, expected a number")
+    return value
+
+
+def _check_scenario(scenario: object, context: ScenarioContext) -> None:
+    """Raise ConfigError unless ``build`` returned a scenario whose reference fits the robot."""
+    if not isinstance(scenario, Scenario):
+        raise ConfigError(f"build returned {scenario!r}, expected a Scenario")
+    m = context.morphology
+    pose = np.asarray(scenario.reference.position(0.0), dtype=np.float64)
+    if pose.shape != (len(m.joints),) or not np.all(np.isfinite(pose)):
+        raise ConfigError(
+            f"the reference of scenario {scenario.name} begins at {pose.tolist()}, expected one finite angle in rad for "
+            f"each of {', '.join(m.joint_names)}"
+        )
+    low, high = m.joint_range
+    for joint, angle, least, most in zip(m.joint_names, pose, low, high, strict=True):
+        if not least - RANGE_MARGIN <= angle <= most + RANGE_MARGIN:
+            raise ConfigError(
+                f"the reference of scenario {scenario.name} begins with {joint} at {math.degrees(angle):.1f}°, outside "
+                f"the joint's range of {math.degrees(least):.1f}° to {math.degrees(most):.1f}°"
+            )
 
 
 def option_defaults(build: Callable[..., Scenario]) -> dict[str, Any]:

@@ -76,6 +76,11 @@ def score_run(run: Run, scenario: Scenario) -> Score:
     recorded = None
     if scenario.recorded is not None:
         shown = grid[(grid >= recorded_time[0]) & (grid <= recorded_time[-1])]
+        if len(shown) == 0:
+            raise ConfigError(
+                f"scenario {scenario.name}: the recording lasts from {recorded_time[0]:g} to {recorded_time[-1]:g} s, "
+                f"outside what is scored, {grid[0]:g} to {grid[-1]:g} s"
+            )
         difference = on_grid(run.time, run.position, shown) - on_grid(recorded_time, scenario.recorded.position, shown)
         recorded = ErrorFigures.of(difference)
     at_limit = run.clipped | (run.command <= run.spec.command_low) | (run.command >= run.spec.command_high)

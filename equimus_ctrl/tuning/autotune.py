@@ -13,6 +13,7 @@ from platform import python_version
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.controllers.pid import PidController, PidSettings
 from equimus_ctrl.effects import AsymmetricLag, TransportDelay
@@ -202,7 +203,9 @@ def autotune(
         history=[],
     )
     interrupted = False
-    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+    # Linear algebra keeps to one thread each: the cores are busy with candidates, and the bits stay the same on any
+    # number of them.
+    with threadpool_limits(1), ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         search.evaluate = lambda batch: problem.evaluate([study.settings(v, channels) for v in batch], pool)
         try:
             problem.warm_up()

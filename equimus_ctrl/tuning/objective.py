@@ -284,9 +284,10 @@ class Problem:
         overshoot, settling, offset, restless = 0.0, 0.0, 0.0, 0.0
         if t.step_like:
             step = t.reference[-1] - q[0]
-            moved = (q - q[0]) * np.sign(step)
             size = np.maximum(np.abs(step), BAND)
-            overshoot = float(np.max((moved.max(axis=0) - np.abs(step)) / size, initial=0.0))
+            # A joint that is to stay where it is overshoots in either direction.
+            beyond = np.where(np.abs(step) > 1e-9, error * np.sign(step), np.abs(error))
+            overshoot = float(np.max(beyond.max(axis=0) / size, initial=0.0))
             outside = np.flatnonzero(np.any(np.abs(error) > BAND, axis=1))
             settling = 0.0 if len(outside) == 0 else float((outside[-1] + 1) * t.control_dt)
             late = slice(-(len(q) // 4), None)
@@ -361,7 +362,7 @@ class Problem:
     def evaluate(self, candidates: Sequence[PidSettings], pool: ThreadPoolExecutor) -> Iterator[Evaluation]:
         """Judge candidates in their order, every leg of every candidate being a job of its own.
 
-        Of several candidates, those that fail on the leg that is hardest to keep stable are not tried on the others.
+        Candidates that fail on the leg that is hardest to keep stable are not tried on the others.
         """
         n = len(self.members)
         hardest = min(1, n - 1)
@@ -369,7 +370,7 @@ class Problem:
         jobs = [{hardest: pool.submit(self.leg_outcome, settings, hardest)} for settings in candidates]
         try:
             for settings, job in zip(candidates, jobs, strict=True):
-                if len(candidates) == 1 or job[hardest].result().calm:
+                if job[hardest].result().calm:
                     job.update({i: pool.submit(self.leg_outcome, settings, i) for i in rest})
             for job in jobs:
                 yield self.judge([job[i].result() for i in sorted(job)])

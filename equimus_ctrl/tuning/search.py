@@ -75,6 +75,7 @@ class Search:
         journal: where they are kept.
         notify: called after each candidate.
         history: what was tried.
+        restarts: how often CMA-ES has begun.
     """
 
     low: Array
@@ -87,6 +88,7 @@ class Search:
     journal: Journal
     notify: Callable[[Trial], None]
     history: list[Trial]
+    restarts: int = 0
 
     def run(self) -> None:
         """Spend the budget; ``history`` grows as it goes."""
@@ -143,7 +145,8 @@ class Search:
 
     def _cma(self) -> None:
         n = len(self.low)
-        restarts = sum(1 for a, b in zip(self.history, self.history[1:], strict=False) if _begins_cma(a, b))
+        restarts = self.restarts
+        self.restarts += 1
         optimiser = cmaes.CMA(
             mean=self._unit(self.best().values),
             sigma=0.15 if restarts == 0 else 0.3,
@@ -170,7 +173,3 @@ class Search:
                 options={"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-6, "adaptive": True, "maxfev": 10**6},
             )
             start, size = np.clip(found.x, 0.0, 1.0), size / 4
-
-
-def _begins_cma(before: Trial, after: Trial) -> bool:
-    return after.stage == "cma-es" and before.stage != "cma-es"

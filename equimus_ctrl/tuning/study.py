@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from equimus_ctrl.controllers.pid import PidGains, PidSettings, Space
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.types import Array
 
 FORMAT = "equimus-ctrl/tuning/1"
+SHORTEST = 0.1
+"""An objective runs at least this long [s]; there is nothing to judge in less."""
 
 
 def _check(owner: str, key: str, value: float, low: float, high: float = math.inf) -> None:
@@ -36,7 +38,8 @@ class Objective:
 
     def __post_init__(self) -> None:
         _check(f"objective {self.scenario}", "weight", self.weight, 0.0)
-        _check(f"objective {self.scenario}", "duration", self.duration, 0.0)
+        if self.duration != 0:
+            _check(f"objective {self.scenario}", "duration", self.duration, SHORTEST)
 
 
 @dataclass(frozen=True)
@@ -149,7 +152,7 @@ class Range:
     def __post_init__(self) -> None:
         if not 0 < self.low <= self.start <= self.high < math.inf or self.low == self.high:
             raise ConfigError(
-                f"search: low {self.low:g}, start {self.start:g}, high {self.high:g}; expected 0 < low ≤ start ≤ high"
+                f"low {self.low:g}, start {self.start:g}, high {self.high:g}; expected 0 < low ≤ start ≤ high"
             )
 
 
@@ -194,6 +197,8 @@ class Study:
         for key in self.search:
             if key not in (*GAINS, "derivative_time"):
                 raise ConfigError(unknown_name("gain", key, (*GAINS, "derivative_time"), "search"))
+        if self.space not in get_args(Space):
+            raise ConfigError(unknown_name("PID space", str(self.space), get_args(Space), "study"))
         _check("study", "candidates", self.candidates, 1)
         _check("study", "polish", self.polish, 0.0, 0.9)
         _check("study", "seed", self.seed, 0)
@@ -232,11 +237,23 @@ def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study:
         search = table.get("search", {})
         if not isinstance(search, Mapping):
             raise ConfigError("search: expected [search.<gain>] tables")
-        table["search"] = {key: _from_table(Range, item, f"search.{key}") for key, item in search.items()}
+        table["search"] = {key: _range(key, item) for key, item in search.items()}
         study: Study = _from_table(Study, table, "study")
         return study
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
+
+
+def _range(key: str, table: Any) -> Range:
+    try:
+        found: Range = _from_table(Range, table, f"search.{key}")
+    except ConfigError as error:
+        raise ConfigError(str(error) if str(error).startswith("search.") else f"search.{key}: {error}") from None
+    return found
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _from_table(cls: Any, table: Any, where: str) -> Any:
@@ -255,7 +272,7 @@ def _from_table(cls: Any, table: Any, where: str) -> Any:
                 raise ConfigError(f"{where}: {key} is {value!r}, expected a {'whole ' if hint is int else ''}number")
             value = hint(value)
         elif hint == tuple[float, float]:
-            if not (isinstance(value, list) and len(value) == 2 and all(isinstance(v, int | float) for v in value)):
+            if not (isinstance(value, list) and len(value) == 2 and all(_is_number(v) for v in value)):
                 raise ConfigError(f"{where}: {key} is {value!r}, expected two numbers")
             value = (float(value[0]), float(value[1]))
         elif hint is str and not isinstance(value, str):

@@ -1,0 +1,281 @@
+"""Generated source says what CasADi says, and compiled kernels say what the symbolic model says."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from morphologies import STRUCTURES, random_morphology, random_poses
+
+from equimus_ctrl.engines import compiled, trial_kernel
+from equimus_ctrl.models import codegen
+from equimus_ctrl.models.codegen import Routine, generate
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.leg import ideal_leg, nominal_leg
+from equimus_ctrl.models.morphology import Morphology, Phase, pack
+from equimus_ctrl.models.symbolic import pseudo_solve, symbolic_model
+from equimus_ctrl.types import Array
+
+PLAIN = "# decorated"
+"""A comment in the decorator's place: the generated functions run as ordinary Python."""
+
+
+def run_source(source: str) -> dict[str, Any]:
+    names: dict[str, Any] = {"math": math, "np": np}
+    exec(source, names)
+    return names
+
+
+def equal(left: ca.SX, right: ca.SX) -> ca.SX:
+    return left == right
+
+
+def differ(left: ca.SX, right: ca.SX) -> ca.SX:
+    return left != right
+
+
+OPERATIONS: dict[int, Callable[[ca.SX, ca.SX], ca.SX]] = {
+    ca.OP_ADD: operator.add,
+    ca.OP_SUB: operator.sub,
+    ca.OP_MUL: operator.mul,
+    ca.OP_DIV: operator.truediv,
+    ca.OP_POW: lambda a, b: ca.fabs(a) ** b,
+    ca.OP_CONSTPOW: lambda a, b: ca.constpow(ca.fabs(a), 2.7),
+    ca.OP_LT: operator.lt,
+    ca.OP_LE: operator.le,
+    ca.OP_EQ: equal,
+    ca.OP_NE: differ,
+    ca.OP_AND: lambda a, b: ca.logic_and(a > 0, b > 0),
+    ca.OP_OR: lambda a, b: ca.logic_or(a > 0, b > 0),
+    ca.OP_NOT: lambda a, b: ca.logic_not(a > b),
+    ca.OP_FMIN: ca.fmin,
+    ca.OP_FMAX: ca.fmax,
+    ca.OP_IF_ELSE_ZERO: lambda a, b: ca.if_else(a > b, a * b, 0),
+    ca.OP_ATAN2: ca.atan2,
+    ca.OP_NEG: lambda a, b: -a,
+    ca.OP_INV: lambda a, b: 1 / a,
+    ca.OP_SQ: lambda a, b: a**2,
+    ca.OP_TWICE: lambda a, b: 2 * a,
+    ca.OP_SQRT: lambda a, b: ca.sqrt(ca.fabs(a)),
+    ca.OP_SIN: lambda a, b: ca.sin(a),
+    ca.OP_COS: lambda a, b: ca.cos(a),
+    ca.OP_TAN: lambda a, b: ca.tan(a),
+    ca.OP_EXP: lambda a, b: ca.exp(a),
+    ca.OP_LOG: lambda a, b: ca.log(ca.fabs(a)),
+    ca.OP_TANH: lambda a, b: ca.tanh(a),
+    ca.OP_FABS: lambda a, b: ca.fabs(a),
+}
+"""One expression that makes CasADi use each operation; OP_ASSIGN never appears in an SX function."""
+
+
+@lru_cache(maxsize=128)
+def both(op: int, sides: str) -> tuple[ca.Function, Callable[..., tuple[float, ...]]]:
+    """CasADi's function and the generated one of an operation; ``sides`` says of what: x a variable, p a parameter."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
+    a, b = (x[i] if side == "x" else p[i] for i, side in enumerate(sides))
+    # A second use of the result, so that a value handed on is a value computed once.
+    value = OPERATIONS[op](a, b)
+    output = ca.vertcat(value, 3 - value * x[0])
+    function = ca.Function("exact", [x, p], [output])
+    assert op in {function.instruction_id(k) for k in range(function.n_instructions())}
+    names = run_source(generate([Routine("routine", {"x": x}, output)], p, PLAIN))
+    return function, lambda x, p: names["routine"](tuple(x), names["prepare"](np.array(p)))
+
+
+def test_every_operation_of_the_table_is_tried() -> None:
+    assert set(OPERATIONS) == set(codegen._BINARY) - {ca.OP_ASSIGN}
+    assert eval(codegen._BINARY[ca.OP_ASSIGN].format("3.5")) == 3.5
+
+
+@pytest.mark.parametrize("sides", ["xx", "xp", "px", "pp"])
+@pytest.mark.parametrize("op", OPERATIONS)
+@settings(deadline=None, max_examples=15, derandomize=True)
+@given(
+    x=st.lists(st.floats(-8, 8), min_size=2, max_size=2),
+    p=st.lists(st.floats(-8, 8), min_size=2, max_size=2),
+    same=st.booleans(),
+)
+def test_an_operation_gives_what_casadi_gives(op: int, sides: str, x: list[float], p: list[float], same: bool) -> None:
+    if same:  # comparisons change their answer at equality
+        x[1] = x[0]
+        p = list(x)
+    if op in (ca.OP_DIV, ca.OP_INV, ca.OP_LOG, ca.OP_POW):
+        x, p = ([value if abs(value) > 1e-3 else 0.5 for value in values] for values in (x, p))
+    exact, routine = both(op, sides)
+    np.testing.assert_allclose(routine(x, p), np.array(exact(x, p)).ravel(), rtol=1e-13, atol=1e-300)
+
+
+def generated(output: ca.SX, inputs: dict[str, ca.SX], p: ca.SX) -> tuple[str, dict[str, Any]]:
+    source = generate([Routine("routine", inputs, output)], p, PLAIN)
+    return source, run_source(source)
+
+
+def test_what_depends_on_parameters_alone_is_done_once_in_prepare() -> None:
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 3)
+    output = ca.vertcat(ca.sin(p[0] * p[1]) * x[0] + p[2], ca.exp(p[2]), x[1])
+    source, names = generated(output, {"x": x}, p)
+    prepare, routine = source.split("def routine")
+    assert "math.sin" in prepare
+    assert "math.exp" in prepare
+    assert "math." not in routine
+    constants = names["prepare"](np.array([0.3, 2.0, -1.0]))
+    assert constants.shape == (3,)  # sin(p0 p1), p2 and exp(p2), each once
+    expected = (math.sin(0.6) * 5 - 1, math.exp(-1), 7.0)
+    np.testing.assert_allclose(names["routine"]((5.0, 7.0), constants), expected, rtol=1e-15)
+
+
+def test_routines_share_one_array_of_constants() -> None:
+    x, p = ca.SX.sym("x"), ca.SX.sym("p", 2)
+    routines = [
+        Routine("first", {"x": x}, ca.cos(p[0]) * x),
+        Routine("second", {"x": x}, ca.cos(p[0]) + ca.cos(p[1]) * x),
+        Routine("third", {}, p),
+    ]
+    names = run_source(generate(routines, p, PLAIN))
+    c = names["prepare"](np.array([0.4, 1.1]))
+    np.testing.assert_allclose(names["first"]((2.0,), c), [2 * math.cos(0.4)])
+    np.testing.assert_allclose(names["second"]((2.0,), c), [math.cos(0.4) + 2 * math.cos(1.1)])
+    np.testing.assert_allclose(names["third"](c), [0.4, 1.1])
+
+
+def test_outputs_come_column_by_column_with_their_zeros() -> None:
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 1)
+    _, names = generated(ca.diag(x) + 0 * p, {"x": x}, p)
+    assert names["routine"]((2.0, 3.0), names["prepare"](np.array([1.0]))) == (2.0, 0.0, 0.0, 3.0)
+    _, names = generated(ca.SX(ca.DM([1.5, -2.0])), {"x": x}, p)
+    assert names["routine"]((0.0, 0.0), names["prepare"](np.array([1.0]))) == (1.5, -2.0)
+
+
+def test_negative_constants_keep_their_sign() -> None:
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    _, names = generated(ca.vertcat(ca.SX(-2.0) ** x, x - ca.SX(-3.0), 0.5 - (-x)), {"x": x}, p)
+    assert names["routine"]((2.0,), names["prepare"](np.array([0.0]))) == (4.0, 5.0, 2.5)
+
+
+def test_an_operation_without_source_form_is_refused() -> None:
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    with pytest.raises(NotImplementedError, match=rf"operation {ca.OP_SINH} has no source form"):
+        generate([Routine("routine", {"x": x}, ca.sinh(x))], p, PLAIN)
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_a_constant_that_is_no_number_is_refused(value: float) -> None:
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    with pytest.raises(ValueError, match=f"the constant {value}"):
+        generate([Routine("routine", {"x": x}, ca.vertcat(x, value))], p, PLAIN)
+
+
+def model_routines(m: Morphology, phase: Phase) -> tuple[dict[str, Any], ca.Function]:
+    """The generated functions of a structure, and CasADi's own."""
+    s = symbolic_model(m, phase)
+    drive = s.jacobian.T @ ca.diag(s.area)
+    outputs = [s.acceleration, s.lengths, s.area, s.static_pressure, pseudo_solve(drive, s.tau), drive @ s.f]
+    names = vars(compiled._model(compiled.structure(m), phase))
+    return names, ca.Function("exact", [s.q, s.v, s.f, s.tau, s.p], outputs)
+
+
+@pytest.mark.parametrize("phase", ["swing", "stance"])
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_the_generated_functions_are_the_symbolic_ones(name: str, phase: Phase) -> None:
+    """Run as ordinary Python, which needs no compilation."""
+    m = random_morphology(name, 2, stops=True)
+    names, exact = model_routines(m, phase)
+    nj, na = len(m.joints), len(m.actuators)
+    assert (names["N_JOINTS"], names["N_ACTUATORS"]) == (nj, na)
+    rng = np.random.default_rng(0)
+    c = names["prepare"].py_func(pack(m))
+    for pose in random_poses(m, rng, 3):
+        q, v, f, tau = (tuple(x) for x in (pose, rng.normal(0, 3, nj), rng.normal(0, 9, na), rng.normal(0, 1, nj)))
+        expected = [np.array(x).ravel() for x in exact(q, v, f, tau, pack(m))]
+        found = [
+            names["acceleration"].py_func(q, v, f, tau, c),
+            names["actuator_lengths"].py_func(q, c),
+            names["actuator_areas"].py_func(c),
+            names["static_pressure"].py_func(q, c),
+            names["torque_pressure"].py_func(q, tau, c),
+            names["pressure_torque"].py_func(q, f, c),
+        ]
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
+
+
+@pytest.mark.parametrize("make", [nominal_leg, ideal_leg])
+def test_the_compiled_leg_is_the_symbolic_one(make: Callable[[], Morphology]) -> None:
+    m = make()
+    k = Kinematics(m)
+    names = vars(compiled._model(compiled.structure(m), "swing"))
+    c = compiled.prepared(m, "swing")
+    area = np.array([a.area for a in m.actuators])
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        # Free, and pressed into either stop.
+        q, v = rng.uniform([0.3, -0.2], [2.8, 2.2]), rng.normal(0, 4, 2)
+        p, tau = rng.uniform(0, 5e4, 2), rng.normal(0, 1, 2)
+        found = names["acceleration"](tuple(q), tuple(v), tuple(area * p), tuple(tau), c)
+        np.testing.assert_allclose(found, k.acceleration(q, v, p, tau), rtol=1e-10)
+        np.testing.assert_allclose(names["actuator_lengths"](tuple(q), c), k.lengths(q), rtol=1e-12)
+        np.testing.assert_allclose(names["static_pressure"](tuple(q), c), k.static_pressure(q), rtol=1e-9)
+        np.testing.assert_allclose(names["pressure_torque"](tuple(q), tuple(p), c), k.jacobian(q).T @ (area * p))
+        np.testing.assert_allclose(
+            names["torque_pressure"](tuple(q), tuple(tau), c), np.linalg.solve(k.jacobian(q).T * area, tau), rtol=1e-8
+        )
+    np.testing.assert_allclose(names["actuator_areas"](c), area)
+
+
+def test_the_compiled_step_is_of_fourth_order() -> None:
+    """Halving the step divides the error by sixteen."""
+    m = nominal_leg()
+    names = vars(compiled._model(compiled.structure(m), "swing"))
+    c = compiled.prepared(m, "swing")
+
+    def end(n: int) -> Array:
+        q, v = (1.2, 0.8), (1.0, -2.0)
+        for _ in range(n):
+            q, v = names["rk4"](q, v, (3.0, 5.0), (0.0, 0.1), 0.08 / n, c)
+        return np.array([*q, *v])
+
+    exact = end(1024)
+    errors = [np.abs(end(n) - exact).max() for n in (40, 80, 160)]
+    assert errors[0] / errors[1] == pytest.approx(16, rel=0.2)
+    assert errors[1] / errors[2] == pytest.approx(16, rel=0.2)
+
+
+def test_one_structure_shares_one_kernel_and_another_has_its_own() -> None:
+    kernel = compiled.load(nominal_leg(), "swing", trial_kernel)
+    assert compiled.load(ideal_leg(), "swing", trial_kernel) is kernel
+    assert compiled.load(nominal_leg(), "stance", trial_kernel) is not kernel
+
+
+def test_generated_files_lie_whole_in_the_folder_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "new" / "cache"
+    monkeypatch.setenv("EQUIMUS_CACHE", str(folder))
+    assert compiled.cache_folder() == folder
+    # Past the memory of what was made already, to the files.
+    make = compiled._model.__wrapped__
+    form = compiled.structure(random_morphology("one_joint", 0))
+    first = make(form, "swing")
+    files = sorted(path.name for path in folder.iterdir() if path.is_file())
+    assert files == [Path(first.__file__ or "").name]
+    assert make(form, "swing").__file__ == first.__file__
+    assert make(form, "stance").__file__ != first.__file__
+
+
+def test_a_folder_that_cannot_be_written_is_replaced_by_a_temporary_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    monkeypatch.setenv("EQUIMUS_CACHE", str(blocked / "cache"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    folder = compiled.cache_folder()
+    assert folder.is_dir()
+    assert folder.parent == tmp_path

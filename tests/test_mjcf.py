@@ -1,0 +1,556 @@
+"""The MuJoCo model: the energies, accelerations and motion of the exact one, and the element on anyone's MjSpec."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from morphologies import STRUCTURES, integrate, newton_acceleration, pendulum, random_morphology, random_poses
+
+from equimus_ctrl.errors import ModelError
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.leg import ideal_leg, nominal_leg
+from equimus_ctrl.models.mjcf import SolverSettings, add_elastic_actuator, build_spec, close_elements, compile_model
+from equimus_ctrl.models.morphology import JointStop, Morphology, Phase, Point
+from equimus_ctrl.types import Array
+
+PHASES: tuple[Phase, ...] = ("swing", "stance")
+FINE = SolverSettings(timestep=1 / 480, integrator="RK4")
+
+every_phase = pytest.mark.parametrize("phase", PHASES)
+every_structure = pytest.mark.parametrize("name", STRUCTURES)
+
+
+class Simulated:
+    """A morphology in MuJoCo, with its joints found by name."""
+
+    def __init__(self, morphology: Morphology, phase: Phase = "swing", settings: SolverSettings | None = None) -> None:
+        self.morphology, self.phase = morphology, phase
+        self.model = compile_model(morphology, phase, settings)
+        self.data = mujoco.MjData(self.model)
+        self.qpos = [self.model.joint(name).qposadr[0] for name in morphology.joint_names]
+        self.dof = [self.model.joint(name).dofadr[0] for name in morphology.joint_names]
+
+    def place(self, q: Array, v: Array, pressure: Array) -> None:
+        """Into a state, in stance with the foot on its foothold; independent of what the library's plant does."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self.qpos], self.data.qvel[self.dof] = q, v
+        if self.phase == "stance":
+            k = Kinematics(self.morphology)
+            for axis, at, rate in zip("xy", k.foot(q), k.foot_jacobian(q) @ v, strict=True):
+                joint = self.model.joint(f"base/{axis}")
+                self.data.qpos[joint.qposadr[0]], self.data.qvel[joint.dofadr[0]] = -at, -rate
+        close_elements(self.model, self.data)
+        self.data.ctrl[:] = pressure
+        mujoco.mj_forward(self.model, self.data)
+
+    def energies(self) -> tuple[float, float]:
+        mujoco.mj_energyPos(self.model, self.data)
+        mujoco.mj_energyVel(self.model, self.data)
+        return float(self.data.energy[1]), float(self.data.energy[0])
+
+    def gaps(self) -> tuple[float, float]:
+        """Largest difference between the halves, and largest distance between an element's end and its site [m]."""
+        halves, ends = [], []
+        for a in self.morphology.actuators:
+            slides = [self.data.qpos[self.model.joint(f"{a.name}/{half}").qposadr[0]] for half in ("middle", "lower")]
+            halves.append(abs(slides[0] - slides[1]))
+            sites = [self.data.site(name).xpos for name in (f"{a.name}/end", f"{a.name}/insertion")]
+            ends.append(float(np.linalg.norm(sites[0] - sites[1])))
+        return max(halves), max(ends)
+
+
+def states(m: Morphology, seed: int, n: int = 4) -> list[tuple[Array, Array, Array]]:
+    rng = np.random.default_rng(seed)
+    nj, na = len(m.joints), len(m.actuators)
+    return [(q, rng.normal(0, 3, nj), rng.uniform(0, 5e4, na)) for q in random_poses(m, rng, n)]
+
+
+@every_phase
+@every_structure
+def test_energies_and_accelerations_are_those_of_the_exact_model(name: str, phase: Phase) -> None:
+    """Stops pressed included.
+
+    An equality of impedance d holds all but 1 − d = 1e-4 of the acceleration that would break it, so errors are
+    measured against what the forces would do without the equalities.
+    """
+    for seed in range(3):
+        m = random_morphology(name, seed, stops=True)
+        k, simulated = Kinematics(m, phase), Simulated(m, phase)
+        for q, v, p in states(m, seed):
+            simulated.place(q, v, p)
+            kinetic, potential = simulated.energies()
+            exact = k.energy(q, v)
+            assert kinetic == pytest.approx(exact[0], rel=1e-5)
+            assert potential == pytest.approx(exact[1], rel=1e-5, abs=1e-7)
+            expected = newton_acceleration(m, q, v, p, phase=phase)
+            free = simulated.data.qacc_smooth[simulated.dof]
+            error = np.abs(simulated.data.qacc[simulated.dof] - expected)
+            assert error.max() < 1e-3 * max(np.abs(free).max(), np.abs(expected).max())
+
+
+@pytest.mark.parametrize("make", [nominal_leg, ideal_leg])
+def test_the_legs_accelerate_as_the_exact_model_to_a_thousandth(make: Callable[[], Morphology]) -> None:
+    m = make()
+    simulated = Simulated(m)
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        q, v, p = rng.uniform([0.6, 0.0], [2.1, 1.5]), rng.normal(0, 3, 2), rng.uniform(0, 5e4, 2)
+        simulated.place(q, v, p)
+        expected = newton_acceleration(m, q, v, p)
+        assert np.abs(simulated.data.qacc[simulated.dof] - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+@every_phase
+@pytest.mark.parametrize("name", ["nominal_leg", *STRUCTURES])
+def test_a_free_second_is_that_of_the_exact_model(name: str, phase: Phase) -> None:
+    """At the plant's own step, without stops: these are hit at instants that fall within a step."""
+    m = random_morphology(name, 1) if name in STRUCTURES else nominal_leg()
+    m = replace(m, joints=tuple(replace(j, lower=None, upper=None) for j in m.joints))
+    k, simulated = Kinematics(m, phase), Simulated(m, phase, FINE)
+    rng = np.random.default_rng(11)
+    q0 = np.array([1.3, 0.6]) if name == "nominal_leg" else random_poses(m, rng, 1)[0]
+    v0, p = rng.normal(0, 1, len(m.joints)), rng.uniform(0, 1e4, len(m.actuators))
+    times = np.linspace(0, 1, 25)
+    q, _ = integrate(lambda t, q, v: k.acceleration(q, v, p), q0, v0, times, rtol=1e-8, atol=1e-10)
+    assert np.ptp(q, axis=0).max() > 0.1
+    simulated.place(q0, v0, p)
+    for expected in q[1:]:
+        for _ in range(20):
+            mujoco.mj_step(simulated.model, simulated.data)
+        np.testing.assert_allclose(simulated.data.qpos[simulated.qpos], expected, atol=1e-4)
+    halves, ends = simulated.gaps()
+    assert halves < 1e-5
+    assert ends < 1e-5
+
+
+@pytest.mark.parametrize("depth", [0.05, 0.3])
+@pytest.mark.parametrize("rate", [-3.0, 0.0, 3.0, 60.0])
+@pytest.mark.parametrize(("stiffness", "damping"), [(200.0, 1.0), (30.0, 0.0), (0.0, 2.0), (0.0, 0.0)])
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_a_stop_is_a_spring_and_damper_that_never_pulls(
+    side: str, stiffness: float, damping: float, rate: float, depth: float
+) -> None:
+    """A rate of 60 rad/s out of the stop would have its damper pull harder than its spring pushes."""
+    base = pendulum()
+    stop = JointStop(0.4 if side == "lower" else 1.4, stiffness, damping)
+    drive = replace(base.actuators[0], mass=1e-6)
+    m = replace(base, joints=(replace(base.joints[0], **{side: stop}),), actuators=(drive,))
+    out = 1.0 if side == "lower" else -1.0  # the way out of the stop
+    q, v = np.array([stop.angle - out * depth]), np.array([out * rate])
+    simulated = Simulated(m)
+    simulated.place(q, v, np.zeros(1))
+    link = m.links[0]
+    moment = link.inertia + link.mass * link.com**2
+    push = out * max(stiffness * depth - damping * rate, 0.0)
+    expected = (link.mass * 9.8 * link.com * math.cos(q[0]) + push) / moment
+    assert simulated.data.qacc[simulated.dof][0] == pytest.approx(expected, rel=2e-4)
+
+
+def test_a_link_comes_to_rest_as_deep_in_its_stop_as_its_spring_lets_it() -> None:
+    base = pendulum()
+    stop = JointStop(2.0, 50.0, 2.0)
+    drive = replace(base.actuators[0], mass=1e-6)
+    m = replace(base, joints=(replace(base.joints[0], lower=stop, damping=0.5),), actuators=(drive,))
+    simulated = Simulated(m, settings=FINE)
+    simulated.place(np.array([2.2]), np.zeros(1), np.zeros(1))
+    for _ in range(5 * 480):
+        mujoco.mj_step(simulated.model, simulated.data)
+    q = simulated.data.qpos[simulated.qpos][0]
+    weight = 0.7 * 9.8 * 0.25 * math.cos(q)
+    assert 2.0 - q == pytest.approx(-weight / 50.0, rel=1e-3)
+
+
+def test_stops_that_differ_are_refused_because_mujoco_cannot() -> None:
+    m = nominal_leg().with_parameters({"knee.upper.stiffness": 100.0})
+    with pytest.raises(ModelError) as caught:
+        compile_model(m)
+    assert str(caught.value).startswith("joint 'knee': its two stops differ in stiffness or damping")
+
+
+def test_a_joint_may_have_one_stop_or_none() -> None:
+    m = nominal_leg()
+    hip, knee = m.joints
+    model = compile_model(replace(m, joints=(replace(hip, lower=None), replace(knee, lower=None, upper=None))))
+    assert model.joint("hip").limited[0] == 1
+    assert model.joint("hip").range[0] < -100
+    assert model.joint("hip").range[1] == pytest.approx(5 * math.pi / 6)
+    assert model.joint("knee").limited[0] == 0
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_masses_add_up_and_elements_are_split_one_four_one(phase: Phase) -> None:
+    m = nominal_leg()
+    model = compile_model(m, phase)
+    total = sum(link.mass for link in m.links) + sum(a.mass for a in m.actuators)
+    assert model.body_mass.sum() == pytest.approx(total + (m.base_mass if phase == "stance" else 0.0), rel=1e-12)
+    for a in m.actuators:
+        masses = [model.body(f"{a.name}/{part}").mass[0] for part in ("upper", "middle", "lower")]
+        np.testing.assert_allclose(masses, np.array([1, 4, 1]) / 6 * a.mass, rtol=1e-12)
+
+
+def test_a_tilted_base_leans_gravity_towards_minus_x() -> None:
+    gravity = compile_model(replace(nominal_leg(), tilt=0.2)).opt.gravity
+    np.testing.assert_allclose(gravity, [-9.8 * math.sin(0.2), 0, -9.8 * math.cos(0.2)], rtol=1e-14)
+
+
+def test_closing_gives_an_element_the_velocity_of_its_ends() -> None:
+    m = nominal_leg()
+    k, simulated = Kinematics(m), Simulated(m)
+    q, v = np.array([1.1, 0.7]), np.array([2.0, -3.0])
+    simulated.place(q, v, np.zeros(2))
+    for a, length, rate in zip(m.actuators, k.lengths(q), k.jacobian(q) @ v, strict=True):
+        for half in ("middle", "lower"):
+            joint = simulated.model.joint(f"{a.name}/{half}")
+            assert simulated.data.qpos[joint.qposadr[0]] == pytest.approx(length / 2, rel=1e-9)
+            assert simulated.data.qvel[joint.dofadr[0]] == pytest.approx(rate / 2, rel=1e-7)
+    halves, ends = simulated.gaps()
+    assert halves < 1e-12
+    assert ends < 1e-12
+
+
+def test_an_element_without_length_is_named() -> None:
+    m = pendulum()
+    ends = replace(m.actuators[0], mass=0.1, origin=Point("base", 0.2), insertion=Point("rod", 0.2))
+    model = compile_model(replace(m, actuators=(ends,)))
+    with pytest.raises(ModelError, match=r"actuator 'drive' has no length at this pose, so its direction is undefined"):
+        close_elements(model, mujoco.MjData(model))
+
+
+def test_closing_a_model_without_elements_changes_nothing() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0] = 0.3, 2.0
+    close_elements(model, data)
+    assert (data.qpos[0], data.qvel[0]) == (0.3, 2.0)
+
+
+def test_a_massless_actuator_is_refused_by_name() -> None:
+    with pytest.raises(ModelError, match=r"actuator 'drive': mass is 0, expected more than 0"):
+        compile_model(pendulum())
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            {"integrator": "RK45"},
+            "there is no integrator 'RK45'; did you mean 'RK4'? (known: Euler, RK4, implicit, impl",
+        ),
+        ({"timestep": -1e-3}, "timestep is -0.001, expected more than 0"),
+        ({"timestep": math.nan}, "timestep is nan, expected more than 0"),
+        ({"time_constant": 0.0}, "time_constant is 0, expected more than 0"),
+        ({"tolerance": math.inf}, "tolerance is inf, expected more than 0"),
+        ({"impedance": 1.0}, "impedance is 1, expected between 0 and 1"),
+        ({"iterations": 0}, "iterations is 0, expected at least 1"),
+    ],
+)
+def test_solver_settings_that_cannot_be_are_refused_in_a_sentence(settings: dict[str, Any], message: str) -> None:
+    for use in (compile_model, build_spec):
+        with pytest.raises(ModelError) as caught:
+            use(nominal_leg(), settings=SolverSettings(**settings))
+        assert str(caught.value).startswith(f"solver settings: {message}")
+    with pytest.raises(ModelError, match="solver settings"):
+        add_elastic_actuator(users_own(), "muscle", "hook", "ring", settings=SolverSettings(**settings), **ROD)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicit", "implicitfast"])
+def test_each_integrator_by_its_own_name(integrator: str) -> None:
+    model = compile_model(nominal_leg(), settings=SolverSettings(integrator=integrator))
+    assert model.opt.integrator == getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+
+
+# --- add_elastic_actuator on a model of somebody else's ---------------------------------------------------------
+
+ROD = {"mass": 0.3, "stiffness": 90.0, "damping": 2.5, "rest_length": 0.25}
+
+PENDULUM = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option gravity="0 0 -9.7" timestep="0.001" integrator="RK4"/>
+  <worldbody>
+    <site name="hook" pos="0.3 0 0.05" {hook}/>
+    <body name="arm">
+      <joint name="swing" axis="0 1 0" damping="0.05"/>
+      <inertial mass="0.6" pos="0 0 -0.2" diaginertia="0.004 0.004 0.004"/>
+      <site name="ring" pos="0.02 0 -0.3"/>
+      <site name="knob" pos="0 0 -0.1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def hand_derived(theta: float, omega: float, force: float, rod: dict[str, float] = ROD) -> float:
+    """Angular acceleration of PENDULUM with a rod from the fixed hook to the ring.
+
+    One end of the rod is at rest, so its kinetic energy is m|v|²/6 of the ring's velocity and half its weight hangs on
+    the ring: (I + M c² + m r²/3) α = −M g c sin θ + ½ m g ∂y/∂θ + (F − k (l − l0) − c l') ∂l/∂θ − d ω, θ about +y.
+    """
+    x = 0.02 * math.cos(theta) - 0.3 * math.sin(theta)  # a turn about +y takes z towards x
+    z = -0.02 * math.sin(theta) - 0.3 * math.cos(theta)
+    slope_x, slope_z = z, -x  # ∂x/∂θ, ∂z/∂θ
+    length = math.hypot(x - 0.3, z - 0.05)
+    arm = ((x - 0.3) * slope_x + (z - 0.05) * slope_z) / length
+    push = force - rod["stiffness"] * (length - rod["rest_length"]) - rod["damping"] * arm * omega
+    moment = 0.004 + 0.6 * 0.2**2 + rod["mass"] * (0.02**2 + 0.3**2) / 3
+    torque = -0.6 * 9.7 * 0.2 * math.sin(theta) - rod["mass"] * 9.7 / 2 * slope_z + push * arm - 0.05 * omega
+    return torque / moment
+
+
+def users_own(hook: str = "", change: Callable[[str], str] = lambda xml: xml) -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_string(change(PENDULUM.format(hook=hook)))
+
+
+def closed(spec: mujoco.MjSpec, theta: float, omega: float, ctrl: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    swing = model.joint("swing")
+    data.qpos[swing.qposadr[0]], data.qvel[swing.dofadr[0]] = theta, omega
+    close_elements(model, data)
+    data.ctrl[:] = ctrl
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+@pytest.mark.parametrize(("origin", "insertion"), [("hook", "ring"), ("ring", "hook")])
+@pytest.mark.parametrize("area", [1.0, 4e-4])
+def test_on_a_pendulum_of_ones_own_it_gives_the_hand_derived_motion(origin: str, insertion: str, area: float) -> None:
+    """Carried by the world or by the moving arm: the same."""
+    spec = users_own()
+    returned = add_elastic_actuator(spec, "muscle", origin, insertion, area=area, **ROD)
+    assert returned.name == "muscle"
+    for theta, omega, force in [(0.0, 0.0, 0.0), (0.4, -2.0, 5.0), (-1.0, 3.0, 12.0)]:
+        model, data = closed(spec, theta, omega, force / area)
+        found = data.qacc[model.joint("swing").dofadr[0]]
+        assert found == pytest.approx(hand_derived(theta, omega, force), rel=1e-3, abs=1e-2)
+    model, data = closed(spec, 0.4, -2.0, 5.0 / area)
+    times = np.linspace(0, 1, 11)
+    expected, _ = integrate(
+        lambda t, q, v: np.array([hand_derived(q[0], v[0], 5.0)]), np.array([0.4]), np.array([-2.0]), times
+    )
+    swing = model.joint("swing").qposadr[0]
+    for angle in expected[1:, 0]:
+        for _ in range(100):
+            mujoco.mj_step(model, data)
+        assert data.qpos[swing] == pytest.approx(angle, abs=1e-5)
+    end, ring = data.site("muscle/end").xpos, data.site(insertion).xpos
+    assert np.linalg.norm(end - ring) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("hook", "change"),
+    [
+        pytest.param("", lambda xml: xml, id="plain"),
+        pytest.param('quat="0.9393727 0 0.3428978 0"', lambda xml: xml, id="site turned within the plane"),
+        pytest.param('euler="0 0.7 0"', lambda xml: xml, id="the same by euler angles"),
+        pytest.param(
+            "",
+            lambda xml: xml.replace(
+                '<site name="hook" pos="0.3 0 0.05" />',
+                '<frame pos="0.3 0 0"><site name="hook" pos="0 0 0.05"/></frame>',
+            ),
+            id="site in a frame",
+        ),
+        pytest.param(
+            'type="capsule" size="0.01" fromto="0.2 0 0.05 0.4 0 0.05"',
+            lambda xml: xml.replace('pos="0.3 0 0.05"', ""),
+            id="site given by its ends",
+        ),
+        pytest.param(
+            "",
+            lambda xml: xml.replace('angle="radian"', ""),
+            id="angles in degrees",
+        ),
+        pytest.param(
+            "",
+            lambda xml: xml.replace("<worldbody>", '<default><joint armature="0.1" damping="3"/></default><worldbody>')
+            .replace('damping="0.05"', 'damping="0.05" armature="0"'),
+            id="other defaults for joints",
+        ),
+        pytest.param(
+            "",
+            lambda xml: xml.replace("<worldbody>", '<default><joint range="-0.1 0.1"/></default><worldbody>')
+            .replace('damping="0.05"', 'damping="0.05" limited="false"'),
+            id="limited joints by default",
+        ),
+        pytest.param(
+            "",
+            lambda xml: xml.replace(
+                "<worldbody>",
+                '<default><general gear="5" biastype="affine" biasprm="1 -10 0" dyntype="filter" dynprm="0.1" '
+                'ctrlrange="0 1" forcerange="-1 1"/>'
+                '<tendon stiffness="50" damping="9" springlength="0.1" range="0 0.1"/></default><worldbody>',
+            ),
+            id="other defaults for actuators and tendons",
+        ),
+    ],
+)  # fmt: skip
+def test_it_fits_whatever_way_the_users_model_is_written(hook: str, change: Callable[[str], str]) -> None:
+    spec = users_own(hook, change)
+    add_elastic_actuator(spec, "muscle", "hook", "ring", **ROD)
+    model, data = closed(spec, 0.4, -2.0, 5.0)
+    found = data.qacc[model.joint("swing").dofadr[0]]
+    assert found == pytest.approx(hand_derived(0.4, -2.0, 5.0), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "turned",
+    [
+        'quat="0.70710678 0.70710678 0 0"',
+        'euler="1.57079633 0 0"',
+        'zaxis="0 -1 0"',
+    ],
+)
+def test_the_elements_plane_is_that_of_the_origin_site(turned: str) -> None:
+    """The same pendulum lying in x and −y: the site is turned by a quarter about x, so that its own y is the axis."""
+
+    def lay_down(xml: str) -> str:
+        for upright, lying in [
+            ('gravity="0 0 -9.7"', 'gravity="0 9.7 0"'),
+            ('axis="0 1 0"', 'axis="0 0 1"'),
+            ('pos="0.3 0 0.05"', 'pos="0.3 -0.05 0"'),
+            ('pos="0 0 -0.2"', 'pos="0 0.2 0"'),
+            ('pos="0.02 0 -0.3"', 'pos="0.02 0.3 0"'),
+        ]:
+            assert upright in xml
+            xml = xml.replace(upright, lying)
+        return xml
+
+    spec = users_own(turned, lay_down)
+    add_elastic_actuator(spec, "muscle", "hook", "ring", **ROD)
+    model, data = closed(spec, 0.4, -2.0, 5.0)
+    found = data.qacc[model.joint("swing").dofadr[0]]
+    assert found == pytest.approx(hand_derived(0.4, -2.0, 5.0), rel=1e-3)
+
+
+def test_bodies_need_no_names() -> None:
+    spec = mujoco.MjSpec()
+    first = spec.worldbody.add_body()
+    first.add_joint(name="one", axis=(0, 1, 0))
+    first.add_geom(size=(0.05, 0, 0))
+    first.add_site(name="here", pos=(0.1, 0, 0))
+    second = first.add_body(pos=(0, 0, -0.3))
+    second.add_joint(name="two", axis=(0, 1, 0))
+    second.add_geom(size=(0.05, 0, 0))
+    second.add_site(name="there", pos=(0.05, 0, -0.1))
+    add_elastic_actuator(spec, "muscle", "here", "there", **ROD)
+    spec.compile()
+
+
+def test_a_users_own_joint_may_be_called_hinge() -> None:
+    spec = users_own(change=lambda xml: xml.replace('name="swing"', 'name="door/hinge"'))
+    add_elastic_actuator(spec, "muscle", "hook", "ring", **ROD)
+    model = spec.compile()
+    close_elements(model, mujoco.MjData(model))
+
+
+def test_two_elements_on_one_model_do_not_disturb_each_other() -> None:
+    spec = users_own()
+    add_elastic_actuator(spec, "one", "hook", "ring", **{**ROD, "mass": 0.1})
+    add_elastic_actuator(spec, "two", "hook", "ring", **{**ROD, "mass": 0.2})
+    both = {key: value * (1 if key == "rest_length" else 2) for key, value in ROD.items()} | {"mass": 0.3}
+    model, data = closed(spec, 0.4, -2.0, 5.0)
+    found = data.qacc[model.joint("swing").dofadr[0]]
+    assert found == pytest.approx(hand_derived(0.4, -2.0, 10.0, both), rel=1e-3)
+
+
+def test_a_command_range_limits_the_command_and_none_does_not() -> None:
+    spec = users_own()
+    add_elastic_actuator(spec, "limited", "hook", "ring", command_range=(0.0, 3.0), **ROD)
+    add_elastic_actuator(spec, "free", "hook", "ring", **ROD)
+    model, data = closed(spec, 0.4, 0.0, 7.0)
+    np.testing.assert_allclose(data.actuator_force, [3.0, 7.0])
+    assert list(model.actuator_ctrllimited) == [1, 0]
+    assert list(model.actuator_ctrlrange[0]) == [0.0, 3.0]
+
+
+def add(change: dict[str, Any]) -> None:
+    spec = users_own()
+    arguments: dict[str, Any] = {"name": "muscle", "origin": "hook", "insertion": "ring", **ROD, **change}
+    add_elastic_actuator(spec, arguments.pop("name"), arguments.pop("origin"), arguments.pop("insertion"), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"origin": "knob"}, "actuator 'muscle': both sites are on body 'arm', so it cannot lengthen"),
+        ({"mass": 0.0}, "actuator 'muscle': mass is 0, expected more than 0"),
+        ({"mass": -0.1}, "actuator 'muscle': mass is -0.1, expected more than 0"),
+        ({"mass": math.nan}, "actuator 'muscle': mass is nan, expected more than 0"),
+        ({"rest_length": 0.0}, "actuator 'muscle': rest_length is 0, expected more than 0"),
+        ({"rest_length": math.nan}, "actuator 'muscle': rest_length is nan, expected more than 0"),
+    ],
+)
+def test_what_cannot_be_added_is_said_in_one_sentence(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        add(change)
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize("end", ["origin", "insertion"])
+def test_a_site_that_does_not_exist_is_named_beside_those_that_do(end: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        add({end: "hock"})
+    assert str(caught.value).startswith("actuator 'muscle': there is no site 'hock'")
+    for name in ("hook", "ring", "knob"):
+        assert name in str(caught.value).partition("known: ")[2]
+
+
+def test_a_model_without_sites_says_so() -> None:
+    with pytest.raises(ModelError, match=r"there is no site 'hook' \(known: none\)"):
+        add_elastic_actuator(mujoco.MjSpec(), "muscle", "hook", "ring", **ROD)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mass": math.inf}, "mass is inf, expected more than 0"),
+        ({"rest_length": math.inf}, "rest_length is inf, expected more than 0"),
+        ({"stiffness": -1.0}, "stiffness is -1, expected at least 0"),
+        ({"stiffness": math.nan}, "stiffness is nan, expected at least 0"),
+        ({"damping": -1.0}, "damping is -1, expected at least 0"),
+        ({"damping": math.inf}, "damping is inf, expected at least 0"),
+    ],
+)
+def test_numbers_a_morphology_would_refuse_are_refused_here_too(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        add(change)
+    assert str(caught.value) == f"actuator 'muscle': {message}"
+
+
+@pytest.mark.parametrize(
+    "change", [{"area": 0.0}, {"area": math.nan}, {"command_range": (3.0, 1.0)}, {"command_range": (0.0, math.nan)}]
+)
+def test_an_area_or_a_range_a_morphology_would_refuse_is_refused_here_too(change: dict[str, Any]) -> None:
+    with pytest.raises(ModelError, match="actuator 'muscle'"):
+        add(change)
+
+
+def test_a_model_that_does_not_compile_is_named_with_the_reason() -> None:
+    spec = users_own()
+    spec.worldbody.add_body(name="ghost").add_joint(name="free")
+    with pytest.raises(ModelError, match=r"actuator 'muscle': the model it is added to does not compile \("):
+        add_elastic_actuator(spec, "muscle", "hook", "ring", **ROD)
+
+
+def test_a_name_used_twice_is_refused() -> None:
+    spec = users_own()
+    add_elastic_actuator(spec, "muscle", "hook", "ring", **ROD)
+    with pytest.raises(ModelError, match="'muscle'"):
+        add_elastic_actuator(spec, "muscle", "hook", "knob", **ROD)
+
+
+def test_the_spec_of_a_morphology_can_be_written_and_read_as_xml() -> None:
+    spec = build_spec(nominal_leg())
+    spec.compile()
+    model = mujoco.MjModel.from_xml_string(spec.to_xml())
+    assert model.nq == compile_model(nominal_leg()).nq
+    assert model.nu == 2
