@@ -112,6 +112,18 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it.
+
+    Raises:
+        ConfigError: where that cannot be.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{path}: is no folder and cannot become one ({error.strerror or error})") from None
+
+
 def write_text(path: Path, text: str) -> None:
     """``write_bytes`` of UTF-8 text."""
     write_bytes(path, text.encode())

@@ -11,6 +11,7 @@ import numpy as np
 
 from equimus_ctrl import presets
 from equimus_ctrl.controllers.custom import as_controller
+from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.predict import Engine, check_columns, predict
@@ -18,6 +19,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.plants.registry import make_plant
+from equimus_ctrl.plants.replay import ReplayPlant
 from equimus_ctrl.recordings import locate, read_set
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario
 from equimus_ctrl.scenarios.scoring import Score, on_grid, score_run
@@ -79,26 +81,37 @@ def load_scenario(
     return build_scenario(build, context, options, where)
 
 
-def load_controller(name: str, scenario: Scenario, settings: Path | None = None) -> Controller:
+def load_controller(
+    name: str, scenario: Scenario, settings: Path | None = None, morphology: Morphology | None = None
+) -> Controller:
     """A controller by name, or a user's own as ``path/to/file.py:Name``.
 
     Args:
         name: see ``CONTROLLERS``.
         scenario: whose commands ``open_loop`` plays.
         settings: its settings file; ``controllers/<name>.toml`` by default.
+        morphology: of the robot, to check the settings against.
 
     Raises:
         ControllerError, ConfigError: where there is no such controller or its settings are wrong.
     """
-    if name not in CONTROLLERS and ".py" in name:
-        return as_controller(presets.load_object(name), name)
     entry = CONTROLLERS.get(name)
+    if settings is not None and (entry is None or entry.settings is None):
+        raise ConfigError(f"controller {name} takes no settings file, but {settings} was given")
+    if entry is None and ".py" in name:
+        return as_controller(presets.load_object(name), name)
     path = settings
     if path is None and entry is not None and entry.settings is not None:
         path = presets.find("controllers", entry.settings)
     table = presets.read_toml(path) if path is not None else None
     commands = scenario.commands.at if scenario.commands is not None else None
-    return make_controller(name, table, commands, str(path or name))
+    controller = make_controller(name, table, commands, str(path or name))
+    if isinstance(controller, PidController) and morphology is not None:
+        try:
+            controller.settings.gain_matrix(controller.settings.channels(morphology))
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
+    return controller
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +168,10 @@ def run_scenario(
         EquimusError: for anything a user can get wrong, in one sentence.
     """
     model = model or nominal_model()
+    if seed < 0:
+        raise ConfigError(f"seed is {seed}, expected at least 0")
+    if plant == "replay" and (effects or model.effects):
+        raise ConfigError("the replay plant plays a recording; effects cannot be attached to it")
     if effects:
         model = Model(model.morphology, (*model.effects, *effects), model.phase)
     if isinstance(scenario, str):
@@ -162,7 +179,7 @@ def run_scenario(
     if controller is None:
         controller = scenario.controller
     if isinstance(controller, str):
-        label, driven = controller, load_controller(controller, scenario, settings)
+        label, driven = controller, load_controller(controller, scenario, settings, model.morphology)
     else:
         label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
@@ -170,10 +187,11 @@ def run_scenario(
         plant_name, machine = plant, make_plant(plant, model, scenario.recorded, noise)
     else:
         plant_name, machine = type(plant).__name__, plant
+    duration = scenario.duration
+    if isinstance(machine, ReplayPlant):
+        duration = min(duration, machine.duration)
     try:
-        outcome = run(
-            machine, driven, scenario.reference, scenario.duration, start=scenario.start, seed=seed, progress=progress
-        )
+        outcome = run(machine, driven, scenario.reference, duration, start=scenario.start, seed=seed, progress=progress)
     finally:
         machine.close()
     return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name)
@@ -249,12 +267,13 @@ def score_recordings(
         EquimusError: where a recording or the model cannot be used, or a window holds no samples.
     """
     model = model or nominal_model()
-    given = list(recordings) if not isinstance(recordings, Path | str) else [recordings]
-    trials = (
-        [item for item in given if isinstance(item, Recording)]
-        if given and all(isinstance(item, Recording) for item in given)
-        else list(read_set([Path(item) for item in given if isinstance(item, Path | str)]))
-    )
+    if rate is not None and not 0 < rate < float("inf"):
+        raise ConfigError(f"the rate of the grid is {rate:g} Hz, expected more than 0")
+    given = [recordings] if isinstance(recordings, Path | str) else list(recordings)
+    files = [Path(item) for item in given if isinstance(item, Path | str)]
+    trials = [item for item in given if isinstance(item, Recording)]
+    if files or not trials:
+        trials += read_set(files)
     for trial in trials:
         check_columns(model, trial)
     scores = []
@@ -344,6 +363,8 @@ def tune_pid(
     from equimus_ctrl.tuning import autotune, journal
     from equimus_ctrl.tuning.study import Objective, study_from_dict
 
+    if workers is not None and workers < 1:
+        raise ConfigError(f"workers is {workers}, expected at least 1")
     path = study or presets.find("tuning", "pid.toml")
     if path is None:
         raise ConfigError("there is no tuning/pid.toml; name a study with --study")
@@ -353,6 +374,8 @@ def tune_pid(
         changes["objectives"] = tuple(Objective(name) for name in scenarios)
     settings = replace(settings, **{key: value for key, value in changes.items() if value is not None})
     model = model or nominal_model()
+    if recordings is not None:
+        locate.find_recordings(recordings)
     built = [
         load_scenario(
             o.scenario, model.morphology, phase=model.phase, recordings=recordings, search=recordings is not None

@@ -162,8 +162,8 @@ def test_another_seed_gives_others(study: Study, problem: Problem, result: Tunin
     assert bits(other.history[1:10]) != bits(result.history[1:10])
 
 
-# Batches of this study end after 1, 7, 25 candidates; then they come alone. With one left of a batch, see below.
-@pytest.mark.parametrize("kept", [0, 1, 4, 7, 15, 25, 30, 39, 40])
+# Batches of this study end after 1, 7 and 25 candidates, so that 6 and 24 leave one alone of its batch.
+@pytest.mark.parametrize("kept", [0, 1, 4, 6, 7, 15, 24, 25, 30, 39, 40])
 def test_it_goes_on_with_the_same_bits(
     kept: int, study: Study, problem: Problem, result: TuningResult, rows: Rows
 ) -> None:
@@ -172,16 +172,6 @@ def test_it_goes_on_with_the_same_bits(
     assert bits(again.history) == bits(result.history)
     assert sum(trial.reused for trial in again.history) == kept
     assert json.dumps(later.rows) == json.dumps(rows.rows)
-
-
-def test_it_goes_on_with_the_same_bits_where_one_of_a_batch_was_left(
-    study: Study, problem: Problem, result: TuningResult, rows: Rows
-) -> None:
-    last = [k for k, trial in enumerate(result.history[:-1]) if trial.stage != result.history[k + 1].stage]
-    unstable = [k for k in range(25) if not result.history[k].evaluation.stable]
-    for kept in sorted({*last, *unstable}):
-        again = autotune(replace(study, candidates=kept + 1), problem, RowJournal(Rows(rows.rows[:kept])))
-        assert bits(again.history)[kept] == bits(result.history)[kept], kept
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, RuntimeError])
@@ -339,7 +329,7 @@ def test_everything_an_evaluation_depends_on_is_in_the_key(study: Study, problem
     assert len({key, *keys}) == len(others) + 1
 
 
-@pytest.mark.parametrize("change", [{"position": np.array([1.4, 0.5])}, {"step_like": False}, {"weight": 2.0}])
+@pytest.mark.parametrize("change", [{"position": np.array([1.4, 0.5])}, {"step_like": False}])
 def test_the_rest_of_a_task_is_in_the_key_too(change: dict[str, Any], study: Study, problem: Problem) -> None:
     other = replace(problem, tasks=[replace(problem.tasks[0], **change)])
     assert tuning.study_key(study, other) != tuning.study_key(study, problem)

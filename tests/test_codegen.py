@@ -279,3 +279,13 @@ def test_a_folder_that_cannot_be_written_is_replaced_by_a_temporary_one(
     folder = compiled.cache_folder()
     assert folder.is_dir()
     assert folder.parent == tmp_path
+
+
+def test_a_mark_says_that_a_kernel_was_compiled_in_this_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel = compiled.load(nominal_leg(), "swing", trial_kernel)
+    monkeypatch.setenv("EQUIMUS_CACHE", str(tmp_path))
+    assert not compiled.is_marked_compiled(kernel)
+    compiled.mark_compiled(kernel)
+    assert compiled.is_marked_compiled(kernel)
+    compiled.mark_compiled(kernel)
+    assert not compiled.is_marked_compiled(compiled.load(nominal_leg(), "stance", trial_kernel))

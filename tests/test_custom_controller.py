@@ -156,7 +156,7 @@ class HalfDone:
 @pytest.mark.parametrize(
     ("thing", "sentence"),
     [
-        (NeedsArguments, "x: the class cannot be made without arguments (NeedsArguments.__init__() missing 1 required"),
+        (NeedsArguments, "x: the class cannot be made without arguments (missing a required argument: 'gain')"),
         (HalfDone, "x: HalfDone is neither a class with init and step nor a function"),
         (3.5, "x: float is neither a class with init and step nor a function"),
         (None, "x: NoneType is neither a class with init and step nor a function"),

@@ -345,6 +345,13 @@ def test_on_a_pendulum_of_ones_own_it_gives_the_hand_derived_motion(origin: str,
     assert np.linalg.norm(end - ring) < 1e-6
 
 
+def on_a_post(xml: str) -> str:
+    """The hook on a body of its own that is fixed to the world."""
+    site = '<site name="hook" pos="0.3 0 0.05" />'
+    assert site in xml
+    return xml.replace(site, '<body name="post" pos="0.3 0 0"><site name="hook" pos="0 0 0.05"/></body>')
+
+
 @pytest.mark.parametrize(
     ("hook", "change"),
     [
@@ -390,6 +397,12 @@ def test_on_a_pendulum_of_ones_own_it_gives_the_hand_derived_motion(origin: str,
                 '<tendon stiffness="50" damping="9" springlength="0.1" range="0 0.1"/></default><worldbody>',
             ),
             id="other defaults for actuators and tendons",
+        ),
+        pytest.param("", on_a_post, id="site on a body fixed to another"),
+        pytest.param(
+            "",
+            lambda xml: on_a_post(xml).replace("<compiler ", '<compiler fusestatic="true" '),
+            id="such bodies fused"
         ),
     ],
 )  # fmt: skip

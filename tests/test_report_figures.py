@@ -40,7 +40,7 @@ def chain(nj: int, na: int) -> Morphology:
     )
     actuators = tuple(
         actuator(
-            f"act{i}", Point.cartesian("base", 0.1 - 0.05 * i, 0.0), Point(bodies[1 + i % nj], 0.15, 0.3 - 0.2 * i)
+            f"act{i}", Point.cartesian("base", 0.1 - 0.05 * i, 0.02), Point(bodies[1 + i % nj], 0.15, 0.3 - 0.2 * i)
         )
         for i in range(na)
     )

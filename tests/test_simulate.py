@@ -197,6 +197,29 @@ def test_a_step_that_returns_no_pair_is_refused(result: Any) -> None:
     assert str(caught.value) == f"Broken.step returned {result!r}, expected (command, state)"
 
 
+@pytest.mark.parametrize(("method", "at"), [("init", "0.000"), ("step", "0.200")])
+def test_a_controller_that_fails_is_named_with_the_time_and_the_reason(method: str, at: str) -> None:
+    class Fragile(Echo):
+        def init(self, spec: PlantSpec, observation: Observation) -> int:
+            return 1 // 0 if method == "init" else 0
+
+        def step(self, observation: Observation, reference: Reference, state: int) -> tuple[Any, int]:
+            return ([1 // (2 - state), 0], state + 1)
+
+    with pytest.raises(ControllerError) as caught:
+        run(Scripted(), Fragile(lambda k: [0, 0], name="fragile"), HOLD, 1.0)
+    assert str(caught.value).startswith(f"fragile.{method} failed at {at} s: ZeroDivisionError: ")
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
+def test_a_controllers_own_sentence_comes_through() -> None:
+    def refuse(k: int) -> Any:
+        raise ConfigError("the gains of this controller are missing")
+
+    with pytest.raises(ConfigError, match=r"^the gains of this controller are missing$"):
+        run(Scripted(), Echo(refuse), HOLD, 1.0)
+
+
 def test_whole_numbers_and_tuples_are_commands() -> None:
     for command in ([1, 2], (1, 2), np.array([1, 2]), np.array([1, 2], dtype=np.float32)):
         array = checked_command(command, SPEC, 0.0, "x")

@@ -392,7 +392,7 @@ def test_a_wrong_tuning_is_a_sentence_and_writes_nothing(
 ) -> None:
     with pytest.raises(kind) as caught:
         workflow.tune_pid(**{"study": study, **changes})
-    assert str(caught.value).startswith(sentence)
+    assert sentence in str(caught.value)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["small.toml"]
 
 

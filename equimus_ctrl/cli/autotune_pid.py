@@ -60,7 +60,7 @@ def autotune_pid(
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("getting ready", total=None, best="–")
         from equimus_ctrl import workflow
 

@@ -32,6 +32,7 @@ def list_names(
     equimus-ctrl list effects --json
     """  # noqa: D301
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     rows = _rows(kind)
@@ -43,7 +44,7 @@ def list_names(
     for row in rows:
         extra = row.get("options") or row.get("parameters") or {}
         detail = ", ".join(f"{key} = {value}" if kind is Kind.scenarios else value for key, value in extra.items())
-        summary = str(row["summary"]) + (f"\n[dim]{detail}[/dim]" if detail else "")
+        summary = escape(str(row["summary"])) + (f"\n[dim]{escape(detail)}[/dim]" if detail else "")
         table.add_row(f"[bold]{row['name']}[/bold]", summary)
     console.print(table)
 

@@ -59,7 +59,13 @@ def run(
     from equimus_ctrl.report.tables import run_table, score_to_dict
 
     console = people()
-    with Progress(console=console, transient=True) as progress:
+    if video is not None:
+        from equimus_ctrl.report.video import check_suffix
+
+        check_suffix(video)
+    if record is not None:
+        presets.make_folder(record)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"{scenario}", total=1.0)
         done = workflow.run_scenario(
             scenario,
@@ -85,7 +91,6 @@ def run(
         files += save_run_figures(done.run, done.scenario, done.score, kinematics, folder, label)
     if record is not None:
         path = record / f"{done.scenario.name}.csv"
-        record.mkdir(parents=True, exist_ok=True)
         notes = {"scenario": done.scenario.name, "controller": done.controller, "seed": str(seed)}
         write(path, done.run.recording(done.scenario.name, notes))
         files.append(path)
@@ -94,7 +99,7 @@ def run(
     if video is not None:
         from equimus_ctrl.report.video import save_video
 
-        with Progress(console=console, transient=True) as progress:
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("video", total=1.0)
             shown = save_video(
                 done.run, done.model, video, progress=lambda share: progress.update(task, completed=share)
@@ -104,9 +109,8 @@ def run(
     result |= {"plant": done.plant, "model": done.model.name, "seed": seed, "files": [str(f) for f in files]}
     presets.write_text(folder / "score.json", presets.json_text(result))
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
-    for sentence in (done.scenario.missing, note):
-        if sentence:
-            console.print(sentence, markup=False)
+    if note:
+        console.print(note, markup=False)
     for file in files:
         console.print(f"wrote {shown_path(file)}", markup=False)
     if as_json:

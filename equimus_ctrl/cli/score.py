@@ -36,7 +36,7 @@ def score(
     from equimus_ctrl import workflow
 
     console = people()
-    with Progress(console=console, transient=True) as progress:
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("score", total=1.0)
         found = workflow.score_recordings(
             recordings,

@@ -113,15 +113,23 @@ def add_elastic_actuator(
             raise ModelError(
                 f"actuator {name!r}: there is no site {label!r} (known: {', '.join(n for n in names if n) or 'none'})"
             )
-    for key, value in (("mass", mass), ("rest_length", rest_length)):
+    for key, value in (("mass", mass), ("rest_length", rest_length), ("area", area)):
         if not 0 < value < math.inf:
             raise ModelError(f"actuator {name!r}: {key} is {value:g}, expected more than 0")
     for key, value in (("stiffness", stiffness), ("damping", damping)):
         if not 0 <= value < math.inf:
             raise ModelError(f"actuator {name!r}: {key} is {value:g}, expected at least 0")
+    if command_range is not None and not command_range[0] < command_range[1]:
+        raise ModelError(
+            f"actuator {name!r}: command_range is {command_range}, expected (low, high) with low below high"
+        )
+    if any(body.name == f"{name}/upper" for body in spec.bodies) or any(a.name == name for a in spec.actuators):
+        raise ModelError(f"actuator {name!r}: the model already has one of that name")
     try:
         # Where a site really is (frames, Euler angles, defaults) is known to MuJoCo's compiler alone.
-        resolved = spec.copy().compile()
+        probe = spec.copy()
+        probe.compiler.fusestatic = False
+        resolved = probe.compile()
     except ValueError as error:
         raise ModelError(f"actuator {name!r}: the model it is added to does not compile ({error})") from None
     start = resolved.site(origin)

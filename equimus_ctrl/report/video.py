@@ -43,6 +43,20 @@ class VideoResult:
     note: str = ""
 
 
+def check_suffix(path: Path) -> str:
+    """The kind of video a file's name asks for, ``.mp4`` or ``.gif``.
+
+    Raises:
+        NotAvailable: for any other.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".mp4", ".gif"):
+        raise NotAvailable(
+            f"{path}: a video can be written as .mp4 or .gif, not as {suffix or 'a file without ending'}"
+        )
+    return suffix
+
+
 def save_video(
     run: Run, model: Model, path: Path, fps: float = 30, *, progress: Callable[[float], None] | None = None
 ) -> VideoResult:
@@ -62,11 +76,7 @@ def save_video(
         NotAvailable: for any other ending.
         ConfigError: for a frame rate that cannot be, or where the run is not of the model's robot.
     """
-    suffix = path.suffix.lower()
-    if suffix not in (".mp4", ".gif"):
-        raise NotAvailable(
-            f"{path}: a video can be written as .mp4 or .gif, not as {suffix or 'a file without ending'}"
-        )
+    suffix = check_suffix(path)
     if not 1 <= fps <= 120:
         raise ConfigError(f"frame rate is {fps:g} a second, expected 1 to 120")
     notes: list[str] = []

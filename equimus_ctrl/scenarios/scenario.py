@@ -190,8 +190,8 @@ def _check_scenario(scenario: object, context: ScenarioContext) -> None:
     pose = np.asarray(scenario.reference.position(0.0), dtype=np.float64)
     if pose.shape != (len(m.joints),) or not np.all(np.isfinite(pose)):
         raise ConfigError(
-            f"the reference of scenario {scenario.name} begins at {pose.tolist()}, expected one finite angle in rad for "
-            f"each of {', '.join(m.joint_names)}"
+            f"the reference of scenario {scenario.name} begins at {pose.tolist()}, expected one finite angle in rad "
+            f"for each of {', '.join(m.joint_names)}"
         )
     low, high = m.joint_range
     for joint, angle, least, most in zip(m.joint_names, pose, low, high, strict=True):

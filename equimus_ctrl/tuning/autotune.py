@@ -79,6 +79,8 @@ def study_key(study: Study, problem: Problem) -> str:
     digest = hashlib.sha256(text.encode())
     for task in problem.tasks:
         digest.update(task.reference.tobytes() + task.noise.tobytes() + task.command_before.tobytes())
+        start = None if task.position is None else task.position.tolist()
+        digest.update(repr((task.name, task.weight, start, task.step_like, task.control_dt)).encode())
     return digest.hexdigest()
 
 
@@ -250,6 +252,11 @@ def best_feasible(history: Sequence[Trial], verified: Callable[[Trial], bool] = 
     for trial in allowed:
         if verified(trial):
             return trial
+    if allowed:
+        raise NothingFeasible(
+            f"{len(allowed)} of {len(history)} sets of gains kept all limits while searching, but none of them keeps "
+            "the gain margin at every pose along the moving references"
+        )
     if not history:
         raise NothingFeasible("the search was stopped before any set of gains was tried")
     nearest = min(history, key=lambda trial: trial.evaluation.cost).evaluation
