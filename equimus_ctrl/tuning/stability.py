@@ -32,6 +32,8 @@ class LinearLeg:
         c: (nz, n).
         delay: (na,) [s].
         effort_map: (na, nz) pressures per channel effort, as the controller's nominal model has it.
+        pose_gain: (na, n) pressures per change of pose that come from the map turning with the pose while an effort
+            stands: none for lengths, and none where the nominal model is the leg's own.
     """
 
     a: Array
@@ -39,6 +41,7 @@ class LinearLeg:
     c: Array
     delay: Array
     effort_map: Array
+    pose_gain: Array
 
 
 def linear_leg(member: Member, nominal: Morphology, pose: Array, space: str, phase: str) -> LinearLeg:
@@ -50,7 +53,17 @@ def linear_leg(member: Member, nominal: Morphology, pose: Array, space: str, pha
     jacobian = known.jacobian(pose)
     area = np.array([x.area for x in nominal.actuators])
     channel = jacobian if space == "length" else np.eye(n // 2)
-    effort_map = np.diag(1 / area) if space == "length" else np.linalg.pinv(jacobian.T * area)
+    nj = n // 2
+
+    def pressures_of(q: Array) -> Array:
+        return np.asarray(np.linalg.pinv(known.jacobian(q).T * area))
+
+    effort_map = np.diag(1 / area) if space == "length" else pressures_of(pose)
+    turning = np.zeros((na, nj))
+    if space == "joint":
+        standing = (jacobian.T * area) @ (own.static_pressure(pose) - known.static_pressure(pose))
+        for j, step in enumerate(1e-6 * np.eye(nj)):
+            turning[:, j] = (pressures_of(pose + step) - pressures_of(pose - step)) @ standing / 2e-6
     c = np.hstack([channel, np.zeros_like(channel)])
     lag = (member.valve[:, FILL] + member.valve[:, VENT]) / 2
     slow = np.flatnonzero(lag > 0)
@@ -64,9 +77,10 @@ def linear_leg(member: Member, nominal: Morphology, pose: Array, space: str, pha
         full_a[:n, n + k] = b[:, i]
         full_a[n + k, n + k] = -1 / lag[i]
         full_b[n + k, i] = 1 / lag[i]
-    return LinearLeg(
-        full_a, full_b, np.hstack([c, np.zeros((c.shape[0], len(slow)))]), member.valve[:, DELAY], effort_map
-    )
+    pose_gain = np.zeros((na, len(full_a)))
+    pose_gain[:, :nj] = turning
+    full_c = np.hstack([c, np.zeros((c.shape[0], len(slow)))])
+    return LinearLeg(full_a, full_b, full_c, member.valve[:, DELAY], effort_map, pose_gain)
 
 
 def _held(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
@@ -133,6 +147,7 @@ def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
     derivative = (1 - alpha) * eye[i_der : i_der + nz] + alpha * (-z_row - eye[i_pre : i_pre + nz]) / dt
     effort = -gains[KP][:, None] * z_row + eye[i_int : i_int + nz] + gains[KD][:, None] * derivative
     command = leg.effort_map @ effort  # (na, size)
+    command[:, :n] += leg.pose_gain
     out = np.zeros((size, size))
     out[:n, :n] = sampled.phi
     history = [command] + [eye[n + k * na : n + (k + 1) * na] for k in range(depth)]
@@ -186,11 +201,12 @@ def loop_response(leg: LinearLeg, gains: Array, dt: float, omega: Array) -> Arra
     z = np.exp(s * dt)
     hold = (1 - 1 / z) / (s * dt)
     inputs = leg.b * np.exp(-s * leg.delay) * hold  # (n_omega, n, na)
-    plant = leg.c @ np.linalg.solve(s * np.eye(len(leg.a)) - leg.a, inputs)  # (n_omega, nz, na)
+    states = np.linalg.solve(s * np.eye(len(leg.a)) - leg.a, inputs)  # (n_omega, n, na)
+    plant = leg.c @ states  # (n_omega, nz, na)
     alpha = (dt / (gains[FILTER] + dt))[:, None]
     derivative = alpha * (1 - 1 / z) / dt / (1 - (1 - alpha) / z)
     pid = gains[KP][:, None] + gains[KI][:, None] * dt / (z - 1) + gains[KD][:, None] * derivative  # (n_omega, nz, 1)
-    return np.asarray(leg.effort_map @ (pid * plant))
+    return np.asarray(leg.effort_map @ (pid * plant) - leg.pose_gain @ states)
 
 
 def margins(
