@@ -167,15 +167,17 @@ def test_both_engines_follow_an_independent_integration(name: str, engine: Engin
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "lag",
-        "delay and lag",
-    ],
+    ("name", "bound"),
+    [("none", 2e-5), ("delay", 2e-5), ("lag", 1e-5), ("asymmetric lag", 8e-5), ("delay and lag", 1e-5)],
 )
-def test_the_reduced_engine_is_within_a_hundred_thousandth(name: str) -> None:
+def test_the_reduced_engine_is_as_exact_as_its_valves(name: str, bound: float) -> None:
+    """A change of the command within a step acts by its mean over the step, and a lag has one time constant in it.
+
+    Smooth pressures are followed to 1e-5 rad; a step of 15 kPa costs up to 2e-5, one that turns a filling valve into a
+    venting one up to 8e-5.
+    """
     model, recording, expected = case(name)
-    np.testing.assert_allclose(predict(model, recording, start=START), expected, atol=1e-5)
+    np.testing.assert_allclose(predict(model, recording, start=START), expected, atol=bound)
 
 
 def test_commands_that_change_on_a_physics_step_are_followed_to_a_ten_millionth() -> None:
