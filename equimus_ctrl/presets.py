@@ -112,6 +112,13 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
+def check_folder(path: Path) -> None:
+    """Raise ConfigError where a folder is not there and cannot be made because something else is in its place."""
+    there = next((p for p in (path, *path.parents) if p.exists()), None)
+    if there is not None and not there.is_dir():
+        raise ConfigError(f"{path}: is no folder and cannot become one ({there} is a file)")
+
+
 def make_folder(path: Path) -> None:
     """Make a folder and those above it.
 
@@ -199,7 +206,7 @@ class JsonLines:
     def __init__(self, path: Path, header: Mapping[str, Any], fresh: bool = False) -> None:
         self.path = path
         self.rows: list[dict[str, Any]] = []
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         if path.exists():
             found = self._read()
             if not fresh and found and found[0] == dict(header):

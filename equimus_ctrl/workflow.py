@@ -15,7 +15,7 @@ from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.predict import Engine, check_columns, predict
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.plants.registry import make_plant
@@ -25,6 +25,9 @@ from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_sce
 from equimus_ctrl.scenarios.scoring import Score, on_grid, score_run
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Controller, Plant, Recording, Run
+
+MOST_RATE = 1e5
+"""Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""
 
 
 def load_model(path: Path | str | None = None) -> Model:
@@ -96,9 +99,12 @@ def load_controller(
         ControllerError, ConfigError: where there is no such controller or its settings are wrong.
     """
     entry = CONTROLLERS.get(name)
-    if settings is not None and (entry is None or entry.settings is None):
+    own = entry is None and ".py" in name
+    if entry is None and not own:
+        raise ControllerError(unknown_name("controller", name, CONTROLLERS))
+    if settings is not None and (own or (entry is not None and entry.settings is None)):
         raise ConfigError(f"controller {name} takes no settings file, but {settings} was given")
-    if entry is None and ".py" in name:
+    if own:
         return as_controller(presets.load_object(name), name)
     path = settings
     if path is None and entry is not None and entry.settings is not None:
@@ -267,8 +273,8 @@ def score_recordings(
         EquimusError: where a recording or the model cannot be used, or a window holds no samples.
     """
     model = model or nominal_model()
-    if rate is not None and not 0 < rate < float("inf"):
-        raise ConfigError(f"the rate of the grid is {rate:g} Hz, expected more than 0")
+    if rate is not None and not 0 < rate <= MOST_RATE:
+        raise ConfigError(f"the rate of the grid is {rate:g} Hz, expected more than 0 and at most {MOST_RATE:g}")
     given = [recordings] if isinstance(recordings, Path | str) else list(recordings)
     files = [Path(item) for item in given if isinstance(item, Path | str)]
     trials = [item for item in given if isinstance(item, Recording)]
@@ -386,6 +392,11 @@ def tune_pid(
     root = presets.workspace()
     target = output or root / "controllers" / "pid.toml"
     results = folder or root / "tuning" / "results" / path.stem
+    try:
+        presets.check_folder(target.parent)
+    except ConfigError as error:
+        raise ConfigError(f"{target}: cannot be written; {error}") from None
+    presets.check_folder(results)
     store = presets.JsonLines(
         results / "journal.jsonl",
         {"format": "equimus-ctrl/journal/1", "key": autotune.study_key(settings, problem)},

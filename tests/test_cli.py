@@ -223,10 +223,8 @@ def test_what_is_missing_is_said_once(ran: Any) -> None:
     assert " ".join(err.split()).count("equimus-ctrl recordings fetch") == 1
 
 
-def test_with_recordings_the_real_leg_is_scored(ran: Any, recordings_dir: Path) -> None:
-    code, out, err = ran(
-        "run", "triangle", "--set", "duration=1.5", "--recordings", recordings_dir, "--no-figures", "--json"
-    )
+def test_with_recordings_the_real_leg_is_scored(ran: Any, leg_dir: Path) -> None:
+    code, out, err = ran("run", "triangle", "--set", "duration=1.5", "--recordings", leg_dir, "--no-figures", "--json")
     assert code == 0
     found = json.loads(out)
     assert set(found["recorded"]["rmse_rad"]) == {"hip", "knee"} and found["missing"] is None
@@ -235,8 +233,8 @@ def test_with_recordings_the_real_leg_is_scored(ran: Any, recordings_dir: Path) 
     assert "0.0915" in err and "0.1748" in err and "recordings fetch" not in err
 
 
-def test_the_environment_names_recordings_too(ran: Any, recordings_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("EQUIMUS_RECORDINGS", str(recordings_dir))
+def test_the_environment_names_recordings_too(ran: Any, leg_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EQUIMUS_RECORDINGS", str(leg_dir))
     _, out, _ = ran("run", "step_release", "--set", "duration=0.3", "--no-figures", "--json")
     assert json.loads(out)["recorded"]["name"].startswith("step_release")
 
@@ -266,7 +264,6 @@ def test_a_run_can_be_recorded_and_scored(ran: Any, here: Path) -> None:
     assert max(own.values()) < 2e-5 < 1e-3 < bare["knee"]
 
 
-@pytest.mark.xfail(strict=True, reason="lines are folded at the width of the terminal, paths within them too")
 def test_a_long_path_stays_on_its_line(ran: Any) -> None:
     folder = "a_rather_long_name_of_a_folder/" * 5 + "out"
     _, _, err = ran("run", "hold", "--set", "duration=0.2", "--no-figures", "--record", folder)

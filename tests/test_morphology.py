@@ -178,11 +178,13 @@ def test_an_actuator_that_no_joint_can_lengthen_is_refused(origin: Point, insert
 
 
 def test_an_end_on_a_joint_is_welcome_where_another_joint_moves_it() -> None:
-    """On the hip's axis with the other end on the calf: the knee lengthens it. On the knee's: the hip does."""
+    """On the hip's axis with the other end on the calf the knee lengthens it; on the knee's axis the hip does."""
     for origin, insertion in [
         (Point("base", 0.0), Point("calf", 0.1)),
         (Point("base", 0.1), Point("calf", 0.0)),
         (Point("base", 0.06), Point("thigh", 0.25)),
+        # As far along the calf as the knee is along the thigh: its tip, no pivot.
+        (Point("thigh", 0.1), Point("calf", 0.25)),
     ]:
         m = leg(actuators=(replace(MAA, origin=origin, insertion=insertion), BAA))
         assert np.abs(Kinematics(m).jacobian([1.3, 0.7])[0]).max() > 0.01

@@ -269,6 +269,16 @@ def test_a_file_cut_anywhere_keeps_its_whole_rows(cut: int) -> None:
         assert found == expected and lines(path)[1:-1] == [{"k": k, "text": "x" * k} for k in range(expected)]
 
 
+@pytest.mark.parametrize("broken", ['{"k": 1', "[1]", "", "\x00\x00\x00"])
+def test_a_broken_row_in_the_middle_ends_what_is_read(broken: str, tmp_path: Path) -> None:
+    """What stands after it has lost its place."""
+    path = tmp_path / "j.jsonl"
+    path.write_text("\n".join([json.dumps(HEADER), '{"k": 0}', broken, '{"k": 2}', ""]))
+    store = presets.JsonLines(path, HEADER)
+    store.close()
+    assert store.rows == [{"k": 0}] and lines(path) == [HEADER, {"k": 0}]
+
+
 def test_numbers_come_back_bit_for_bit(tmp_path: Path) -> None:
     row = {"values": [0.1, 1 / 3, 5e-324, 1.7e308], "nan": math.nan, "inf": math.inf}
     store = presets.JsonLines(tmp_path / "j.jsonl", HEADER)

@@ -49,7 +49,7 @@ def built(leg: eq.Morphology, empty: Path) -> Callable[..., eq.Scenario]:
 
 @pytest.fixture(params=[False, True], ids=["alone", "with recordings"])
 def folder(request: pytest.FixtureRequest) -> Path | None:
-    return request.getfixturevalue("recordings_dir") if request.param else None
+    return request.getfixturevalue("leg_dir") if request.param else None
 
 
 def test_the_scenarios_of_the_leg_are_there() -> None:
@@ -86,9 +86,9 @@ def test_contract(name: str, folder: Path | None, built: Callable[..., eq.Scenar
         pytest.param("triangle"),
     ],
 )
-def test_commands_begin_at_zero_or_before(name: str, recordings_dir: Path, built: Callable[..., eq.Scenario]) -> None:
+def test_commands_begin_at_zero_or_before(name: str, leg_dir: Path, built: Callable[..., eq.Scenario]) -> None:
     """As ``CommandProfile`` promises; before its first time a profile has nothing to say."""
-    commands = built(name, recordings_dir).commands
+    commands = built(name, leg_dir).commands
     assert commands is None or commands.times[0] <= 0
 
 
@@ -133,9 +133,9 @@ def test_it_is_documented(name: str) -> None:
 # The leg's own.
 
 
-def test_the_triangle_open_loop_predicts_the_real_leg(recordings_dir: Path) -> None:
+def test_the_triangle_open_loop_predicts_the_real_leg(leg_dir: Path) -> None:
     """The published simulation is at 0.0915 and 0.1748 rad of the same recording."""
-    done = eq.run_scenario("triangle", recordings=recordings_dir)
+    done = eq.run_scenario("triangle", recordings=leg_dir)
     assert done.controller == "open_loop" and done.scenario.missing is None
     assert done.score.recorded is not None
     hip, knee = done.score.recorded.rmse
@@ -364,7 +364,7 @@ def test_profiles_must_be_numbers(context: eq.ScenarioContext, times: list[float
         context.profile(times, values)
 
 
-def test_recordings_can_be_asked_for_by_kind(recordings_dir: Path, empty: Path) -> None:
-    find = workflow.recordings_of(recordings_dir)
+def test_recordings_can_be_asked_for_by_kind(leg_dir: Path, empty: Path) -> None:
+    find = workflow.recordings_of(leg_dir)
     assert len(find("triangle")) == 1 and len(find("step_release")) > 10
     assert workflow.recordings_of(empty)("triangle") == ()

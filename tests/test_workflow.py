@@ -218,25 +218,25 @@ def test_noise_and_its_seed(tmp_path: Path) -> None:
     assert (runs[1].position - runs[0].position)[:5].std() == pytest.approx(0.002, rel=0.8)
 
 
-def test_a_replayed_recording_is_what_was_recorded(recordings_dir: Path) -> None:
-    done = eq.run_scenario("triangle", plant="replay", recordings=recordings_dir, options={"duration": "12"})
+def test_a_replayed_recording_is_what_was_recorded(leg_dir: Path) -> None:
+    done = eq.run_scenario("triangle", plant="replay", recordings=leg_dir, options={"duration": "12"})
     assert done.score.recorded is not None and done.score.window[1] > 11.9
     # Only the hold between samples is left: the plant shows the latest row, the grid lies between rows.
     assert np.all(done.score.recorded.rmse < 0.03)
     np.testing.assert_array_equal(done.run.position[0], done.scenario.recorded.position[0])  # type: ignore[union-attr]
 
 
-def test_the_whole_triangle_can_be_replayed(recordings_dir: Path) -> None:
-    done = eq.run_scenario("triangle", plant="replay", recordings=recordings_dir)
+def test_the_whole_triangle_can_be_replayed(leg_dir: Path) -> None:
+    done = eq.run_scenario("triangle", plant="replay", recordings=leg_dir)
     assert done.score.window[1] > 39.9
 
 
-def test_effects_on_a_replay_are_refused(recordings_dir: Path) -> None:
+def test_effects_on_a_replay_are_refused(leg_dir: Path) -> None:
     with pytest.raises(eq.EquimusError, match="replay"):
         eq.run_scenario(
             "triangle",
             plant="replay",
-            recordings=recordings_dir,
+            recordings=leg_dir,
             effects=[eq.TransportDelay("baa", 0.1)],
             options={"duration": "0.5"},
         )

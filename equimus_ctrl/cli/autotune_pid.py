@@ -97,7 +97,7 @@ def autotune_pid(
         files += save_tuning_figures(tuned.result, tuned.folder)
     _tell(console, tuned)
     for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False)
+        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
     if as_json:
         record = tuned.result.record()
         del record["evaluations"]

@@ -63,8 +63,10 @@ def run(
         from equimus_ctrl.report.video import check_suffix
 
         check_suffix(video)
-    if record is not None:
-        presets.make_folder(record)
+        presets.check_folder(video.parent)
+    for place in (output, record):
+        if place is not None:
+            presets.check_folder(place)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"{scenario}", total=1.0)
         done = workflow.run_scenario(
@@ -90,6 +92,7 @@ def run(
         kinematics = Kinematics(done.model.morphology, done.model.phase)
         files += save_run_figures(done.run, done.scenario, done.score, kinematics, folder, label)
     if record is not None:
+        presets.make_folder(record)
         path = record / f"{done.scenario.name}.csv"
         notes = {"scenario": done.scenario.name, "controller": done.controller, "seed": str(seed)}
         write(path, done.run.recording(done.scenario.name, notes))
@@ -110,9 +113,9 @@ def run(
     presets.write_text(folder / "score.json", presets.json_text(result))
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
     if note:
-        console.print(note, markup=False)
+        console.print(note, markup=False, soft_wrap=True)
     for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False)
+        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
     if as_json:
         print_json(result)
 

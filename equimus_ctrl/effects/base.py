@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from numbers import Real
 from typing import Any, ClassVar, Literal
 
 from equimus_ctrl.errors import ConfigError, unknown_name
@@ -40,6 +41,8 @@ class Effect:
     def __post_init__(self) -> None:
         for key, meta in self.parameter_info().items():
             value = getattr(self, key)
+            if not isinstance(value, Real):
+                raise ConfigError(f"effect {self.name} at {self.location!r}: {key} is {value!r}, expected a number")
             if not (math.isfinite(value) and meta["low"] <= value <= meta["high"]):
                 raise ConfigError(
                     f"effect {self.name} at {self.location!r}: {key} is {value:g} {meta['unit']}, "
@@ -53,7 +56,7 @@ class Effect:
 
     def parameters(self) -> dict[str, float]:
         """Parameter name → value."""
-        return {key: getattr(self, key) for key in self.parameter_info()}
+        return {key: float(getattr(self, key)) for key in self.parameter_info()}
 
 
 REGISTRY: dict[str, type[Effect]] = {}

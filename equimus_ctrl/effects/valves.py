@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.types import Array
 
 DELAY, FILL, VENT = 0, 1, 2
@@ -71,9 +72,14 @@ class AsymmetricLag(ValveEffect):
 
 
 def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
-    """(na, 3) transport delay, filling and venting time constants of each actuator [s]; zeros mean none."""
+    """(na, 3) transport delay, filling and venting time constants of each actuator [s]; zeros mean none.
+
+    Raises:
+        ConfigError: for an effect that is no valve's: nothing would simulate it.
+    """
     valve = np.zeros((len(actuators), 3))
     for effect in effects:
-        if isinstance(effect, ValveEffect):
-            effect.apply(valve[list(actuators).index(effect.location)])
+        if not isinstance(effect, ValveEffect):
+            raise ConfigError(f"effect {effect.name} at {effect.location!r}: the {effect.side} side is not simulated")
+        effect.apply(valve[list(actuators).index(effect.location)])
     return valve

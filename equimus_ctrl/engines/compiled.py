@@ -11,6 +11,7 @@ import hashlib
 import importlib.util
 import inspect
 import os
+import stat
 import sys
 import tempfile
 from functools import lru_cache
@@ -39,9 +40,22 @@ def cache_folder() -> Path:
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except OSError:
-        fallback = Path(tempfile.gettempdir()) / f"equimus-ctrl-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-        fallback.mkdir(parents=True, exist_ok=True)
-        return fallback
+        return _private_folder()
+
+
+@lru_cache(maxsize=1)
+def _private_folder() -> Path:
+    """A folder among the temporary ones that belongs to this user alone, for code is loaded from it."""
+    user = os.getuid() if hasattr(os, "getuid") else None
+    folder = Path(tempfile.gettempdir()) / f"equimus-ctrl-{user}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+        if user is None or (status.st_uid == user and stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o022):
+            return folder
+    except OSError:
+        pass
+    return Path(tempfile.mkdtemp(prefix="equimus-ctrl-"))
 
 
 def load(model: Morphology, phase: Phase, kernel: ModuleType) -> ModuleType:

@@ -32,9 +32,13 @@ def _require(condition: bool, message: str) -> None:
         raise ModelError(message)
 
 
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+
+
 def _check_finite(owner: str, **values: float) -> None:
     for key, value in values.items():
-        _require(math.isfinite(value), f"{owner}: {key} is {value}, expected a finite number")
+        _require(_is_finite(value), f"{owner}: {key} is {value}, expected a finite number")
 
 
 def _check_least(owner: str, least: float, **values: float) -> None:
@@ -228,6 +232,8 @@ class Morphology:
     command_high: float = 50e3
 
     def __post_init__(self) -> None:
+        for key in ("links", "joints", "actuators"):
+            object.__setattr__(self, key, tuple(getattr(self, key)))
         _check_least(self.name, 0.0, base_mass=self.base_mass)
         _check_finite(self.name, gravity=self.gravity, tilt=self.tilt)
         _check_finite(self.name, command_low=self.command_low, command_high=self.command_high)
@@ -355,6 +361,7 @@ class Morphology:
                 raise ModelError(
                     f"{self.name}: there is no parameter {name!r}{nearest(name, known)} (known: {', '.join(likely)})"
                 )
+            _require(isinstance(values[name], Real), f"{self.name}: {name} is {values[name]!r}, expected a number")
         return _replaced(self, "", values)
 
 
