@@ -223,6 +223,14 @@ class JsonLines:
         self._file.flush()
         self.rows.append(dict(row))
 
+    def truncate(self, count: int) -> None:
+        """Drop all rows from number ``count`` on, from the file too."""
+        header = json.loads(self.path.read_text(encoding="utf-8").partition("\n")[0])
+        self._file.close()
+        del self.rows[count:]
+        write_text(self.path, "".join(json.dumps(row) + "\n" for row in [header, *self.rows]))
+        self._file = self.path.open("a", encoding="utf-8")
+
     def close(self) -> None:
         """Close the file."""
         self._file.close()

@@ -51,6 +51,9 @@ class Rows:
     def append(self, row: Any) -> None:
         self.rows.append(json.loads(json.dumps(row)))
 
+    def truncate(self, count: int) -> None:
+        del self.rows[count:]
+
 
 @pytest.fixture(scope="module")
 def study() -> Study:

@@ -319,3 +319,16 @@ def test_json_is_plain() -> None:
     found = json.loads(presets.json_text(value))
     assert found == {"a": [1, 2.5], "3": [None, None, None], "b": {"c": None, "d": True}, "e": "ä"}
     assert presets.json_text({}).endswith("\n")
+
+
+def test_rows_are_dropped_from_the_file_too(tmp_path: Path) -> None:
+    """Else a row that fits nothing would stand before those appended later, and end what the next run takes up."""
+    lines = presets.JsonLines(tmp_path / "j.jsonl", {"key": "a"})
+    for k in range(3):
+        lines.append({"k": k})
+    lines.truncate(1)
+    lines.append({"k": 9})
+    lines.close()
+    again = presets.JsonLines(tmp_path / "j.jsonl", {"key": "a"})
+    assert again.rows == [{"k": 0}, {"k": 9}]
+    again.close()

@@ -39,6 +39,9 @@ class Rows:
     def append(self, row: Mapping[str, Any]) -> None:
         self.rows.append(json.loads(json.dumps(row)))
 
+    def truncate(self, count: int) -> None:
+        del self.rows[count:]
+
 
 class Counter:
     """An evaluator that keeps what it was asked for."""

@@ -76,7 +76,7 @@ class MujocoPlant:
     """The leg (or any morphology) in MuJoCo: pressures in, angles out at the sensor's rate.
 
     The equalities of the 3-2-1 elements are held with the default ``SolverSettings`` and integrated by RK4, which
-    keeps the angles within 1e-5 rad of the exact Lagrangian at 480 Hz.
+    keeps the angles within 1e-5 rad of the exact Lagrangian at 480 Hz (about 1e-3 rad while a joint hits a stop).
 
     Args:
         model: what is simulated, with its effects and phase.

@@ -220,11 +220,19 @@ def autotune(
         settings = study.settings(np.array(best.values), channels)
         start = search.history[0]
         start_settings = study.settings(np.array(start.values), channels)
-        unseen = unseen_problem(problem, study)
-        unseen.warm_up()
-        on_unseen, start_unseen = (
-            [next(iter(one.evaluate([s], pool))) for one in _one_by_one(unseen)] for s in (settings, start_settings)
-        )
+        on_unseen: list[Evaluation] = []
+        start_unseen: list[Evaluation] = []
+        checks: list[CrossCheck] = []
+        try:
+            unseen = unseen_problem(problem, study)
+            unseen.warm_up()
+            legs = _one_by_one(unseen)
+            on_unseen = [next(iter(one.evaluate([settings], pool))) for one in legs]
+            start_unseen = [next(iter(one.evaluate([start_settings], pool))) for one in legs]
+            checks = [cross_check(problem, settings, k) for k in range(len(problem.tasks))]
+        except KeyboardInterrupt:
+            # The gains are found; what is missing is only how they do elsewhere.
+            interrupted = True
     return TuningResult(
         study,
         problem,
@@ -237,7 +245,7 @@ def autotune(
         _least_margins(problem, settings),
         on_unseen,
         start_unseen,
-        [cross_check(problem, settings, k) for k in range(len(problem.tasks))],
+        checks,
         interrupted,
     )
 

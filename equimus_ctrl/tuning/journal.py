@@ -17,6 +17,10 @@ class Rows(Protocol):
         """Add a row."""
         ...
 
+    def truncate(self, count: int) -> None:
+        """Drop all rows from number ``count`` on."""
+        ...
+
 
 class RowJournal:
     """Evaluations kept as rows; the first row that does not fit the search ends what is reused.
@@ -40,7 +44,7 @@ class RowJournal:
         except (KeyError, TypeError):
             pass
         self._usable = index
-        del self._store.rows[index:]
+        self._store.truncate(index)
         return None
 
     def add(self, index: int, stage: str, values: Sequence[float], evaluation: Evaluation) -> None:

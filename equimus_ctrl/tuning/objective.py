@@ -285,8 +285,8 @@ class Problem:
         if t.step_like:
             step = t.reference[-1] - q[0]
             size = np.maximum(np.abs(step), BAND)
-            # A joint that is to stay where it is overshoots in either direction.
-            beyond = np.where(np.abs(step) > 1e-9, error * np.sign(step), np.abs(error))
+            # A joint that is to stay about where it is overshoots in either direction.
+            beyond = np.where(np.abs(step) > BAND, error * np.sign(step), np.abs(error))
             overshoot = float(np.max(beyond.max(axis=0) / size, initial=0.0))
             outside = np.flatnonzero(np.any(np.abs(error) > BAND, axis=1))
             settling = 0.0 if len(outside) == 0 else float((outside[-1] + 1) * t.control_dt)
