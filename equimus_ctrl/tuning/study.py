@@ -179,7 +179,7 @@ class Study:
     search: Mapping[str, Range]
     space: Space = "length"
     seed: int = 1
-    candidates: int = 400
+    candidates: int = 320
     polish: float = 0.25
     weights: Weights = field(default_factory=Weights)
     limits: Limits = field(default_factory=Limits)
