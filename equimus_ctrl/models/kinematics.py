@@ -20,7 +20,6 @@ from equimus_ctrl.types import Array
 @lru_cache(maxsize=32)
 def _functions(form: Structure, phase: Phase) -> dict[str, ca.Function]:
     m = build(form, phase)
-    still = ca.substitute(m.acceleration, m.v, ca.SX.zeros(m.v.shape))
     torque = ca.substitute(m.mass @ m.acceleration, m.v, ca.SX.zeros(m.v.shape))
     return {
         "lengths": ca.Function("lengths", [m.q, m.p], [m.lengths]),
@@ -32,7 +31,6 @@ def _functions(form: Structure, phase: Phase) -> dict[str, ca.Function]:
         "mass": ca.Function("mass", [m.q, m.p], [m.mass]),
         "energy": ca.Function("energy", [m.q, m.v, m.p], [m.kinetic, m.potential]),
         "acceleration": ca.Function("acceleration", [m.q, m.v, m.f, m.tau, m.p], [m.acceleration]),
-        "rest_acceleration": ca.Function("rest", [m.q, m.f, m.tau, m.p], [still]),
         "rest_torque": ca.Function("rest_torque", [m.q, m.f, m.tau, m.p], [torque, ca.jacobian(torque, m.q)]),
     }
 

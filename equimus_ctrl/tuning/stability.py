@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from equimus_ctrl.controllers.pid import PidSettings
-from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP, WEIGHT_P
+from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.linear import state_matrices
@@ -219,7 +219,6 @@ def margins(
     import control  # takes a second, and only this function needs it
 
     gains = settings.gain_matrix(settings.channels(nominal))
-    assert np.all(gains[WEIGHT_P] >= 0)
     leg = linear_leg(member, nominal, pose, settings.space, phase)
     omega = np.geomspace(1e-2, math.pi / dt * 0.999, 800)
     loop = loop_response(leg, gains, dt, omega)
