@@ -3,10 +3,35 @@ from .controllers.open_loop import OpenLoopController as OpenLoopController
 from .controllers.pid import PidController as PidController, PidGains as PidGains, PidSettings as PidSettings
 from .effects import (
     AsymmetricLag as AsymmetricLag,
+    Backlash as Backlash,
+    BodyEffect as BodyEffect,
+    CoulombFriction as CoulombFriction,
+    Creep as Creep,
+    DeadZone as DeadZone,
     Effect as Effect,
     FirstOrderLag as FirstOrderLag,
+    ForceEffect as ForceEffect,
+    GravityTilt as GravityTilt,
+    Hysteresis as Hysteresis,
+    NonlinearStiffness as NonlinearStiffness,
+    ParallelSpring as ParallelSpring,
+    PayloadMass as PayloadMass,
+    RateLimit as RateLimit,
+    Saturation as Saturation,
+    SensorDelay as SensorDelay,
+    SensorEffect as SensorEffect,
+    SensorOffset as SensorOffset,
+    SensorScale as SensorScale,
+    ShapingEffect as ShapingEffect,
+    StribeckFriction as StribeckFriction,
+    SupplyCoupling as SupplyCoupling,
     TransportDelay as TransportDelay,
+    ValveEffect as ValveEffect,
+    parameter as parameter,
+    register as register,
 )
+from .engines.batch import Trial as Trial, simulate as simulate
+from .engines.mujoco_batch import MujocoBatch as MujocoBatch
 from .engines.predict import measured_start as measured_start, predict as predict
 from .errors import (
     ConfigError as ConfigError,
@@ -64,10 +89,14 @@ from .types import (
     Start as Start,
 )
 from .workflow import (
+    identify_poses as identify_poses,
+    identify_recordings as identify_recordings,
+    load_effects as load_effects,
     load_model as load_model,
     run_scenario as run_scenario,
     save_model as save_model,
     score_recordings as score_recordings,
+    sensitivity_of as sensitivity_of,
 )
 
 __version__: str

@@ -20,7 +20,7 @@ from typing import Any
 
 import tomlkit
 
-from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
+from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, unknown_name
 
 KINDS = ("controllers", "scenarios", "tuning")
 _PACKAGE = Path(__file__).resolve().parent
@@ -152,6 +152,8 @@ def load_script(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
+    except EquimusError as error:
+        raise type(error)(f"{path}: {error}") from error
     except (Exception, SystemExit) as error:
         raise ConfigError(f"{path}: fails when it is loaded: {type(error).__name__}: {error}") from error
     return module

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.workflow import plugins
+
+# The same examples in every run; `--hypothesis-profile=default` draws new ones.
+hypothesis.settings.register_profile("repeatable", derandomize=True)
+hypothesis.settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")
@@ -25,3 +34,13 @@ def leg_dir(recordings_dir: Path) -> Path:
         if (folder / "triangle.csv").is_file():
             return folder
     pytest.skip(f"no recordings of the leg (triangle.csv) in {recordings_dir}")
+
+
+@pytest.fixture(autouse=True)
+def catalogue() -> Iterator[None]:
+    """Effects that a test adds to the catalogue are gone after it."""
+    registered, loaded = dict(REGISTRY), dict(plugins._loaded)
+    yield
+    for known, before in ((REGISTRY, registered), (plugins._loaded, loaded)):
+        known.clear()
+        known.update(before)

@@ -103,8 +103,14 @@ def test_every_example_can_be_followed(path: tuple[str, ...], line: str) -> None
     if controller := found.get("controller"):
         assert controller in CONTROLLERS or callable(presets.load_object(_from_checkout(controller)))
     assert found.get("plant") is None or found["plant"] in PLANTS
-    for text in found.get("effect") or ():
-        assert isinstance(effects.parse(text), eq.Effect)
+    known = dict(effects.REGISTRY)
+    try:
+        eq.load_effects([Path(__file__).resolve().parents[1] / file for file in found.get("effects") or ()])
+        for text in found.get("effect") or ():
+            assert isinstance(effects.parse(text), eq.Effect)
+    finally:
+        effects.REGISTRY.clear()
+        effects.REGISTRY.update(known)
 
 
 def _from_checkout(controller: str) -> str:
@@ -160,7 +166,7 @@ def test_lists_for_machines(ran: Any) -> None:
     assert set(found["effects"]) == set(effects.REGISTRY)
     assert {"nominal_leg", "ideal_leg"} <= set(found["models"])
     assert found["scenarios"]["hold"]["options"] == {"hip": 90.0, "knee": 0.0, "duration": 6.0}
-    assert found["effects"]["transport_delay"]["sits_at"] == "actuator"
+    assert found["effects"]["transport_delay"]["sits_at"] == ["actuator"]
 
 
 @pytest.mark.parametrize("kind", ["scenarios", "controllers", "plants", "effects", "models"])
@@ -261,7 +267,7 @@ def test_a_run_can_be_recorded_and_scored(ran: Any, here: Path) -> None:
         json.loads(ran("score", "mine/recordings", "--json", *model)[1])["rmse_rad"]
         for model in (["--model", "late.toml"], [])
     )
-    assert max(own.values()) < 2e-5 < 1e-3 < bare["knee"]
+    assert max(own.values()) < 3e-5 < 1e-3 < bare["knee"]
 
 
 def test_a_long_path_stays_on_its_line(ran: Any) -> None:

@@ -16,13 +16,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from morphologies import STRUCTURES, random_morphology, random_poses
 
-from equimus_ctrl.engines import compiled, trial_kernel
+from equimus_ctrl.engines import compiled
+from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models import codegen
-from equimus_ctrl.models.codegen import Routine, generate
+from equimus_ctrl.models.codegen import LaneRoutine, Routine, generate, generate_lanes
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.leg import ideal_leg, nominal_leg
 from equimus_ctrl.models.morphology import Morphology, Phase, pack
 from equimus_ctrl.models.symbolic import pseudo_solve, symbolic_model
+from equimus_ctrl.tuning import loop_kernel
 from equimus_ctrl.types import Array
 
 PLAIN = "# decorated"
@@ -73,6 +75,16 @@ OPERATIONS: dict[int, Callable[[ca.SX, ca.SX], ca.SX]] = {
     ca.OP_LOG: lambda a, b: ca.log(ca.fabs(a)),
     ca.OP_TANH: lambda a, b: ca.tanh(a),
     ca.OP_FABS: lambda a, b: ca.fabs(a),
+    ca.OP_SIGN: lambda a, b: ca.sign(a),
+    ca.OP_ASIN: lambda a, b: ca.asin(ca.tanh(a)),
+    ca.OP_ACOS: lambda a, b: ca.acos(ca.tanh(a)),
+    ca.OP_ATAN: lambda a, b: ca.atan(a),
+    ca.OP_SINH: lambda a, b: ca.sinh(ca.tanh(a)),
+    ca.OP_COSH: lambda a, b: ca.cosh(ca.tanh(a)),
+    ca.OP_LOG1P: lambda a, b: ca.log1p(ca.fabs(a)),
+    ca.OP_EXPM1: lambda a, b: ca.expm1(ca.tanh(a)),
+    ca.OP_HYPOT: ca.hypot,
+    ca.OP_ERF: lambda a, b: ca.erf(a),
 }
 """One expression that makes CasADi use each operation; OP_ASSIGN never appears in an SX function."""
 
@@ -163,8 +175,8 @@ def test_negative_constants_keep_their_sign() -> None:
 
 def test_an_operation_without_source_form_is_refused() -> None:
     x, p = ca.SX.sym("x"), ca.SX.sym("p")
-    with pytest.raises(NotImplementedError, match=rf"operation {ca.OP_SINH} has no source form"):
-        generate([Routine("routine", {"x": x}, ca.sinh(x))], p, PLAIN)
+    with pytest.raises(ModelError, match=rf"routine: CasADi operation {ca.OP_FLOOR} has no source form"):
+        generate([Routine("routine", {"x": x}, ca.floor(x))], p, PLAIN)
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
@@ -172,6 +184,67 @@ def test_a_constant_that_is_no_number_is_refused(value: float) -> None:
     x, p = ca.SX.sym("x"), ca.SX.sym("p")
     with pytest.raises(ValueError, match=f"the constant {value}"):
         generate([Routine("routine", {"x": x}, ca.vertcat(x, value))], p, PLAIN)
+
+
+# --- lanes ------------------------------------------------------------------------------------------------------
+
+WIDTH = 3
+
+
+def run_lanes(source: str) -> dict[str, Any]:
+    names: dict[str, Any] = {"math": math, "LANES": WIDTH, "lane_sin": math.sin, "lane_cos": math.cos}
+    exec(source, names)
+    return names
+
+
+@pytest.mark.parametrize("sides", ["xx", "xp", "pp"])
+@pytest.mark.parametrize("op", OPERATIONS)
+def test_an_operation_gives_what_casadi_gives_in_every_lane(op: int, sides: str) -> None:
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
+    a, b = (x[i] if side == "x" else p[i] for i, side in enumerate(sides))
+    value = OPERATIONS[op](a, b)
+    output = ca.vertcat(value, 3 - value * x[0])
+    routine = LaneRoutine("routine", {"x": x}, output, {"x": 1}, 4)
+    source, rows = generate_lanes([routine], p, PLAIN, 6)
+    names = run_lanes(source)
+    exact = ca.Function("exact", [x, p], [output])
+    for numbers in ([[1.3, -0.7, 2.0], [-2.1, 0.4, 2.0]], [[0.5, 3.0, -1.0], [0.5, -3.0, 4.0]]):
+        parameters = np.array([[0.3, -1.2], [2.0, 0.7], [-0.4, -0.4]])
+        w = np.full(rows * WIDTH, 9.0)
+        w.reshape(rows, WIDTH)[1:3] = numbers
+        for lane in range(WIDTH):
+            names["prepare_lane"](parameters[lane], w, lane)
+        names["routine"](w)
+        for lane in range(WIDTH):
+            expected = np.array(exact(np.array(numbers)[:, lane], parameters[lane])).ravel()
+            np.testing.assert_allclose(w.reshape(rows, WIDTH)[4:6, lane], expected, rtol=1e-13)
+        np.testing.assert_array_equal(w.reshape(rows, WIDTH)[[0, 3]], 9.0)  # nobody's rows
+        np.testing.assert_array_equal(w.reshape(rows, WIDTH)[1:3], numbers)
+
+
+def test_lane_routines_share_rows_of_constants_made_once() -> None:
+    x, p = ca.SX.sym("x"), ca.SX.sym("p", 2)
+    routines = [
+        LaneRoutine("first", {"x": x}, ca.cos(p[0]) * ca.sin(x), {"x": 0}, 1),
+        LaneRoutine("second", {"x": x}, ca.vertcat(ca.exp(p[1]) + x, p[0]), {"x": 1}, 2),
+        LaneRoutine("nothing", {"x": x}, ca.SX(0, 1), {"x": 0}, 3),
+    ]
+    source, rows = generate_lanes(routines, p, PLAIN, 4)
+    assert rows == 4 + 3  # cos(p0), exp(p1) and p0
+    assert "lane_sin" in source and "math.sin" not in source
+    prepare, _, rest = source.partition("def first")
+    assert "math.cos" in prepare and "math.exp" in prepare and "math." not in rest
+    names = run_lanes(source)
+    w = np.zeros(rows * WIDTH)
+    w[:WIDTH] = [0.1, 0.2, 0.3]
+    for lane in range(WIDTH):
+        names["prepare_lane"](np.array([lane, 0.5]), w, lane)
+    for name in ("first", "second", "nothing"):
+        names[name](w)
+    found = w.reshape(rows, WIDTH)
+    np.testing.assert_allclose(found[1], np.cos([0, 1, 2]) * np.sin([0.1, 0.2, 0.3]), rtol=1e-15)
+    np.testing.assert_allclose(found[2], math.exp(0.5) + found[1], rtol=1e-15)
+    np.testing.assert_array_equal(found[3], [0, 1, 2])
 
 
 def model_routines(m: Morphology, phase: Phase) -> tuple[dict[str, Any], ca.Function]:
@@ -250,9 +323,9 @@ def test_the_compiled_step_is_of_fourth_order() -> None:
 
 
 def test_one_structure_shares_one_kernel_and_another_has_its_own() -> None:
-    kernel = compiled.load(nominal_leg(), "swing", trial_kernel)
-    assert compiled.load(ideal_leg(), "swing", trial_kernel) is kernel
-    assert compiled.load(nominal_leg(), "stance", trial_kernel) is not kernel
+    kernel = compiled.load(nominal_leg(), "swing", loop_kernel)
+    assert compiled.load(ideal_leg(), "swing", loop_kernel) is kernel
+    assert compiled.load(nominal_leg(), "stance", loop_kernel) is not kernel
 
 
 def test_generated_files_lie_whole_in_the_folder_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -282,10 +355,10 @@ def test_a_folder_that_cannot_be_written_is_replaced_by_a_temporary_one(
 
 
 def test_a_mark_says_that_a_kernel_was_compiled_in_this_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kernel = compiled.load(nominal_leg(), "swing", trial_kernel)
+    kernel = compiled.load(nominal_leg(), "swing", loop_kernel)
     monkeypatch.setenv("EQUIMUS_CACHE", str(tmp_path))
     assert not compiled.is_marked_compiled(kernel)
     compiled.mark_compiled(kernel)
     assert compiled.is_marked_compiled(kernel)
     compiled.mark_compiled(kernel)
-    assert not compiled.is_marked_compiled(compiled.load(nominal_leg(), "stance", trial_kernel))
+    assert not compiled.is_marked_compiled(compiled.load(nominal_leg(), "stance", loop_kernel))

@@ -1,4 +1,4 @@
-"""Effects: their laws against analytic responses, their bounds, how they are written, and what they may sit at."""
+"""Effects: what every one of them promises, their bounds, how they are written, and what they may sit at."""
 
 from __future__ import annotations
 
@@ -8,27 +8,47 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.integrate import quad
+import tomlkit
 
 from equimus_ctrl import effects
-from equimus_ctrl.effects import REGISTRY, AsymmetricLag, Effect, FirstOrderLag, TransportDelay, make, parse
+from equimus_ctrl.effects import (
+    REGISTRY,
+    AsymmetricLag,
+    DeadZone,
+    Effect,
+    FirstOrderLag,
+    ForceEffect,
+    GravityTilt,
+    RateLimit,
+    Saturation,
+    SupplyCoupling,
+    TransportDelay,
+    make,
+    parse,
+)
 from equimus_ctrl.effects.base import Side, check_locations
-from equimus_ctrl.effects.command import lag, mean_command
-from equimus_ctrl.effects.valves import DELAY, FILL, VENT, valve_settings
+from equimus_ctrl.effects.valves import DELAY, FILL, RATE, VENT, shaped_commands, valve_settings
+from equimus_ctrl.engines.batch import KNOWN_KINDS, Trial, simulate
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
+from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, places
 
 every_effect = pytest.mark.parametrize("name", sorted(REGISTRY))
 
 
-def sample(name: str, share: float = 0.5) -> Effect:
-    """An effect of that name with every parameter at a share of its range."""
+PLACES = {"actuator": "baa", "joint": "knee", "link": "thigh", "foot": "foot", "base": "base"}
+"""One place of each kind on the leg."""
+
+every_place = pytest.mark.parametrize(
+    ("name", "kind"), [(name, kind) for name, cls in sorted(REGISTRY.items()) for kind in cls.sits_at]
+)
+
+
+def sample(name: str, share: float = 0.5, kind: str | None = None) -> Effect:
+    """An effect of that name with every parameter at a share of its range, at a place of the first of its kinds."""
     cls = REGISTRY[name]
     values = {key: meta["low"] + share * (meta["high"] - meta["low"]) for key, meta in cls.parameter_info().items()}
-    return make(name, {"actuator": "baa", "joint": "knee"}[cls.sits_at], values)
+    return make(name, PLACES[kind or cls.sits_at[0]], values)
 
 
 # --- what every effect promises ---------------------------------------------------------------------------------
@@ -40,7 +60,9 @@ def test_an_effect_says_what_it_is(name: str) -> None:
     assert cls.name == name
     assert name.isidentifier()
     assert cls.side in get_args(Side)
-    assert cls.sits_at in ("actuator", "joint")
+    assert cls.sits_at and set(cls.sits_at) <= set(PLACES)
+    assert isinstance(cls.sits_at, tuple)
+    assert issubclass(cls, KNOWN_KINDS), "the reduced engine knows no such kind of effect"
     assert cls.summary
     assert cls.__doc__
     info = cls.parameter_info()
@@ -79,9 +101,10 @@ def test_an_effect_is_frozen_hashable_and_equal_to_its_like(name: str) -> None:
         one.location = "maa"  # type: ignore[misc]
 
 
-@every_effect
-def test_an_effect_is_read_back_from_what_is_written_of_it(name: str) -> None:
-    one = sample(name, 1 / 3)
+@every_place
+def test_an_effect_is_read_back_from_what_is_written_of_it(name: str, kind: str) -> None:
+    one = sample(name, 1 / 3, kind)
+    assert one.location in places(nominal_leg())[kind]
     values = ",".join(f"{key}={value!r}" for key, value in one.parameters().items())
     assert parse(f"{name}:{one.location}:{values}") == one
     spaced = values.replace("=", " = ").replace(",", " , ")
@@ -89,12 +112,13 @@ def test_an_effect_is_read_back_from_what_is_written_of_it(name: str) -> None:
     assert make(name, one.location, one.parameters()) == one
     model = Model(nominal_leg(), (one,))
     assert model_from_dict(model_to_dict(model)) == model
+    assert model_from_dict(tomlkit.parse(tomlkit.dumps(model_to_dict(model))).unwrap()) == model
 
 
 @every_effect
 def test_whole_numbers_become_floats(name: str) -> None:
     info = REGISTRY[name].parameter_info()
-    one = make(name, "baa", dict.fromkeys(info, 1))
+    one = make(name, "baa", {key: math.ceil(meta["low"]) for key, meta in info.items()})
     assert all(type(value) is float for value in one.parameters().values())
 
 
@@ -115,12 +139,90 @@ def test_what_is_missing_or_unknown_is_named(name: str) -> None:
 def test_an_effect_cannot_sit_where_nothing_is(name: str) -> None:
     leg = nominal_leg()
     one = make(name, "nowhere", sample(name).parameters())
-    names = {"actuator": "baa, maa", "joint": "hip, knee"}[one.sits_at]
+    known = ", ".join(sorted(place for kind in one.sits_at for place in places(leg)[kind]))
     with pytest.raises(ConfigError) as caught:
         Model(leg, (one,))
-    expected = f"nominal_leg: effect {name}: there is no {one.sits_at} 'nowhere' (known: {names})"
-    assert str(caught.value) == expected
-    check_locations((sample(name),), leg.joint_names, leg.actuator_names, "leg")
+    kinds = " or ".join(one.sits_at)
+    assert str(caught.value) == f"nominal_leg: effect {name}: there is no {kinds} 'nowhere' (known: {known})"
+    for kind in one.sits_at:
+        check_locations((sample(name, kind=kind),), places(leg), "leg")
+
+
+@every_effect
+def test_an_effect_does_not_sit_at_another_kind_of_place(name: str) -> None:
+    cls = REGISTRY[name]
+    for kind in set(PLACES) - set(cls.sits_at):
+        with pytest.raises(ConfigError, match=f"effect {name}: there is no {cls.sits_at[0]}.* {PLACES[kind]!r}"):
+            Model(nominal_leg(), (make(name, PLACES[kind], sample(name).parameters()),))
+
+
+# --- on and off -------------------------------------------------------------------------------------------------
+
+ACTING: dict[str, dict[str, float]] = {
+    "asymmetric_lag": {"fill": 0.1, "vent": 0.2},
+    "backlash": {"play": 0.05},
+    "coulomb_friction": {"friction": 0.1},
+    "creep": {"stiffness": 100.0, "time_constant": 0.5},
+    "dead_zone": {"threshold": 2e3},
+    "first_order_lag": {"time_constant": 0.1},
+    "gravity_tilt": {"angle": 0.1},
+    "hysteresis": {"size": 1.0, "width": 0.01},
+    "joint_stop": {"angle": 0.7, "stiffness": 20.0, "damping": 0.1},
+    "nonlinear_stiffness": {"cubic": 5e3, "centre": 0.15},
+    "parallel_spring": {"stiffness": 0.5, "rest": 1.0},
+    "payload_mass": {"mass": 0.1},
+    "rate_limit": {"rate": 3e4},
+    "saturation": {"level": 8e3},
+    "sensor_delay": {"delay": 0.05},
+    "sensor_offset": {"offset": 0.05},
+    "sensor_scale": {"scale": 1.1},
+    "stribeck_friction": {"friction": 0.05, "breakaway": 0.1, "velocity": 0.1},
+    "supply_coupling": {"share": 0.3},
+    "transport_delay": {"delay": 0.1},
+}
+"""Of every effect, numbers that a leg's motion shows."""
+
+IDLE: dict[str, dict[str, float]] = {
+    "asymmetric_lag": {"fill": 0.0, "vent": 0.0},
+    "backlash": {"play": 0.0},
+    "dead_zone": {"threshold": 0.0},
+    "first_order_lag": {"time_constant": 0.0},
+    "gravity_tilt": {"angle": 0.0},
+    "joint_stop": {"angle": -0.035, "stiffness": 200.0, "damping": 1.0},
+    "payload_mass": {"mass": 0.0},
+    "rate_limit": {"rate": 1e7},
+    "saturation": {"level": 5e4},
+    "sensor_delay": {"delay": 0.0},
+    "sensor_offset": {"offset": 0.0},
+    "sensor_scale": {"scale": 1.0},
+    "supply_coupling": {"share": 0.0},
+    "transport_delay": {"delay": 0.0},
+}
+"""Of every effect, numbers with which it does nothing at a place of ``PLACES``; those that push name their own."""
+
+
+def swing(*effects: Effect) -> np.ndarray:
+    """Two seconds of the leg under commands that change, its valves not too quick for any rate limit."""
+    lags = (FirstOrderLag("maa", 0.05), FirstOrderLag("baa", 0.05))
+    if any(effect.exclusive == "lag" for effect in effects):
+        lags = ()
+    commands = np.array([[10e3, 2e3], [20e3, 9e3], [3e3, 12e3], [12e3, 4e3]])
+    times = np.array([0.0, 0.5, 1.0, 1.5])
+    trial = Trial("swing", times, commands, np.zeros(2), 0.0, np.array([1.3, 0.9]), np.arange(0, 2, 0.01))
+    found = simulate([Model(nominal_leg(), (*lags, *effects))], [trial], threads=1)[0]
+    assert found.sound.all()
+    return found.position[0]
+
+
+@every_place
+def test_an_effect_changes_the_prediction_when_on_and_does_not_when_off(name: str, kind: str) -> None:
+    cls, place = REGISTRY[name], PLACES[kind]
+    assert name in ACTING, f"give ACTING numbers with which {name} shows"
+    idle = {**ACTING[name], **cls.neutral} if issubclass(cls, ForceEffect) else IDLE[name]
+    # What takes a lag's place is compared with no lag: a lag of no time.
+    none = swing(FirstOrderLag(place, 0.0)) if cls.exclusive == "lag" else swing()
+    assert np.abs(swing(make(name, place, ACTING[name])) - none).max() > 2e-3
+    np.testing.assert_array_equal(swing(make(name, place, idle)), none)
 
 
 # --- how they are written ---------------------------------------------------------------------------------------
@@ -170,113 +272,21 @@ def test_a_parameter_given_twice_is_refused() -> None:
         parse("transport_delay:baa:delay=0.1, delay =0.2")
 
 
-# --- the laws ---------------------------------------------------------------------------------------------------
-
-
-@settings(deadline=None, max_examples=200, derandomize=True)
-@given(
-    steps=st.lists(st.floats(1e-3, 2.0), min_size=1, max_size=7),
-    values=st.lists(st.floats(-1e5, 1e5), min_size=8, max_size=8),
-    first=st.floats(-1.0, 1.0),
-    start=st.floats(-2.0, 8.0),
-    span=st.floats(1e-4, 6.0),
-)
-def test_a_mean_command_is_the_integral_over_the_window(
-    steps: list[float], values: list[float], first: float, start: float, span: float
-) -> None:
-    times = first + np.cumsum([0.0, *steps])
-    held, before, end = np.array(values[: len(times)]), values[-1], start + span
-
-    def command(t: float) -> float:
-        at = [v for known, v in zip(times, held, strict=True) if known <= t]
-        return at[-1] if at else before
-
-    edges = np.array([start, *(t for t in times if start < t < end), end])
-    middles = (edges[1:] + edges[:-1]) / 2
-    expected = sum(w * command(t) for w, t in zip(np.diff(edges), middles, strict=True)) / (end - start)
-    found, _ = mean_command(times, held, before, -1, start, end)
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-6)
-
-
-@settings(deadline=None, max_examples=100, derandomize=True)
-@given(
-    n=st.integers(1, 6),
-    dt=st.floats(0.01, 0.7),
-    first=st.floats(-1.0, 1.0),
-    seed=st.integers(0, 10_000),
-)
-def test_the_cursor_handed_on_changes_nothing_and_the_means_add_up(n: int, dt: float, first: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    times, values = first + np.cumsum(rng.uniform(0.01, 1.0, n)), rng.uniform(0, 5e4, n)
-    cursor, total = -1, 0.0
-    for k in range(12):
-        start, end = -0.5 + k * dt, -0.5 + (k + 1) * dt
-        mean, cursor = mean_command(times, values, 7e3, cursor, start, end)
-        fresh, at = mean_command(times, values, 7e3, -1, start, end)
-        assert (mean, cursor) == (fresh, at)
-        assert cursor == np.searchsorted(times, start, side="right") - 1
-        total += mean * (end - start)
-    whole, _ = mean_command(times, values, 7e3, -1, -0.5, -0.5 + 12 * dt)
-    assert total == pytest.approx(whole * 12 * dt, rel=1e-9)
-
-
-def test_a_command_that_does_not_change_in_a_window_comes_through_to_the_bit() -> None:
-    times, values = np.array([0.0, 1.0]), np.array([0.1, 0.3])
-    assert mean_command(times, values, 0.7, -1, -0.3, -0.1) == (0.7, -1)
-    assert mean_command(times, values, 0.7, -1, 0.1, 0.3) == (0.1, 0)
-    assert mean_command(times, values, 0.7, 0, 1.0, 1.1) == (0.3, 1)
-    assert mean_command(np.empty(0), np.empty(0), 0.7, -1, 0.0, 1.0) == (0.7, -1)
-
-
-@pytest.mark.parametrize("tau", [0.02, 0.3, 5.0])
-@pytest.mark.parametrize("dt", [1e-4, 1e-2, 0.5])
-def test_a_lag_steps_as_one_minus_the_exponential(tau: float, dt: float) -> None:
-    pressure, mean = lag(0.0, 1e4, tau, 99.0, dt)
-    assert pressure == pytest.approx(1e4 * (1 - math.exp(-dt / tau)), rel=1e-9)
-    integral, _ = quad(lambda t: 1e4 * (1 - math.exp(-t / tau)), 0, dt, epsabs=0, epsrel=1e-12)
-    assert mean == pytest.approx(integral / dt, rel=1e-7, abs=1e-7)
-    pressure, mean = lag(1e4, 0.0, 99.0, tau, dt)
-    assert pressure == pytest.approx(1e4 * math.exp(-dt / tau), rel=1e-9)
-    integral, _ = quad(lambda t: 1e4 * math.exp(-t / tau), 0, dt, epsabs=0, epsrel=1e-12)
-    assert mean == pytest.approx(integral / dt, rel=1e-9)
-
-
-@settings(deadline=None, max_examples=100, derandomize=True)
-@given(
-    pressure=st.floats(0, 5e4),
-    target=st.floats(0, 5e4),
-    fill=st.floats(1e-3, 5),
-    vent=st.floats(1e-3, 5),
-    dt=st.floats(1e-3, 1),
-    share=st.floats(0.01, 0.99),
-)
-def test_two_steps_of_a_lag_are_one_and_neither_overshoots(
-    pressure: float, target: float, fill: float, vent: float, dt: float, share: float
-) -> None:
-    whole, mean = lag(pressure, target, fill, vent, dt)
-    half, first = lag(pressure, target, fill, vent, share * dt)
-    end, second = lag(half, target, fill, vent, (1 - share) * dt)
-    assert end == pytest.approx(whole, rel=1e-9, abs=1e-6)
-    assert share * first + (1 - share) * second == pytest.approx(mean, rel=1e-9, abs=1e-6)
-    low, high = sorted((pressure, target))
-    assert low - 1e-9 <= whole <= high + 1e-9
-    assert low - 1e-6 <= mean <= high + 1e-6
-
-
-@pytest.mark.parametrize("pressure", [0.0, 3e4, 5e4])
-def test_no_time_constant_means_no_lag(pressure: float) -> None:
-    assert lag(pressure, 2e4, 0.0, 0.0, 1e-3) == (2e4, 2e4)
-
-
 # --- settings of a valve ----------------------------------------------------------------------------------------
 
 
 def test_each_effect_writes_its_own_actuators_row() -> None:
-    attached = [TransportDelay("baa", 0.1), FirstOrderLag("maa", 0.2), AsymmetricLag("baa", 0.3, 0.4)]
+    attached = [
+        TransportDelay("baa", 0.1),
+        FirstOrderLag("maa", 0.2),
+        AsymmetricLag("baa", 0.3, 0.4),
+        RateLimit("baa", 5e4),
+        GravityTilt("base", 0.1),  # no valve's business
+    ]
     valve = valve_settings(attached, ("maa", "baa"))
-    np.testing.assert_array_equal(valve, [[0.0, 0.2, 0.2], [0.1, 0.3, 0.4]])
-    assert (DELAY, FILL, VENT) == (0, 1, 2)
-    np.testing.assert_array_equal(valve_settings([], ("maa", "baa")), np.zeros((2, 3)))
+    np.testing.assert_array_equal(valve, [[0.0, 0.2, 0.2, math.inf], [0.1, 0.3, 0.4, 5e4]])
+    assert (DELAY, FILL, VENT, RATE) == (0, 1, 2, 3)
+    np.testing.assert_array_equal(valve_settings([], ("maa", "baa")), [[0.0, 0.0, 0.0, math.inf]] * 2)
 
 
 def test_delays_in_series_add_up() -> None:
@@ -289,9 +299,11 @@ def test_delays_in_series_add_up() -> None:
     [
         (FirstOrderLag("maa", 0.1), FirstOrderLag("maa", 0.2)),
         (FirstOrderLag("maa", 0.1), AsymmetricLag("maa", 0.2, 0.3)),
+        (RateLimit("maa", 1e4), RateLimit("maa", 2e4)),
+        (DeadZone("maa", 1e3), DeadZone("maa", 1e3)),
     ],
 )
-def test_two_lags_at_one_actuator_are_refused(pair: tuple[Effect, Effect]) -> None:
+def test_two_of_a_kind_at_one_actuator_are_refused(pair: tuple[Effect, Effect]) -> None:
     with pytest.raises(ConfigError) as caught:
         Model(nominal_leg(), pair)
     one, two = (effect.name for effect in pair)
@@ -305,5 +317,34 @@ def test_lags_at_two_actuators_and_a_delay_beside_a_lag_are_welcome() -> None:
 
 def test_what_the_package_offers_is_what_is_registered() -> None:
     offered = [getattr(effects, name) for name in effects.__all__]
-    classes = {cls for cls in offered if isinstance(cls, type) and issubclass(cls, Effect)} - {Effect}
-    assert classes <= set(REGISTRY.values())
+    classes = {cls for cls in offered if isinstance(cls, type) and issubclass(cls, Effect) and hasattr(cls, "name")}
+    assert classes == {cls for cls in REGISTRY.values() if cls.__module__.startswith("equimus_ctrl.")}
+
+
+# --- the value of a command -------------------------------------------------------------------------------------
+
+
+def test_commands_pass_dead_zone_coupling_and_saturation_in_this_order() -> None:
+    commands = np.array([[0.0, 0.0], [3e3, 1e3], [10e3, 4e3], [30e3, 20e3]])
+    effects = [Saturation("maa", 15e3), SupplyCoupling("maa", 0.5), DeadZone("baa", 2e3), DeadZone("maa", 1e3)]
+    for order in (effects, effects[::-1]):
+        found = shaped_commands(order, ("maa", "baa"), commands)
+        baa = np.maximum(commands[:, 1] - 2e3, 0)
+        maa = np.minimum(np.maximum(np.maximum(commands[:, 0] - 1e3, 0) - 0.5 * baa, 0), 15e3)
+        np.testing.assert_allclose(found, np.stack([maa, baa], axis=1), rtol=1e-15)
+
+
+def test_channels_that_starve_each_other_do_so_at_once() -> None:
+    """What one loses is a share of what the other asks for, not of what is left of it."""
+    both = [SupplyCoupling("maa", 0.2), SupplyCoupling("baa", 0.1)]
+    np.testing.assert_allclose(shaped_commands(both, ("maa", "baa"), np.array([[10e3, 20e3]])), [[6e3, 19e3]])
+    three = shaped_commands([SupplyCoupling("b", 0.5)], ("a", "b", "c"), np.array([[1e3, 9e3, 5e3]]))
+    np.testing.assert_allclose(three, [[1e3, 6e3, 5e3]])
+
+
+def test_the_commands_handed_in_are_left_alone() -> None:
+    commands = np.array([[10e3, 20e3]])
+    shaped = shaped_commands([], ("maa", "baa"), commands)
+    shaped[:] = 0
+    shaped_commands([DeadZone("maa", 5e3)], ("maa", "baa"), commands)
+    np.testing.assert_array_equal(commands, [[10e3, 20e3]])

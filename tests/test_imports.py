@@ -20,7 +20,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("plants", "controllers", "estimation"),
     ("scenarios",),
     ("simulate",),
-    ("tuning", "identification", "diagnosis"),
+    ("tuning", "identification", "diagnosis", "validation", "proof"),
     ("report",),
     ("workflow",),
     ("cli",),

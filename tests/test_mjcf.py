@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from morphologies import STRUCTURES, integrate, newton_acceleration, pendulum, random_morphology, random_poses
 
+from equimus_ctrl.engines.batch import Trial, simulate
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.leg import ideal_leg, nominal_leg
 from equimus_ctrl.models.mjcf import SolverSettings, add_elastic_actuator, build_spec, close_elements, compile_model
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import JointStop, Morphology, Phase, Point
 from equimus_ctrl.types import Array
 
@@ -166,11 +168,45 @@ def test_a_link_comes_to_rest_as_deep_in_its_stop_as_its_spring_lets_it() -> Non
     assert 2.0 - q == pytest.approx(-weight / 50.0, rel=1e-3)
 
 
-def test_stops_that_differ_are_refused_because_mujoco_cannot() -> None:
-    m = nominal_leg().with_parameters({"knee.upper.stiffness": 100.0})
-    with pytest.raises(ModelError) as caught:
-        compile_model(m)
-    assert str(caught.value).startswith("joint 'knee': its two stops differ in stiffness or damping")
+UNLIKE = {
+    "hip.lower.angle": 1.3, "hip.lower.stiffness": 30.0, "hip.lower.damping": 0.2, "hip.upper.angle": 1.5,
+    "knee.lower.angle": 0.75, "knee.lower.stiffness": 150.0, "knee.lower.damping": 1.0,
+    "knee.upper.angle": 0.9, "knee.upper.stiffness": 8.0, "knee.upper.damping": 0.05,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_stops_that_differ_push_each_as_its_own(phase: Phase) -> None:
+    """Accelerations in and out of both stops of both joints, those of a joint unlike."""
+    m = nominal_leg().with_parameters(UNLIKE)
+    k, simulated = Kinematics(m, phase), Simulated(m, phase)
+    for q in ([1.2, 0.6], [1.2, 1.1], [1.6, 0.6], [1.6, 1.1], [1.4, 0.8]):
+        for v in ([0.0, 0.0], [2.0, -3.0], [-2.0, 3.0]):
+            p = np.array([9e3, 4e3])
+            simulated.place(np.array(q), np.array(v), p)
+            expected = k.acceleration(q, v, p)
+            assert np.abs(simulated.data.qacc[simulated.dof] - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_leg_between_stops_that_differ_moves_as_the_exact_model(phase: Phase) -> None:
+    m = nominal_leg().with_parameters(UNLIKE)
+    commands = np.array([[20e3, 2e3], [2e3, 9e3], [20e3, 22e3], [2e3, 0.0]]) * (1.0 if phase == "swing" else 0.4)
+    start, every = np.array([1.4, 0.85]), 16
+    trial = Trial("t", np.arange(4) * 0.5, commands, commands[0], 0.0, start, np.arange(240) / 120)
+    exact = simulate([Model(m, phase=phase)], [trial], dt=1e-4, threads=1)[0].position[0]
+    low, high = m.joint_range
+    assert np.all(exact.min(axis=0) < low) or np.all(exact.max(axis=0) > high)
+    fine = SolverSettings(timestep=1 / 1920, integrator="RK4", softness=0.01)
+    simulated = Simulated(m, phase, fine)
+    simulated.place(start, np.zeros(2), commands[0])
+    found = [start]
+    for step in range(239 * every):
+        simulated.data.ctrl[:] = commands[min(step // 960, 3)]
+        mujoco.mj_step(simulated.model, simulated.data)
+        if (step + 1) % every == 0:
+            found.append(simulated.data.qpos[simulated.qpos].copy())
+    np.testing.assert_allclose(found, exact, rtol=0, atol=6e-5)
 
 
 def test_a_joint_may_have_one_stop_or_none() -> None:

@@ -63,7 +63,7 @@ def in_mujoco(
     leg = problem.members[member]
     valves = [
         effect
-        for name, (delay, lag, _) in zip(("maa", "baa"), leg.valve, strict=True)
+        for name, (delay, lag, _, _) in zip(("maa", "baa"), leg.valve, strict=True)
         for effect in (eq.TransportDelay(name, delay), eq.FirstOrderLag(name, lag))
     ]
     model, rates = eq.Model(leg.morphology, tuple(valves)), eq.PlantRates(physics=physics)
@@ -101,7 +101,7 @@ def test_at_a_stop_the_two_agree_the_better_the_shorter_the_step(physics: float,
 
 
 def test_asymmetric_valves_too(problem: Problem) -> None:
-    leg = replace(problem.members[2], valve=np.array([[0.013, 0.03, 0.11], [0.0, 0.0, 0.0]]))
+    leg = replace(problem.members[2], valve=np.array([[0.013, 0.03, 0.11, np.inf], [0.0, 0.0, 0.0, np.inf]]))
     one = replace(problem, members=[leg], _starts={}, _legs={})
     effects = (eq.TransportDelay("maa", 0.013), eq.AsymmetricLag("maa", 0.03, 0.11))
     plant = eq.MujocoPlant(eq.Model(leg.morphology, effects), nominal=eq.nominal_leg())

@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 import equimus_ctrl as eq
+from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.models.morphology import pack
 from equimus_ctrl.tuning import stability
 from equimus_ctrl.tuning.ensemble import Member, make_ensemble
@@ -39,8 +40,8 @@ SETTINGS = {
 def legs() -> list[Member]:
     model = eq.nominal_model()
     drawn = make_ensemble(model, EnsembleSettings(members=4), 4, 3)
-    quick = replace(drawn[0], name="no valves", valve=np.zeros((2, 3)))
-    uneven = replace(drawn[0], name="uneven", valve=np.array([[0.0, 0.05, 0.05], [0.031, 0.0, 0.0]]))
+    quick = replace(drawn[0], name="no valves", valve=valve_settings([], ("maa", "baa")))
+    uneven = replace(drawn[0], name="uneven", valve=np.array([[0.0, 0.05, 0.05, np.inf], [0.031, 0.0, 0.0, np.inf]]))
     return [*drawn, quick, uneven]
 
 

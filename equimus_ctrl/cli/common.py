@@ -22,6 +22,11 @@ Recordings = Annotated[
     typer.Option("--recordings", metavar="DIR", help="Folder with recordings; $EQUIMUS_RECORDINGS by default."),
 ]
 
+EffectFiles = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", metavar="FILE.py", help="Python file that registers effects of your own; repeatable."),
+]
+
 
 def people() -> Console:
     """Where people read: standard error, so that standard output stays clean for machines."""

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import Json, print_json
+from equimus_ctrl.cli.common import EffectFiles, Json, print_json
 
 
 class Kind(StrEnum):
@@ -22,6 +22,7 @@ class Kind(StrEnum):
 
 def list_names(
     kind: Annotated[Kind, typer.Argument(help="What to list.")],
+    effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
     """List scenarios, controllers, plants, effects or built-in models.
@@ -30,11 +31,16 @@ def list_names(
     [bold]Examples[/bold]
     equimus-ctrl list scenarios
     equimus-ctrl list effects --json
+    equimus-ctrl list effects --effects docs/examples/drag.py
     """  # noqa: D301
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
+    if effects:
+        from equimus_ctrl.workflow import load_effects
+
+        load_effects(effects)
     rows = _rows(kind)
     if as_json:
         print_json({kind.value: rows})
@@ -70,8 +76,8 @@ def _rows(kind: Kind) -> list[dict[str, Any]]:
     return [
         {
             "name": name,
-            "summary": f"{cls.summary} (at each {cls.sits_at}, {cls.side} side)",
-            "sits_at": cls.sits_at,
+            "summary": f"{cls.summary} (at {' or '.join(cls.sits_at)}, {cls.side} side)",
+            "sits_at": list(cls.sits_at),
             "side": cls.side,
             "parameters": {
                 key: f"{key} [{info['unit']}] {info['low']:g} to {info['high']:g}: {info['doc']}"

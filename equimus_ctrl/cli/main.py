@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli import autotune_pid, list_names, recordings, run, score
+from equimus_ctrl.cli import autotune_pid, identify, list_names, recordings, run, score, sensitivity, validate
 from equimus_ctrl.errors import EquimusError
 
 EXIT_CODES = """\
 [bold]Exit codes[/bold]  0 done · 1 a fault of the program · 2 something given is wrong or missing ·
-3 nothing within the limits was found, or a simulation diverged · 130 stopped by Ctrl-C"""
+3 nothing within the limits was found, a simulation diverged, or an accuracy goal was missed · 130 stopped by Ctrl-C"""
 
 app = typer.Typer(
     name="equimus-ctrl",
@@ -27,6 +27,9 @@ app = typer.Typer(
 app.command("autotune-pid")(autotune_pid.autotune_pid)
 app.command("run")(run.run)
 app.command("score")(score.score)
+app.command("validate")(validate.validate)
+app.command("identify")(identify.identify)
+app.command("sensitivity")(sensitivity.sensitivity)
 app.command("list")(list_names.list_names)
 app.add_typer(recordings.app, name="recordings")
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, Recordings, key_values, people, print_json, shown_path
+from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, Recordings, key_values, people, print_json, shown_path
 
 
 def run(
@@ -30,6 +30,7 @@ def run(
     settings: Annotated[Path | None, typer.Option(help="The controller's settings file (TOML).")] = None,
     noise: Annotated[float, typer.Option(help="White noise on the measured angles, standard deviation in rad.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
+    effects: EffectFiles = None,
     recordings: Recordings = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder for figures and table; results/run/… by default.")
@@ -50,6 +51,7 @@ def run(
     equimus-ctrl run hold --set hip=80 --set knee=20 --controller pid --noise 0.001
     equimus-ctrl run hold --controller controllers/example_custom.py:Spring
     equimus-ctrl run chirp --effect transport_delay:baa:delay=0.1 --record my_recordings
+    equimus-ctrl run chirp --effects docs/examples/drag.py --effect quadratic_drag:knee:coefficient=0.02
     """  # noqa: D301
     from rich.progress import Progress
 
@@ -59,6 +61,7 @@ def run(
     from equimus_ctrl.report.tables import run_table, score_to_dict
 
     console = people()
+    workflow.load_effects(effects or ())
     if video is not None:
         from equimus_ctrl.report.video import check_suffix
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, people, print_json
+from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json
 
 
 def score(
@@ -20,6 +20,7 @@ def score(
     rate: Annotated[
         float | None, typer.Option(help="Compare on a grid of this rate, in Hz; at the recorded rows by default.")
     ] = None,
+    effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
     """Predict recordings with a model, each trial from its own measured start, and print the error.
@@ -36,6 +37,7 @@ def score(
     from equimus_ctrl import workflow
 
     console = people()
+    workflow.load_effects(effects or ())
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("score", total=1.0)
         found = workflow.score_recordings(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from numbers import Real
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 from equimus_ctrl.errors import ConfigError, unknown_name
 
@@ -31,10 +31,11 @@ class Effect:
 
     name: ClassVar[str]
     side: ClassVar[Side]
-    sits_at: ClassVar[str]
+    sits_at: ClassVar[tuple[str, ...]]
+    """Kinds of places: joint, actuator, link, foot, base."""
     summary: ClassVar[str]
     exclusive: ClassVar[str | None] = None
-    """Of effects that share this word one place can have only one."""
+    """Of effects that share this word one place can have only one; see ``slot``."""
 
     location: str
 
@@ -49,6 +50,35 @@ class Effect:
                     f"expected {meta['low']:g} to {meta['high']:g} {meta['unit']}"
                 )
 
+    def slot(self, robot: Any) -> str:
+        """The place that ``exclusive`` means, on a robot (a ``models.morphology.Morphology``)."""
+        return self.location
+
+    def bounds(self, key: str, robot: Any) -> tuple[float, float]:
+        """Between what a parameter can vary on a robot while all else about the effect stays."""
+        meta = self.parameter_info()[key]
+        return float(meta["low"]), float(meta["high"])
+
+    @classmethod
+    def check_class(cls) -> None:
+        """Raise ConfigError where the class does not say all that an effect must."""
+        who = f"effect class {cls.__name__}"
+        for key in ("name", "side", "sits_at", "summary"):
+            if not hasattr(cls, key):
+                raise ConfigError(f"{who}: lacks {key!r}")
+        if not (isinstance(cls.name, str) and cls.name.isidentifier()):
+            raise ConfigError(f"{who}: name is {cls.name!r}, expected a plain name of letters, digits and '_'")
+        if not (isinstance(cls.sits_at, tuple) and cls.sits_at and set(cls.sits_at) <= set(PLACES)):
+            raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, expected a tuple of {', '.join(PLACES)}")
+        if cls.side not in get_args(Side):
+            raise ConfigError(f"{who}: side is {cls.side!r}, expected {' or '.join(get_args(Side))}")
+        if "__dataclass_fields__" not in vars(cls):
+            raise ConfigError(f"{who}: is no dataclass; put @dataclass(frozen=True) between it and @register")
+        bare = [f.name for f in fields(cls) if f.name != "location" and not {"low", "high"} <= set(f.metadata)]
+        if bare or not cls.parameter_info():
+            what = f"{bare[0]!r} is not" if bare else "it has none"
+            raise ConfigError(f"{who}: parameters are made with parameter(unit, low, high, doc), {what}")
+
     @classmethod
     def parameter_info(cls) -> dict[str, Mapping[str, Any]]:
         """Parameter name → unit, low, high, doc."""
@@ -62,8 +92,19 @@ class Effect:
 REGISTRY: dict[str, type[Effect]] = {}
 
 
-def register(cls: type[Effect]) -> type[Effect]:
-    """Class decorator: make an effect known by its name."""
+PLACES = ("joint", "actuator", "link", "foot", "base")
+E = TypeVar("E", bound="type[Effect]")
+
+
+def register(cls: E) -> E:
+    """Class decorator: make an effect known by its name.
+
+    Raises:
+        ConfigError: where the class is no whole effect, or its name is another's.
+    """
+    cls.check_class()
+    if cls.name in REGISTRY:
+        raise ConfigError(f"effect {cls.name}: there is one of that name already, in {REGISTRY[cls.name].__module__}")
     REGISTRY[cls.name] = cls
     return cls
 
@@ -113,20 +154,44 @@ def parse(text: str) -> Effect:
     return make(parts[0].strip(), parts[1].strip(), values)
 
 
-def check_locations(effects: Sequence[Effect], joints: Sequence[str], actuators: Sequence[str], where: str) -> None:
-    """Raise ConfigError where an effect sits at something the robot does not have."""
-    places = {"actuator": actuators, "joint": joints}
+def check_locations(effects: Sequence[Effect], places: Mapping[str, Sequence[str]], where: str) -> None:
+    """Raise ConfigError where an effect sits at something the robot does not have.
+
+    Args:
+        effects: all effects of one robot.
+        places: kind of place (see ``Effect.sits_at``) → names of those the robot has.
+        where: what the message starts with.
+    """
     for effect in effects:
-        known = places[effect.sits_at]
+        known = [name for kind in effect.sits_at for name in places[kind]]
         if effect.location not in known:
-            raise ConfigError(unknown_name(effect.sits_at, effect.location, known, f"{where}: effect {effect.name}"))
+            kinds = " or ".join(effect.sits_at)
+            raise ConfigError(unknown_name(kinds, effect.location, known, f"{where}: effect {effect.name}"))
+
+
+def check_exclusive(effects: Sequence[Effect], robot: Any, where: str) -> None:
+    """Raise ConfigError where two effects at one place exclude each other.
+
+    Args:
+        effects: all effects of one robot, each at a place it has.
+        robot: the robot.
+        where: what the message starts with.
+    """
     taken: dict[tuple[str, str], str] = {}
     for effect in effects:
         if effect.exclusive is None:
             continue
-        slot = (effect.exclusive, effect.location)
+        slot = (effect.exclusive, effect.slot(robot))
         if slot in taken:
             raise ConfigError(
-                f"{where}: {effect.location!r} has two effects that exclude each other, {taken[slot]} and {effect.name}"
+                f"{where}: {slot[1]!r} has two effects that exclude each other, {taken[slot]} and {effect.name}"
             )
         taken[slot] = effect.name
+
+
+def require_kinds(effects: Sequence[Effect], kinds: tuple[type[Effect], ...], who: str) -> None:
+    """Raise ConfigError where an effect is of none of the kinds that ``who`` simulates."""
+    for effect in effects:
+        if not isinstance(effect, kinds):
+            names = ", ".join(name for name, cls in sorted(REGISTRY.items()) if issubclass(cls, kinds))
+            raise ConfigError(f"{who} does not simulate effect {effect.name} at {effect.location!r} (it does: {names})")

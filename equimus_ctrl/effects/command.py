@@ -1,59 +1,147 @@
 """The laws of what happens between a command and the pressure in an actuator, as compiled functions.
 
-They stand here once and are called by every engine, one physics step at a time.
+They stand here once and are called by every engine, one physics step at a time. A step needs of the pressure its mean
+and its slope: the line P(s) ≈ mean + slope·(s/dt − ½) has the same integral and the same first moment over the step as
+the pressure itself, so that changes anywhere within a step count by when they come.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from equimus_ctrl.types import Array
 
+SMALL_SHARE = 1e-3
+"""Below this many time constants the closed forms lose digits and their series are used."""
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mean_command(
-    times: Array, values: Array, before: float, cursor: int, start: float, end: float
-) -> tuple[float, int]:
-    """Mean of a zero-order-held command over [start, end], so that a change within a step counts by its share.
+def _decay_moments(x: float) -> tuple[float, float, float]:
+    """(e⁻ˣ, ∫₀¹ e⁻ˣˢ ds, ∫₀¹ s e⁻ˣˢ ds)."""
+    if x < SMALL_SHARE:
+        return math.exp(-x), 1.0 - x / 2.0 + x * x / 6.0, 0.5 - x / 3.0 + x * x / 8.0
+    lost = -math.expm1(-x)
+    return 1.0 - lost, lost / x, (lost - x * (1.0 - lost)) / (x * x)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def relax(
+    pressure: float, target: float, fill: float, vent: float, rate: float, duration: float
+) -> tuple[float, float, float]:
+    """dP/dt = (target − P)/τ, at most ``rate`` in size, with τ = fill while the pressure rises, vent while it falls.
+
+    Exact for a constant target: first a ramp at the greatest rate, then an exponential.
 
     Args:
-        times: (n,) ascending instants from which each value holds [s].
-        values: (n,) commands [Pa].
-        before: the command in force before times[0] [Pa].
-        cursor: index of the last instant at or before ``start``, or anything not above it; −1 for none.
-        start: [s].
-        end: [s], after ``start``.
+        pressure: at the start [Pa].
+        target: [Pa].
+        fill: [s], 0 for none.
+        vent: [s], 0 for none.
+        rate: [Pa/s], inf for no limit.
+        duration: [s].
 
     Returns:
-        (mean [Pa], the cursor to hand in next).
+        (P at the end [Pa], ∫P ds [Pa·s], ∫P s ds [Pa·s²]).
     """
-    n = len(times)
-    while cursor + 1 < n and times[cursor + 1] <= start:
-        cursor += 1
-    value = values[cursor] if cursor >= 0 else before
-    total, at, k = 0.0, start, cursor
-    while k + 1 < n and times[k + 1] < end:
-        total += value * (times[k + 1] - at)
-        at = times[k + 1]
-        k += 1
-        value = values[k]
-    if at == start:
-        return value, cursor
-    return (total + value * (end - at)) / (end - start), cursor
+    gap = target - pressure
+    tau = fill if gap > 0.0 else vent
+    area, moment, past = 0.0, 0.0, 0.0
+    if rate < math.inf and abs(gap) > rate * tau:
+        ramp = min(abs(gap) / rate - tau, duration)
+        climb = rate if gap > 0.0 else -rate
+        area = (pressure + 0.5 * climb * ramp) * ramp
+        moment = (0.5 * pressure + climb * ramp / 3.0) * ramp * ramp
+        if ramp == duration:
+            return pressure + climb * ramp, area, moment
+        gap -= climb * ramp
+        past = ramp
+    left = duration - past
+    if tau <= 0.0:
+        piece, first, gap_end = 0.0, 0.0, 0.0
+    else:
+        decay, mean, centre = _decay_moments(left / tau)
+        piece, first, gap_end = gap * mean * left, gap * centre * left * left, gap * decay
+    area += target * left - piece
+    moment += 0.5 * target * left * left - first + past * (target * left - piece)
+    return target - gap_end, area, moment
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lag(pressure: float, target: float, fill: float, vent: float, dt: float) -> tuple[float, float]:
-    """dP/dt = (target − P)/τ with τ = fill [s] where the pressure rises and vent [s] where it falls, exact over dt.
+def advance_pressure(
+    times: Array, values: Array, before: float, cursor: int, start: float, dt: float, pressure: float, valve: Array
+) -> tuple[float, float, float, int]:
+    """One physics step of an actuator's pressure behind its valve.
+
+    Args:
+        times: (n,) ascending instants from which each command holds [s].
+        values: (n,) commands [Pa].
+        before: the command in force before times[0] [Pa].
+        cursor: index of the last instant at or before the delayed ``start``, or anything not above it; −1 for none.
+        start: of the step, before the transport delay is taken off [s].
+        dt: [s].
+        pressure: at the start [Pa].
+        valve: (4,) transport delay [s], filling and venting time constants [s], greatest rate [Pa/s].
 
     Returns:
-        (pressure after dt, its mean over dt) [Pa]; a step driven by the mean is second-order accurate.
+        (pressure at the end, its mean over the step, its slope over the step [Pa], the cursor to hand in next).
     """
-    tau = fill if target > pressure else vent
-    if tau <= 0.0:
-        return target, target
-    share = dt / tau
-    decay = math.exp(-share)
-    return target + (pressure - target) * decay, target + (pressure - target) * (1.0 - decay) / share
+    n = len(times)
+    at = start - valve[0]
+    end = at + dt
+    while cursor + 1 < n and times[cursor + 1] <= at:
+        cursor += 1
+    target = values[cursor] if cursor >= 0 else before
+    k = cursor
+    if pressure == target and not (k + 1 < n and times[k + 1] < end):
+        return pressure, pressure, 0.0, cursor
+    begin = at
+    area, moment = 0.0, 0.0
+    while True:
+        last = not (k + 1 < n and times[k + 1] < end)
+        until = end if last else times[k + 1]
+        span = until - at
+        pressure, piece, first = relax(pressure, target, valve[1], valve[2], valve[3], span)
+        area += piece
+        moment += first + (at - begin) * piece
+        if last:
+            break
+        at = until
+        k += 1
+        target = values[k]
+    mean = area / dt
+    return pressure, mean, 12.0 * (moment / (dt * dt) - 0.5 * mean), cursor
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pressure_history(
+    times: Array, commands: Array, before: Array, valve: Array, start: float, dt: float, out: Array
+) -> None:
+    """The pressures of all actuators over a grid of physics steps, settled under ``before`` until the first command.
+
+    Args:
+        times: (n,) ascending instants from which each command holds [s].
+        commands: (n, na) [Pa].
+        before: (na,) in force before times[0] [Pa].
+        valve: (na, 4), see ``advance_pressure``.
+        start: of the first step [s]; where it comes after times[0], the pressures have moved until then.
+        dt: [s].
+        out: (steps, 2, na) written: mean and slope over each step [Pa].
+    """
+    n, steps = len(times), len(out)
+    column = np.empty(n)
+    for i in range(commands.shape[1]):
+        for k in range(n):
+            column[k] = commands[k, i]
+        pressure, cursor = before[i], -1
+        if start > times[0]:
+            lead = start - times[0]
+            pressure, _, _, cursor = advance_pressure(
+                times, column, before[i], cursor, times[0], lead, pressure, valve[i]
+            )
+        for s in range(steps):
+            pressure, out[s, 0, i], out[s, 1, i], cursor = advance_pressure(
+                times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i]
+            )

@@ -1,25 +1,52 @@
-"""Effects between a command and an actuator's pressure; their laws are in ``effects.command``."""
+"""Effects between a command and an actuator's pressure; the valves' laws are in ``effects.command``.
+
+A command passes first what acts on its value at once (dead zone, supply coupling, saturation, in this order), then the
+valve: transport delay, rate limit and lag.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from equimus_ctrl.effects.base import Effect, parameter, register
-from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.types import Array
 
-DELAY, FILL, VENT = 0, 1, 2
+DELAY, FILL, VENT, RATE = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
 class ValveEffect(Effect):
     """An effect that is a setting of the valve between command and pressure."""
 
+    side = "command"
+    sits_at = ("actuator",)
+
     def apply(self, valve: Array) -> None:
-        """Write this effect into its actuator's row (3,): delay, filling and venting time constants [s]."""
+        """Write this effect into its actuator's row: delay, filling and venting time constant [s], rate [Pa/s]."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class ShapingEffect(Effect):
+    """An effect on the value of a command, without memory."""
+
+    side = "command"
+    sits_at = ("actuator",)
+    order: ClassVar[int]
+    """Effects of lower order act first."""
+
+    def shape(self, commands: Array, own: int) -> Array:
+        """(n,) the actuator's shaped commands [Pa].
+
+        Args:
+            commands: (n, na) of all actuators [Pa].
+            own: the actuator's column.
+        """
         raise NotImplementedError
 
 
@@ -29,8 +56,6 @@ class TransportDelay(ValveEffect):
     """P(t) = u(t − delay)."""
 
     name = "transport_delay"
-    side = "command"
-    sits_at = "actuator"
     summary = "the command arrives late"
     delay: float = parameter("s", 0.0, 2.0, "time between command and its arrival")
 
@@ -44,8 +69,6 @@ class FirstOrderLag(ValveEffect):
     """dP/dt = (u − P)/time_constant."""
 
     name = "first_order_lag"
-    side = "command"
-    sits_at = "actuator"
     summary = "the pressure follows the command with one time constant"
     exclusive = "lag"
     time_constant: float = parameter("s", 0.0, 5.0, "of the pressure")
@@ -60,8 +83,6 @@ class AsymmetricLag(ValveEffect):
     """dP/dt = (u − P)/τ with τ = fill while the pressure rises and vent while it falls."""
 
     name = "asymmetric_lag"
-    side = "command"
-    sits_at = "actuator"
     summary = "filling and venting have different time constants"
     exclusive = "lag"
     fill: float = parameter("s", 0.0, 5.0, "time constant of a rising pressure")
@@ -71,15 +92,84 @@ class AsymmetricLag(ValveEffect):
         valve[FILL], valve[VENT] = self.fill, self.vent
 
 
-def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
-    """(na, 3) transport delay, filling and venting time constants of each actuator [s]; zeros mean none.
+@register
+@dataclass(frozen=True)
+class RateLimit(ValveEffect):
+    """|dP/dt| ≤ rate."""
 
-    Raises:
-        ConfigError: for an effect that is no valve's: nothing would simulate it.
-    """
-    valve = np.zeros((len(actuators), 3))
+    name = "rate_limit"
+    summary = "the pressure changes no faster than the valve's flow allows"
+    exclusive = "rate_limit"
+    rate: float = parameter("Pa/s", 1e3, 1e7, "the fastest the pressure can change")
+
+    def apply(self, valve: Array) -> None:
+        valve[RATE] = self.rate
+
+
+@register
+@dataclass(frozen=True)
+class DeadZone(ShapingEffect):
+    """u' = max(u − threshold, 0)."""
+
+    name = "dead_zone"
+    summary = "commands below a threshold do nothing"
+    exclusive = "dead_zone"
+    order = 0
+    threshold: float = parameter("Pa", 0.0, 5e4, "pressure that a command loses, and below which it does nothing")
+
+    def shape(self, commands: Array, own: int) -> Array:
+        return np.maximum(commands[:, own] - self.threshold, 0.0)
+
+
+@register
+@dataclass(frozen=True)
+class SupplyCoupling(ShapingEffect):
+    """u' = max(u − share·Σ of the other actuators' commands, 0)."""
+
+    name = "supply_coupling"
+    summary = "the other channels' demand lowers this one's pressure"
+    exclusive = "supply_coupling"
+    order = 1
+    share: float = parameter("1", 0.0, 1.0, "pressure lost for each pressure that the others ask for")
+
+    def shape(self, commands: Array, own: int) -> Array:
+        others = commands.sum(axis=1) - commands[:, own]
+        return np.asarray(np.maximum(commands[:, own] - self.share * others, 0.0))
+
+
+@register
+@dataclass(frozen=True)
+class Saturation(ShapingEffect):
+    """u' = min(u, level)."""
+
+    name = "saturation"
+    summary = "the pressure stops rising above a level"
+    exclusive = "saturation"
+    order = 2
+    level: float = parameter("Pa", 0.0, 1e6, "the greatest pressure there is")
+
+    def shape(self, commands: Array, own: int) -> Array:
+        return np.minimum(commands[:, own], self.level)
+
+
+def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
+    """(na, 4) transport delay, filling and venting time constants [s] and greatest rate [Pa/s] of each actuator."""
+    valve = np.zeros((len(actuators), 4))
+    valve[:, RATE] = math.inf
     for effect in effects:
-        if not isinstance(effect, ValveEffect):
-            raise ConfigError(f"effect {effect.name} at {effect.location!r}: the {effect.side} side is not simulated")
-        effect.apply(valve[list(actuators).index(effect.location)])
+        if isinstance(effect, ValveEffect):
+            effect.apply(valve[list(actuators).index(effect.location)])
     return valve
+
+
+def shaped_commands(effects: Sequence[Effect], actuators: Sequence[str], commands: Array) -> Array:
+    """(n, na) what reaches the valves of commands (n, na) [Pa]; shaping effects of one order act side by side."""
+    shapers = sorted((e for e in effects if isinstance(e, ShapingEffect)), key=lambda e: e.order)
+    shaped: Array = np.array(commands)
+    for order in sorted({e.order for e in shapers}):
+        given = shaped.copy()
+        for effect in shapers:
+            if effect.order == order:
+                own = list(actuators).index(effect.location)
+                shaped[:, own] = effect.shape(given, own)
+    return shaped

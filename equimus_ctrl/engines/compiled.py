@@ -22,13 +22,17 @@ import casadi as ca
 import numba
 import platformdirs
 
-from equimus_ctrl.models import codegen, morphology, symbolic
+from equimus_ctrl.engines import lane_functions, lane_kernel, lane_math
+from equimus_ctrl.models import augmented, codegen, morphology, symbolic
+from equimus_ctrl.models.augmented import Laws
 from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.models.symbolic import Structure
 from equimus_ctrl.types import Array
 
 DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")'
+_LANE_DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})'
 _STUB = "equimus_ctrl.engines.model_functions"
+_LANE_STUB = "equimus_ctrl.engines.lane_functions"
 
 
 def cache_folder() -> Path:
@@ -93,12 +97,22 @@ def compile_motion(model: Morphology, phase: Phase) -> None:
 
 
 @lru_cache(maxsize=64)
+def load_lanes(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
+    """The batch kernel (see ``engines.lane_kernel``) of a structure with force laws wherever they can sit."""
+    return _led(lane_kernel, {_LANE_STUB: _lane_model(form, phase, laws)})
+
+
+@lru_cache(maxsize=64)
 def _load(form: Structure, phase: Phase, kernel: ModuleType) -> ModuleType:
-    """The kernel's source with its imports of the stub and of other kernels led to their generated counterparts."""
     replaced = {_STUB: _model(form, phase)}
     for other in _imported(kernel):
         if _STUB in inspect.getsource(other):
             replaced[other.__name__] = _load(form, phase, other)
+    return _led(kernel, replaced)
+
+
+def _led(kernel: ModuleType, replaced: dict[str, ModuleType]) -> ModuleType:
+    """The kernel's source with its imports of a stub and of other kernels led to their generated counterparts."""
     source = inspect.getsource(kernel)
     lines = source.split("\n")
     for node in ast.parse(source).body:
@@ -116,6 +130,14 @@ def _model(form: Structure, phase: Phase) -> ModuleType:
     path = cache_folder() / f"equimus_model_{key}.py"
     text = path.read_text(encoding="utf-8") if path.exists() else _source(form, phase)
     return _written(path, text)
+
+
+@lru_cache(maxsize=64)
+def _lane_model(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
+    """The functions of ``engines.lane_functions`` for one structure and set of laws."""
+    # The text itself is the key: whatever a law's source calls upon, it takes but milliseconds to write it out again.
+    text = _lane_source(form, phase, laws)
+    return _written(cache_folder() / f"equimus_lanes_{_digest([text, inspect.getsource(lane_math)])}.py", text)
 
 
 def _generated(label: str, text: str, depends: list[str]) -> ModuleType:
@@ -145,7 +167,7 @@ def _imported(kernel: ModuleType) -> list[ModuleType]:
     """Modules of this package that a kernel imports from."""
     nodes = ast.parse(inspect.getsource(kernel)).body
     names = {n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.module and "equimus_ctrl" in n.module}
-    return [sys.modules[name] for name in sorted(names - {_STUB})]
+    return [sys.modules[name] for name in sorted(names - {_STUB, _LANE_STUB})]
 
 
 def _source(form: Structure, phase: Phase) -> str:
@@ -171,6 +193,56 @@ def _source(form: Structure, phase: Phase) -> str:
         f"N_ACTUATORS = {na}\n\n",
     ]
     return "\n".join([*header, functions, "", _tuples(nj, na), "", _rk4(nj)])
+
+
+def _lane_source(form: Structure, phase: Phase, laws: Laws) -> str:
+    m = augmented.augmented_model(form, phase, laws)
+    nj, na, nz, nr = m.q.numel(), m.pressure.numel(), m.z.numel(), m.phi.numel()
+    nx = 2 * nj + nz
+    sizes = {
+        "X": nx, "RATE": nx, "SUM": max(nx, nr), "START": nx, "PRESSURE": na, "PHI": nr,
+        "PUSH": nj * nr, "DELASSUS": nr * nr, "SLIP": nr, "BOUND": nr, "SPAN": nr,
+        "PRESSED": 2 * nj, "GAPS": 2 * nj, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx,
+    }  # fmt: skip
+    row, rows = 0, {}
+    for name, size in sizes.items():
+        rows[name] = row
+        row += size
+    x, at_start = rows["X"], rows["START"]
+    state = {"q": x, "v": x + nj, "z": x + 2 * nj}
+    routines = [
+        codegen.LaneRoutine(
+            "lane_motion",
+            {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "phi": m.phi, "pressed": m.pressed},
+            ca.vertcat(m.smooth_acceleration, m.z_rate),
+            {**state, "pressure": rows["PRESSURE"], "phi": rows["PHI"], "pressed": rows["PRESSED"]},
+            rows["RATE"] + nj,
+        ),
+        codegen.LaneRoutine("lane_stops", {"q": m.q, "v": m.v}, m.gaps, {"q": x, "v": x + nj}, rows["GAPS"]),
+        codegen.LaneRoutine("lane_rest", {"q": m.q}, m.rest_state, {"q": x}, x + 2 * nj),
+        codegen.LaneRoutine(
+            "lane_friction",
+            {"q": m.q, "v": m.v, "v0": m.v0},
+            ca.vertcat(ca.vec(m.push), ca.vec(m.delassus), m.rows, m.bound, m.rows_before),
+            {"q": x, "v": x + nj, "v0": at_start + nj},
+            rows["PUSH"],
+        ),
+    ]
+    functions, work_rows = codegen.generate_lanes(routines, m.p, _LANE_DECORATOR, row)
+    counts = {"JOINTS": nj, "ACTUATORS": na, "STATES": nz, "ROWS": nr}
+    header = [
+        "# Generated; safe to delete.",
+        "from __future__ import annotations\n",
+        "import math\n",
+        "from numba import njit\n",
+        f"from {lane_math.__name__} import lane_cos, lane_sin\n",
+        f"LANES = {lane_functions.LANES}",
+        *[f"N_{name} = {count}" for name, count in counts.items()],
+        f"WORK_ROWS = {work_rows}",
+        *[f"ROW_{name} = {first}" for name, first in rows.items()],
+        "",
+    ]
+    return "\n".join([*header, "", functions])
 
 
 def _tuples(nj: int, na: int) -> str:

@@ -6,10 +6,12 @@ constants that every other generated function takes as its last argument.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
+
+from equimus_ctrl.errors import ModelError
 
 _BINARY = {
     ca.OP_ADD: "{0} + {1}",
@@ -42,6 +44,16 @@ _BINARY = {
     ca.OP_LOG: "math.log({0})",
     ca.OP_TANH: "math.tanh({0})",
     ca.OP_FABS: "abs({0})",
+    ca.OP_SIGN: "1.0 if {0} > 0.0 else (-1.0 if {0} < 0.0 else 0.0)",
+    ca.OP_ASIN: "math.asin({0})",
+    ca.OP_ACOS: "math.acos({0})",
+    ca.OP_ATAN: "math.atan({0})",
+    ca.OP_SINH: "math.sinh({0})",
+    ca.OP_COSH: "math.cosh({0})",
+    ca.OP_LOG1P: "math.log1p({0})",
+    ca.OP_EXPM1: "math.expm1({0})",
+    ca.OP_HYPOT: "math.hypot({0}, {1})",
+    ca.OP_ERF: "math.erf({0})",
 }
 
 
@@ -99,8 +111,101 @@ def generate(routines: Sequence[Routine], parameters: ca.SX, decorator: str) -> 
     return "\n\n".join([prepare, *bodies])
 
 
+@dataclass(frozen=True)
+class LaneRoutine(Routine):
+    """One function to generate that works on many parameter sets side by side.
+
+    Attributes:
+        rows: input name → the row of the work array where its first entry stands.
+        result: the row where the output's first entry goes.
+    """
+
+    rows: Mapping[str, int]
+    result: int
+
+
+def generate_lanes(
+    routines: Sequence[LaneRoutine], parameters: ca.SX, decorator: str, constants_row: int
+) -> tuple[str, int]:
+    """Source text of ``prepare_lane(p, w, l)`` and of a function ``name(w)`` for each routine; (text, rows in all).
+
+    The work array w is flat: entry l of row r stands at r·LANES + l, and each function runs over all lanes l in one
+    loop without branches, which the compiler turns into vector instructions. Sines and cosines are those of
+    ``lane_sin`` and ``lane_cos``.
+
+    Args:
+        routines: what to generate.
+        parameters: the SX symbol vector p.
+        decorator: a line put before every function.
+        constants_row: the first row that the constants may take.
+    """
+    count = 0
+    prepare_lines: list[str] = []
+    stores: list[str] = []
+    bodies: list[str] = []
+    for routine in routines:
+        written = _write(
+            routine, parameters, count, lambda index: f"w[{constants_row + index} * LANES + l]", _LANE_FUNCTIONS
+        )
+        prepare_lines += written.prepare
+        stores += [f"    w[{constants_row + count + i} * LANES + l] = {n}\n" for i, n in enumerate(written.constants)]
+        count += len(written.constants)
+        loads = [
+            f"    {name}{i} = w[{routine.rows[name] + i} * LANES + l]\n"
+            for name, symbol in routine.inputs.items()
+            for i in range(symbol.numel())
+        ]
+        saves = [f"    w[{routine.result + i} * LANES + l] = {value}\n" for i, value in enumerate(written.outputs)]
+        loop = "".join(f"    {line}" for line in [*loads, *written.body, *saves]) or "        pass\n"
+        bodies.append(f"{decorator}\ndef {routine.name}(w):\n    for l in range(LANES):\n{loop}")
+    unpack = "".join(f"    p{i} = p[{i}]\n" for i in range(parameters.numel()))
+    prepare = f"{decorator}\ndef prepare_lane(p, w, l):\n{unpack}{''.join(prepare_lines)}{''.join(stores)}"
+    return "\n\n".join([prepare, *bodies]), constants_row + count
+
+
+_LANE_FUNCTIONS = {ca.OP_SIN: "lane_sin({0})", ca.OP_COS: "lane_cos({0})"}
+
+
+@dataclass(frozen=True)
+class _Written:
+    """Source lines of one routine.
+
+    Attributes:
+        prepare: what depends on the parameters alone.
+        constants: names that ``prepare`` makes and the body needs.
+        body: the rest.
+        outputs: what the output's entries are called.
+    """
+
+    prepare: list[str]
+    constants: list[str]
+    body: list[str]
+    outputs: list[str]
+
+
 def _generate_one(routine: Routine, parameters: ca.SX, offset: int) -> tuple[str, list[str], list[str]]:
     """(source, lines for prepare, names of the prepared values needed) of one routine."""
+    written = _write(routine, parameters, offset, lambda index: f"c[{index}]", {})
+    header = f"def {routine.name}({', '.join([*routine.inputs, 'c'])}):\n"
+    unpack = "".join(
+        _unpack([f"{name}{i}" for i in range(symbol.numel())], name) for name, symbol in routine.inputs.items()
+    )
+    source = f"{header}{unpack}{''.join(written.body)}    return ({', '.join(written.outputs)},)\n"
+    return source, written.prepare, written.constants
+
+
+def _write(
+    routine: Routine, parameters: ca.SX, offset: int, constant_at: Callable[[int], str], functions: Mapping[int, str]
+) -> _Written:
+    """A routine as lines of source.
+
+    Args:
+        routine: what is written.
+        parameters: the SX symbol vector p.
+        offset: how many constants other routines have taken already.
+        constant_at: how the constant of an index is read in the body.
+        functions: operation → source form in the body, in place of the usual one.
+    """
     symbols = list(routine.inputs.values())
     dense = ca.densify(ca.cse(routine.output))
     function = ca.Function(routine.name, [*symbols, parameters], [dense])
@@ -115,8 +220,7 @@ def _generate_one(routine: Routine, parameters: ca.SX, offset: int) -> tuple[str
     def use(value: tuple[str, bool], constant_target: bool) -> str:
         name, constant = value
         if constant and not constant_target and name[0] not in "-0123456789":
-            index = needed.setdefault(name, offset + len(needed))
-            return f"c[{index}]"
+            return constant_at(needed.setdefault(name, offset + len(needed)))
         return name
 
     for k in range(function.n_instructions()):
@@ -134,18 +238,13 @@ def _generate_one(routine: Routine, parameters: ca.SX, offset: int) -> tuple[str
             outputs[outs[1]] = use(work[ins[0]], False)
         else:
             if op not in _BINARY:
-                raise NotImplementedError(f"CasADi operation {op} has no source form yet")
+                raise ModelError(f"{routine.name}: CasADi operation {op} has no source form in the compiled engine")
             values = [work[i] for i in ins]
             constant = all(value[1] for value in values)
             arguments = [use(value, constant) for value in values]
             name = f"{tag}{k}" if constant else f"w{k}"
-            line = f"    {name} = {_BINARY[op].format(*[f'({a})' if a[0] == '-' else a for a in arguments])}\n"
+            form = _BINARY[op] if constant else functions.get(op, _BINARY[op])
+            line = f"    {name} = {form.format(*[f'({a})' if a[0] == '-' else a for a in arguments])}\n"
             (prepare if constant else body).append(line)
             work[outs[0]] = (name, constant)
-
-    header = f"def {routine.name}({', '.join([*routine.inputs, 'c'])}):\n"
-    unpack = "".join(
-        _unpack([f"{name}{i}" for i in range(symbol.numel())], name) for name, symbol in routine.inputs.items()
-    )
-    result = ", ".join(outputs[i] for i in range(dense.numel()))
-    return f"{header}{unpack}{''.join(body)}    return ({result},)\n", prepare, list(needed)
+    return _Written(prepare, list(needed), body, [outputs[i] for i in range(dense.numel())])

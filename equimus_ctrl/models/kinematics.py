@@ -93,6 +93,13 @@ class Kinematics:
         """(na,) force along each actuator that pressures [Pa] make [N]."""
         return np.array([a.area for a in self.morphology.actuators]) * np.asarray(pressure, dtype=np.float64)
 
+    def rest_torque(self, q: ArrayLike, pressure: ArrayLike | None = None) -> tuple[Array, Array]:
+        """(nj,) torque that would move the joints from rest at q [N·m], stops included, and (nj, nj) its slope by q."""
+        na, nj = len(self.morphology.actuators), len(self.morphology.joints)
+        force = np.zeros(na) if pressure is None else self.drive_force(pressure)
+        torque, slope = self._call("rest_torque", q, force, np.zeros(nj))
+        return np.array(torque).ravel(), np.array(slope)
+
     def static_pressure(self, q: ArrayLike) -> Array:
         """(na,) pressures that would hold q at rest without touching a stop [Pa]; they may lie outside the range."""
         return np.array(self._call("static_pressure", q)).ravel()

@@ -17,13 +17,15 @@ import numpy as np
 
 from equimus_ctrl.errors import ModelError, unknown_name
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.morphology import BASE, ElasticActuator, Joint, JointStop, Morphology, Phase, Point
+from equimus_ctrl.models.morphology import BASE, ElasticActuator, Joint, Morphology, Phase, Point
 from equimus_ctrl.types import Array
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
 HINGE_AXIS = (0.0, 1.0, 0.0)
 POINT_INERTIA = 1e-9  # MuJoCo wants more than none; a millionth of a link's
 STOP_IMPEDANCE = 1e-4  # the least MuJoCo allows: the limit then acts as the plain spring and damper it stands for
+STOP_SOLIMP = (STOP_IMPEDANCE, STOP_IMPEDANCE, 0.001, 0.5, 2.0)
+ABSENT_STOP = 1e3  # where the limit of a missing stop is put [rad]
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class SolverSettings:
         integrator: ``"implicitfast"``, ``"Euler"``, ``"implicit"`` or ``"RK4"``.
         time_constant: of the equalities' error decay [s]; None means two time steps, the least MuJoCo allows.
         impedance: of the equalities, just below 1.
+        softness: factor on how far the equalities give way; below 1 ``compile_model`` holds them harder than an
+            impedance of 0.9999, the most that MuJoCo takes, at no cost in time.
         iterations: of the constraint solver, at most.
         tolerance: of the constraint solver.
     """
@@ -45,12 +49,13 @@ class SolverSettings:
     impedance: float = 0.9999
     iterations: int = 50
     tolerance: float = 1e-10
+    softness: float = 1.0
 
     def check(self) -> None:
         """Raise ModelError where MuJoCo could not work with these settings."""
         if self.integrator not in INTEGRATORS:
             raise ModelError(unknown_name("integrator", self.integrator, INTEGRATORS, "solver settings"))
-        for key in ("timestep", "time_constant", "tolerance"):
+        for key in ("timestep", "time_constant", "tolerance", "softness"):
             value = getattr(self, key)
             if value is not None and not 0 < value < math.inf:
                 raise ModelError(f"solver settings: {key} is {value:g}, expected more than 0")
@@ -311,39 +316,72 @@ def compile_model(
     """The compiled MuJoCo model of a morphology, with its joint stops set.
 
     A stop is a joint limit of the least impedance d MuJoCo allows: its force d·(k r + b v − a)/A is then that of a
-    one-sided spring and damper, but for the share d of what the bare acceleration a would need.
+    one-sided spring and damper, but for the share d of what the bare acceleration a would need. A joint limit has one
+    k and one b, so where a joint's stops differ the upper one is the limit of a fixed tendon over that joint.
     """
     spec = build_spec(morphology, phase, settings)
-    for joint in morphology.joints:
-        _limit(spec, joint, (1.0, 1.0))
-    model = spec.compile()
-    for joint in morphology.joints:
-        stop = joint.lower or joint.upper
-        if stop is None:
-            continue
-        index = model.joint(joint.name).id
-        inverse_inertia = model.dof_invweight0[model.jnt_dofadr[index]]
-        # With direct stiffness K and damping C MuJoCo's limit exerts (K r + C v) / inverse_inertia.
-        model.jnt_solref[index] = (-stop.stiffness * inverse_inertia, -stop.damping * inverse_inertia)
+    model = compile_with_stops(spec, morphology)
+    if settings is not None and settings.softness != 1.0:
+        # What an equality gives way is proportional to these; the joint stops use the hinges' alone.
+        model.body_invweight0[:] *= settings.softness
+        model.dof_invweight0[element_slides(model)] *= settings.softness
     return model
 
 
-def _limit(spec: mujoco.MjSpec, joint: Joint, solref: tuple[float, float]) -> None:
+def compile_with_stops(spec: mujoco.MjSpec, morphology: Morphology) -> mujoco.MjModel:
+    """A spec that has a morphology's joints, compiled with their stops; see ``compile_model``."""
+    for joint in morphology.joints:
+        _limit(spec, joint)
+    model = spec.compile()
+    for joint in morphology.joints:
+        index = model.joint(joint.name).id
+        # With direct stiffness K and damping C MuJoCo's limit exerts (K r + C v) / inverse_inertia.
+        if stop := joint.lower or joint.upper:
+            inverse_inertia = model.dof_invweight0[model.jnt_dofadr[index]]
+            model.jnt_solref[index] = (-stop.stiffness * inverse_inertia, -stop.damping * inverse_inertia)
+        if joint.upper and stops_differ(joint):
+            tendon = model.tendon(stop_tendon(joint.name)).id
+            inverse_inertia = model.tendon_invweight0[tendon]
+            upper = (-joint.upper.stiffness * inverse_inertia, -joint.upper.damping * inverse_inertia)
+            model.tendon_solref_lim[tendon] = upper
+    return model
+
+
+def element_slides(model: mujoco.MjModel) -> list[int]:
+    """The degrees of freedom along all 3-2-1 elements of a model."""
+    halves = [f"{name}/{half}" for name in _element_names(model) for half in ("middle", "lower")]
+    return [int(model.joint(half).dofadr[0]) for half in halves]
+
+
+def stop_tendon(joint: str) -> str:
+    """What the tendon is called that is a joint's upper stop where a joint limit cannot be both."""
+    return f"{joint}/upper"
+
+
+def stops_differ(joint: Joint) -> bool:
+    """Whether a joint's two stops push differently, which takes more than one MuJoCo limit."""
+    a, b = joint.lower, joint.upper
+    return bool(a and b and (a.stiffness, a.damping) != (b.stiffness, b.damping))
+
+
+def _limit(spec: mujoco.MjSpec, joint: Joint) -> None:
+    low = joint.lower.angle if joint.lower else -ABSENT_STOP
+    high = joint.upper.angle if joint.upper else ABSENT_STOP
     if joint.lower is None and joint.upper is None:
         return
-    if joint.lower and joint.upper and not _same_force(joint.lower, joint.upper):
-        raise ModelError(
-            f"joint {joint.name!r}: its two stops differ in stiffness or damping, which a MuJoCo joint limit cannot do"
-        )
+    apart = stops_differ(joint)
     hinge = spec.joint(joint.name)
     hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    hinge.range = (joint.lower.angle if joint.lower else -1e3, joint.upper.angle if joint.upper else 1e3)
-    hinge.solimp_limit = (STOP_IMPEDANCE, STOP_IMPEDANCE, 0.001, 0.5, 2.0)
-    hinge.solref_limit = solref
-
-
-def _same_force(a: JointStop, b: JointStop) -> bool:
-    return a.stiffness == b.stiffness and a.damping == b.damping
+    hinge.range = (low, ABSENT_STOP if apart else high)
+    hinge.solimp_limit = STOP_SOLIMP
+    hinge.solref_limit = (1.0, 1.0)
+    if apart:
+        tendon = spec.add_tendon(name=stop_tendon(joint.name))
+        tendon.wrap_joint(joint.name, 1.0)
+        tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        tendon.range = (-ABSENT_STOP, high)
+        tendon.solimp_limit = STOP_SOLIMP
+        tendon.solref_limit = (1.0, 1.0)
 
 
 def close_elements(model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -19,14 +19,14 @@ A model file is TOML:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass
+from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass, replace
 from typing import Any, get_args, get_origin, get_type_hints
 
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
 from equimus_ctrl.models.leg import MORPHOLOGIES, nominal_leg
-from equimus_ctrl.models.morphology import Morphology, Phase
+from equimus_ctrl.models.morphology import BASE, Morphology, Phase
 
 FORMAT = "equimus-ctrl/model/1"
 
@@ -41,7 +41,7 @@ class Model:
         phase: base fixed (swing) or foot pinned (stance).
 
     Raises:
-        ConfigError: where an effect sits at something the robot does not have.
+        ConfigError: where an effect sits at something the robot does not have, or two exclude each other.
     """
 
     morphology: Morphology
@@ -53,12 +53,68 @@ class Model:
         m = self.morphology
         if self.phase not in get_args(Phase):
             raise ConfigError(unknown_name("phase", str(self.phase), get_args(Phase), m.name))
-        effects_base.check_locations(self.effects, m.joint_names, m.actuator_names, m.name)
+        effects_base.check_locations(self.effects, places(m), m.name)
+        effects_base.check_exclusive(self.effects, m, m.name)
 
     @property
     def name(self) -> str:
         """The morphology's name."""
         return self.morphology.name
+
+    def parameters(self) -> dict[str, float]:
+        """Every number by its dotted name: the morphology's, and those of effects as ``baa.transport_delay.delay``.
+
+        Where a place has several effects of one name, those after the first are numbered: ``knee.joint_stop#2.angle``.
+        """
+        values = self.morphology.parameters()
+        return values | {name: float(getattr(e, key)) for name, (e, key) in self.effect_parameters().items()}
+
+    def effect_parameters(self) -> dict[str, tuple[Effect, str]]:
+        """Dotted name → the effect whose parameter it is, and which."""
+        found: dict[str, tuple[Effect, str]] = {}
+        for effect, prefix in zip(self.effects, self._prefixes(), strict=True):
+            found |= {prefix + key: (effect, key) for key in effect.parameter_info()}
+        return found
+
+    def _prefixes(self) -> list[str]:
+        count: dict[str, int] = {}
+        prefixes = []
+        for effect in self.effects:
+            label = f"{effect.location}.{effect.name}"
+            count[label] = count.get(label, 0) + 1
+            prefixes.append(f"{label}." if count[label] == 1 else f"{label}#{count[label]}.")
+        return prefixes
+
+    def with_parameters(self, values: Mapping[str, float]) -> Model:
+        """A copy with some of ``parameters()`` replaced.
+
+        Raises:
+            ModelError: for a name that does not exist or a value that cannot be.
+            ConfigError: for an effect's value outside its bounds.
+        """
+        left = dict(values)
+        effects = []
+        for effect, prefix in zip(self.effects, self._prefixes(), strict=True):
+            own = {key: left.pop(prefix + key) for key in effect.parameter_info() if prefix + key in left}
+            effects.append(replace(effect, **own) if own else effect)  # type: ignore[arg-type]
+        if not left:
+            return replace(self, effects=tuple(effects))
+        known = self.parameters()
+        for name in left:
+            if name not in known:
+                raise ModelError(unknown_name("parameter", name, known, self.name))
+        return Model(self.morphology.with_parameters(left), tuple(effects), self.phase)
+
+
+def places(morphology: Morphology) -> dict[str, tuple[str, ...]]:
+    """Kind of place → the names of those an effect can sit at."""
+    return {
+        "joint": morphology.joint_names,
+        "actuator": morphology.actuator_names,
+        "link": tuple(link.name for link in morphology.links),
+        "foot": ("foot",),
+        "base": (BASE,),
+    }
 
 
 def nominal_model() -> Model:

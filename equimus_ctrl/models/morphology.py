@@ -328,6 +328,36 @@ class Morphology:
         """The link called ``name``."""
         return self.links[[link.name for link in self.links].index(name)]
 
+    def middle(self, joint: str) -> float:
+        """The angle of a joint that lies between its lower and its upper side [rad].
+
+        The middle of its stops; a quarter turn from the one where there is but one; and without any, where it hangs
+        straight down with all that carries it.
+        """
+        j = self.joint(joint)
+        if j.lower and j.upper:
+            return (j.lower.angle + j.upper.angle) / 2
+        if j.lower:
+            return j.lower.angle + math.pi / 2
+        if j.upper:
+            return j.upper.angle - math.pi / 2
+        return math.pi / 2 + self.tilt if j.parent == BASE else 0.0
+
+    def with_stop(self, joint: str, side: Literal["lower", "upper"], stop: tuple[float, float, float]) -> Morphology:
+        """A copy in which a joint's stop is another, or is where there was none.
+
+        Args:
+            joint: whose.
+            side: which.
+            stop: angle [rad], stiffness [N·m/rad], damping [N·m·s/rad].
+        """
+        joints = [replace(j, **{side: JointStop(*stop)}) if j.name == joint else j for j in self.joints]  # type: ignore[arg-type]
+        return replace(self, joints=tuple(joints))
+
+    def joint(self, name: str) -> Joint:
+        """The joint called ``name``."""
+        return self.joints[self.joint_names.index(name)]
+
     def chain(self, body: str) -> tuple[Joint, ...]:
         """The joints between the base and ``body``, from the base outwards."""
         by_child = {joint.child: joint for joint in self.joints}

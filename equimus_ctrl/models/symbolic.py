@@ -38,6 +38,7 @@ class SymbolicModel:
         p: parameter vector, see ``morphology.pack``.
         mass: (nj, nj) mass matrix M(q).
         bias: (nj,) h(q, v), stops included.
+        smooth_bias: (nj,) h(q, v) without the stops.
         static_bias: (nj,) ∂V/∂q without the stops.
         acceleration: (nj,) M⁻¹(Jᵀf + tau − h).
         lengths: (na,) actuator lengths [m].
@@ -57,6 +58,7 @@ class SymbolicModel:
     p: ca.SX
     mass: ca.SX
     bias: ca.SX
+    smooth_bias: ca.SX
     static_bias: ca.SX
     acceleration: ca.SX
     lengths: ca.SX
@@ -180,20 +182,48 @@ def build(form: Structure, phase: Phase) -> SymbolicModel:
     static_bias = ca.gradient(potential, q)
     joint_damping = ca.vertcat(*[joints[i][2] * v[i] for i in range(nj)])
     actuator_damping = ca.vertcat(*[a[6] for a in actuators]) * (jacobian @ v)
-    stop_torque = ca.vertcat(*[_stop_torque(q[i], v[i], joints[i][3:9]) for i in range(nj)])
-    bias = coriolis + static_bias + joint_damping + jacobian.T @ actuator_damping - stop_torque
+    stop_torque = ca.vertcat(*[_stop_torque(q[i], v[i], joint_stops(p, i)) for i in range(nj)])
+    smooth_bias = coriolis + static_bias + joint_damping + jacobian.T @ actuator_damping
+    bias = smooth_bias - stop_torque
     acceleration = ldl_solve(mass_matrix, jacobian.T @ f + tau - bias)
     knots = ca.horzcat(ca.SX.zeros(2), *[along(i, joints[i][9]) for i in range(nj)])
     area = ca.vertcat(*[a[8] for a in actuators])
     return SymbolicModel(
-        q, v, f, tau, p, mass_matrix, bias, static_bias, acceleration, length, jacobian, foot, knots, kinetic,
-        potential, area, stop_torque,
+        q, v, f, tau, p, mass_matrix, bias, smooth_bias, static_bias, acceleration, length, jacobian, foot, knots,
+        kinetic, potential, area, stop_torque,
     )  # fmt: skip
 
 
-def _stop_torque(q: ca.SX, v: ca.SX, stops: ca.SX) -> ca.SX:
+NO_STOP = 1e3
+"""Where a stop that is absent is put instead of at infinity [rad], so that nothing times infinity is formed."""
+
+
+def joint_stops(p: ca.SX, joint: int) -> ca.SX:
+    """(6,) a joint's stops in the parameter vector: angle, stiffness and damping of the lower, then of the upper."""
+    first = N_GLOBAL + joint * N_JOINT + 3
+    return p[first : first + 6]
+
+
+def stops_in_mode(q: ca.SX, v: ca.SX, stops: ca.SX, pressed: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """A joint's stops with what is pressed held fixed, so that the motion is smooth until that changes.
+
+    Args:
+        q: angle [rad].
+        v: velocity [rad/s].
+        stops: lower angle, stiffness, damping, then the upper's.
+        pressed: (2,) 1 where the lower, the upper stop is pressed, else 0.
+
+    Returns:
+        The torque on the joint [N·m], and (2,) numbers that are above 0 where a stop would be pressed: the depth, or
+        the push where that is less, for a stop never pulls.
+    """
     low, low_k, low_c, high, high_k, high_c = ca.vertsplit(stops)
-    below, above = ca.fmax(low - q, 0), ca.fmax(q - high, 0)
-    push_up = ca.fmax(low_k * below - ca.if_else(below > 0, low_c * v, 0), 0)
-    push_down = ca.fmax(high_k * above + ca.if_else(above > 0, high_c * v, 0), 0)
-    return push_up - push_down
+    below, above = ca.fmax(low, -NO_STOP) - q, q - ca.fmin(high, NO_STOP)
+    push_up, push_down = low_k * below - low_c * v, high_k * above + high_c * v
+    return pressed[0] * push_up - pressed[1] * push_down, ca.vertcat(ca.fmin(below, push_up), ca.fmin(above, push_down))
+
+
+def _stop_torque(q: ca.SX, v: ca.SX, stops: ca.SX) -> ca.SX:
+    """What a joint's stops exert, pressed as the state says."""
+    _, gaps = stops_in_mode(q, v, stops, ca.SX.zeros(2))
+    return stops_in_mode(q, v, stops, gaps > 0)[0]

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from equimus_ctrl.effects.command import lag, mean_command
-from equimus_ctrl.effects.valves import DELAY, FILL, VENT, valve_settings
+from equimus_ctrl.effects.base import require_kinds
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.command import advance_pressure
+from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, hermite, sensor_settings
+from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
+from equimus_ctrl.engines.mujoco_forces import ForceStepper
+from equimus_ctrl.engines.mujoco_trials import MUJOCO_KINDS
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place, step_quietly
+from equimus_ctrl.models.mjcf import compile_model, place, step_quietly
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
@@ -75,7 +82,7 @@ def make_spec(
 class MujocoPlant:
     """The leg (or any morphology) in MuJoCo: pressures in, angles out at the sensor's rate.
 
-    The equalities of the 3-2-1 elements are held with the default ``SolverSettings`` and integrated by RK4, which
+    The equalities of the 3-2-1 elements are held as hard as in ``engines.mujoco_batch`` and integrated by RK4, which
     keeps the angles within 1e-5 rad of the exact Lagrangian at 480 Hz (about 1e-3 rad while a joint hits a stop).
 
     Args:
@@ -96,21 +103,23 @@ class MujocoPlant:
         self.rates = rates or PlantRates()
         if not 0 <= noise < float("inf"):
             raise ConfigError(f"noise is {noise:g} rad, expected 0 or more")
+        require_kinds(model.effects, MUJOCO_KINDS, f"{model.name}: the MuJoCo plant")
         self.model = model
         self.noise = noise
+        robot = changed_bodies(model.effects, model.morphology)
         self._dt = 1 / self.rates.physics
         self._steps = whole_ratio(self.rates.physics, self.rates.control, "physics rate over control rate")
         self._sensor_steps = whole_ratio(self.rates.physics, self.rates.sensor, "physics rate over sensor rate")
-        self._kinematics = Kinematics(model.morphology, model.phase)
-        self.mujoco_model = compile_model(
-            model.morphology, model.phase, SolverSettings(timestep=self._dt, integrator="RK4")
-        )
+        self._kinematics = Kinematics(robot, model.phase)
+        self.mujoco_model = compile_model(robot, model.phase, replace(FAST_SETTINGS, timestep=self._dt))
         self.mujoco_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+        self._forces = ForceStepper(model, robot, self.mujoco_model)
         self.data = mujoco.MjData(self.mujoco_model)
         joints = [self.mujoco_model.joint(name) for name in model.morphology.joint_names]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._valve = valve_settings(model.effects, model.morphology.actuator_names)
+        self._sensor = sensor_settings(model.effects, model.morphology.joint_names)
         self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model.morphology, model.phase)
         self._step_count = -1
         self._diverged: str | None = None
@@ -159,21 +168,27 @@ class MujocoPlant:
                 f"start command {_kpa(command)} kPa lies outside {_kpa(self.spec.command_low)} to "
                 f"{_kpa(self.spec.command_high)} kPa"
             )
-        position = self._kinematics.equilibrium(command) if start.position is None else start.position
+        reaches = self._shaped(np.asarray(command))
+        position = self._kinematics.equilibrium(reaches) if start.position is None else start.position
         mujoco.mj_resetData(self.mujoco_model, self.data)
         self._place(np.asarray(position), start.velocity)
+        self._forces.reset(np.asarray(position))
         self._diverged = None
         self._rng = np.random.default_rng(seed)
         self._step_count = 0
         self._control_count = 0
-        self._pressure = np.array(command)
-        self._before = np.array(command)
+        self._pressure = reaches.copy()
+        self._before = reaches
         self._cursor = [-1] * na
         self._times = np.empty(256)
         self._commands = np.empty((256, na))
         self._clipped = np.zeros(na, dtype=bool)
+        # As much of the motion as the latest sensor looks back, and a step more.
+        back = int(np.ceil(self._sensor[:, LATE].max() / self._dt)) + 3
+        self._past = deque([(self.position, np.array(self.data.qvel[self._dof]))], maxlen=back)
+        self._held = self.position
         self._measure()
-        return self._observation(self._before)
+        return self._observation(np.array(command))
 
     def step(self, command: ArrayLike) -> Observation:
         """Hold ``command`` [Pa] for one control period; it is clipped to the range and the clipping reported.
@@ -197,7 +212,7 @@ class MujocoPlant:
             self._times = np.concatenate([self._times, np.empty(n)])
             self._commands = np.concatenate([self._commands, np.empty((n, applied.size))])
         self._times[n] = n * self.spec.control_dt
-        self._commands[n] = applied
+        self._commands[n] = self._shaped(applied)
         self._control_count = n + 1
         for _ in range(self._steps):
             self._physics_step()
@@ -219,16 +234,22 @@ class MujocoPlant:
         n = self._control_count
         t = self._step_count * self._dt
         for i in range(len(self._cursor)):
-            at = t - self._valve[i, DELAY]
-            target, self._cursor[i] = mean_command(
-                self._times[:n], self._commands[:n, i], self._before[i], self._cursor[i], at, at + self._dt
+            self._pressure[i], self.data.ctrl[i], _, self._cursor[i] = advance_pressure(
+                self._times[:n],
+                self._commands[:n, i],
+                self._before[i],
+                self._cursor[i],
+                t,
+                self._dt,
+                self._pressure[i],
+                self._valve[i],
             )
-            self._pressure[i], self.data.ctrl[i] = lag(
-                self._pressure[i], target, self._valve[i, FILL], self._valve[i, VENT], self._dt
-            )
+        self._forces.apply(self.data)
         slow = self._is_slow()
         sound = step_quietly(self.mujoco_model, self.data)
         self._step_count += 1
+        if self._sensor_remembers():
+            self._remember()
         if not (slow and sound and self._is_slow()):
             self._diverged = (
                 f"{self.model.name}: the simulation diverged at {self._step_count * self._dt:.3f} s under commands of "
@@ -239,10 +260,36 @@ class MujocoPlant:
     def _is_slow(self) -> bool:
         return bool(np.all(np.abs(self.data.qvel[self._dof]) < MAX_SPEED))
 
+    def _shaped(self, command: Array) -> Array:
+        names = self.model.morphology.actuator_names
+        return np.array(shaped_commands(self.model.effects, names, command[None, :])[0])
+
+    def _sensor_remembers(self) -> bool:
+        return bool(np.any(self._sensor[:, LATE] > 0) or np.any(self._sensor[:, PLAY] > 0))
+
+    def _remember(self) -> None:
+        self._past.append((self.position, np.array(self.data.qvel[self._dof])))
+        for j, row in enumerate(self._sensor):
+            self._held[j] = follow(self._held[j], self._seen(j), row[PLAY])
+
+    def _seen(self, j: int) -> float:
+        """Where joint j was as long ago as its sensor is late [rad]."""
+        late = self._sensor[j, LATE]
+        if late == 0.0:
+            return float(self.position[j])
+        first = self._step_count + 1 - len(self._past)  # the step that the oldest entry belongs to
+        place = self._step_count - late / self._dt - first
+        if place <= 0.0:
+            return float(self._past[0][0][j])
+        step = min(int(place), len(self._past) - 2)
+        (q0, v0), (q1, v1) = self._past[step], self._past[step + 1]
+        return float(hermite(q0[j], v0[j], q1[j], v1[j], self._dt, place - step))
+
     def _measure(self) -> None:
         self._stamp = self._step_count * self._dt
+        seen = np.array([self._held[j] if row[PLAY] > 0 else self._seen(j) for j, row in enumerate(self._sensor)])
         noise = self._rng.normal(0.0, self.noise, len(self._qpos)) if self.noise > 0 else 0.0
-        self._measured = frozen_array(self.position + noise)
+        self._measured = frozen_array(self._sensor[:, OFFSET] + self._sensor[:, SCALE] * seen + noise)
 
     def _observation(self, applied: Array) -> Observation:
         clipped = self._clipped.copy()

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from equimus_ctrl.effects.base import require_kinds
+from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.valves import ValveEffect, valve_settings
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
@@ -22,7 +24,7 @@ class Member:
         name: for tables.
         morphology: its numbers.
         parameters: the same as a vector.
-        valve: (na, 3) transport delay, filling and venting time constants [s].
+        valve: (na, 4), see ``effects.valves``.
     """
 
     name: str
@@ -63,8 +65,12 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
         seed: the same seed gives the same legs.
         fixed: whether the first is the model itself with middling valves and the second the leg that is hardest to
             keep stable: latest valves, most force, least stiffness, damping and mass.
+
+    Raises:
+        ConfigError: where the model has effects that the tuning loop does not simulate.
     """
-    m = model.morphology
+    require_kinds(model.effects, (ValveEffect, BodyEffect), f"{model.name}: the tuning loop")
+    m = changed_bodies(model.effects, model.morphology)
     groups = _spread(model, settings)
     na = len(m.actuators)
     corner = [
@@ -87,11 +93,11 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
         }
         by_actuator = row[len(groups) :].reshape(na, 2)
         if has_own:
-            valve = own * (1 + settings.valve_spread * (2 * by_actuator[:, [0, 1, 1]] - 1))
+            valve = own * (1 + settings.valve_spread * (2 * by_actuator[:, [0, 1, 1, 1]] - 1))
         else:
             delay = settings.delay[0] + by_actuator[:, 0] * (settings.delay[1] - settings.delay[0])
             lag = settings.lag[0] + by_actuator[:, 1] * (settings.lag[1] - settings.lag[0])
-            valve = np.stack([delay, lag, lag], axis=1)
+            valve = np.stack([delay, lag, lag, np.full(na, np.inf)], axis=1)
         changed = m.with_parameters(values)
         members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve))
     return members

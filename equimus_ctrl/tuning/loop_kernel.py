@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from equimus_ctrl.controllers.pid_kernel import blend, pid_command, pid_start
-from equimus_ctrl.effects.command import lag, mean_command
+from equimus_ctrl.effects.command import advance_pressure
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.model_functions import (
     N_ACTUATORS,
@@ -50,7 +50,7 @@ def run_loop(
     Args:
         plant: parameter vector of the leg that is simulated.
         nominal: parameter vector of the leg the controller computes with.
-        valve: (na, 3) transport delay, filling and venting time constants [s].
+        valve: (na, 4), see ``effects.command.advance_pressure``.
         gains: (7, nz), see ``pid_start``.
         lengths: whether channels are actuator lengths, else joint angles.
         feedforward: whether the controller adds the static pressures.
@@ -109,11 +109,9 @@ def run_loop(
         for s in range(steps):
             t = now + s * dt
             for i in range(N_ACTUATORS):
-                at = t - valve[i, 0]
-                target, cursor[i] = mean_command(
-                    times[: k + 1], out_command[: k + 1, i], before[i], cursor[i], at, at + dt
+                pressure[i], mean, _, cursor[i] = advance_pressure(
+                    times[: k + 1], out_command[: k + 1, i], before[i], cursor[i], t, dt, pressure[i], valve[i]
                 )
-                pressure[i], mean = lag(pressure[i], target, valve[i, 1], valve[i, 2], dt)
                 force[i] = area[i] * mean
             q, v = rk4(q, v, actuator_tuple(force), tau, dt, c)
             for j in range(N_JOINTS):

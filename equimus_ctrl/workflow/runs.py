@@ -1,4 +1,4 @@
-"""What the commands do, as functions of a library: load a model, run a scenario, score recordings."""
+"""Models and scenarios by name, runs, scores and tuning."""
 
 from __future__ import annotations
 
@@ -250,6 +250,20 @@ class RecordingsScore:
         }
 
 
+def gather(recordings: Path | str | Iterable[Path | str] | Sequence[Recording]) -> list[Recording]:
+    """The trials that files, folders or trials themselves mean.
+
+    Raises:
+        RecordingError: where one cannot be read.
+    """
+    given = [recordings] if isinstance(recordings, Path | str) else list(recordings)
+    files = [Path(item) for item in given if isinstance(item, Path | str)]
+    trials = [item for item in given if isinstance(item, Recording)]
+    if files or not trials:
+        trials += read_set(files)
+    return trials
+
+
 def score_recordings(
     recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
     model: Model | None = None,
@@ -275,11 +289,7 @@ def score_recordings(
     model = model or nominal_model()
     if rate is not None and not 0 < rate <= MOST_RATE:
         raise ConfigError(f"the rate of the grid is {rate:g} Hz, expected more than 0 and at most {MOST_RATE:g}")
-    given = [recordings] if isinstance(recordings, Path | str) else list(recordings)
-    files = [Path(item) for item in given if isinstance(item, Path | str)]
-    trials = [item for item in given if isinstance(item, Recording)]
-    if files or not trials:
-        trials += read_set(files)
+    trials = gather(recordings)
     for trial in trials:
         check_columns(model, trial)
     scores = []

@@ -1,0 +1,352 @@
+"""``equimus-ctrl identify``: a model's parameters from recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, key_values, people, print_json, shown_path
+from equimus_ctrl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from equimus_ctrl.identification.fit import Fit
+    from equimus_ctrl.identification.statics import StaticFit
+    from equimus_ctrl.types import Array
+    from equimus_ctrl.workflow import Identification, Identified, IdentifiedPoses, Judged
+
+Patterns = Annotated[
+    list[str] | None,
+    typer.Option("--select", metavar="PATTERN", help="Use the trials of these names only, such as 'step_*'."),
+]
+Window = Annotated[
+    tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Compare this part of each trial only, in s.")
+]
+EngineName = Annotated[str, typer.Option(help="reduced (exact, compiled) or mujoco (3-2-1 elements).")]
+Step = Annotated[float | None, typer.Option(help="Physics step, in s; the engine's own by default.")]
+
+
+def identify(
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Trials (files, or folders of them), files of poses at rest, or both.")
+    ],
+    model: ModelFile = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--free",
+            metavar="NAME",
+            help="What may change, such as 'maa.*'; stiffness, area, rest length and damping by default.",
+        ),
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option("--fix", metavar="NAME", help="What stays as it is all the same.")
+    ] = None,
+    bound: Annotated[
+        list[str] | None, typer.Option("--bound", metavar="NAME=LOW,HIGH", help="Between which values, in SI units.")
+    ] = None,
+    select: Patterns = None,
+    heldout: Annotated[
+        list[Path] | None,
+        typer.Option("--heldout", metavar="PATH", help="Trials or poses that only judge; those fitted are left out."),
+    ] = None,
+    window: Window = None,
+    shoot: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Cut into windows of this length, each from its own free start."),
+    ] = None,
+    fit_start: Annotated[bool, typer.Option("--fit-start", help="Let each trial's first angles be free.")] = False,
+    engine: EngineName = "reduced",
+    dt: Step = None,
+    folds: Annotated[int, typer.Option(help="Of the cross-check; 0 for none.")] = 4,
+    write_model: Annotated[
+        Path | None, typer.Option("--write-model", metavar="FILE", help="Write the identified model, for --model.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
+    ] = None,
+    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    effects: EffectFiles = None,
+    as_json: Json = False,
+) -> None:
+    """Find a model's parameters by simulating recordings, with intervals, and judge them on what was left out.
+
+    Poses at rest (P1 (kPa), P2 (kPa), theta1 (deg), theta2 (deg)) are recognised by their header. Where they are given
+    together with trials they come first, for stiffness, area and rest length; the trials go on from there.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl identify my_recordings --write-model identified.toml
+    equimus-ctrl identify step_release.csv --window 5 9 --select 'step_release_p1*' --heldout step_release.csv
+    equimus-ctrl identify static_poses_36.csv --json
+    equimus-ctrl identify static_poses_13.csv my_recordings --free '*.damping' --free 'maa.*' --bound maa.area=3e-4,5e-4
+    """  # noqa: D301
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from equimus_ctrl import presets
+
+    folder = output or presets.workspace() / "identification" / "results" / recordings[0].resolve().stem
+    presets.check_folder(folder)
+    if write_model is not None:
+        presets.check_folder(write_model.parent)
+        if write_model.is_dir():
+            raise ConfigError(f"{write_model}: is a folder; a model file to write belongs there")
+    limits = _bounds(bound)
+    console = people()
+    columns = (
+        TextColumn("{task.description:<13}"),
+        BarColumn(),
+        TextColumn("{task.fields[best]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    try:
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task("getting ready", total=1.0, best="")
+            from equimus_ctrl import workflow
+
+            workflow.load_effects(effects or ())
+
+            def notify(stage: str, share: float, best: float) -> None:
+                shown = "" if best != best else f"best {best:.5f} rad"
+                progress.update(task, description=stage, completed=share, best=shown)
+
+            found = workflow.identify_files(
+                recordings,
+                workflow.load_model(model),
+                free=free,
+                fix=fix or (),
+                bounds=limits,
+                select=select,
+                heldout=heldout or (),
+                window=window,
+                shoot=shoot,
+                fit_start=fit_start,
+                engine=engine,
+                dt=dt,
+                folds=folds,
+                progress=notify,
+            )
+            record = found.to_dict()
+
+            def draw() -> dict[str, Figure]:
+                from equimus_ctrl.report.identification_figures import identification_figures
+
+                progress.update(task, description="figures")
+                return identification_figures(found) if figures else {}
+
+            files = write_results(folder, draw, record)
+    except KeyboardInterrupt:
+        console.print("stopped: nothing was written", markup=False)
+        raise typer.Exit(130) from None
+    if write_model is not None:
+        workflow.save_model(write_model, _named(found, write_model.stem))
+        files.append(write_model)
+    tell(console, found)
+    for file in files:
+        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    if as_json:
+        print_json({**record, "files": [str(file) for file in files]})
+
+
+def write_results(folder: Path, draw: Callable[[], dict[str, Figure]], record: dict[str, Any]) -> list[Path]:
+    """Figures and ``record.json`` into a folder; nothing where drawing fails or is stopped."""
+    import tempfile
+
+    from equimus_ctrl import presets
+    from equimus_ctrl.report import style
+
+    with tempfile.TemporaryDirectory() as scratch:
+        drawn = [style.save(figure, Path(scratch) / f"{name}.png") for name, figure in draw().items()]
+        pictures = {file.name: file.read_bytes() for file in drawn}
+    for name, data in pictures.items():
+        presets.write_bytes(folder / name, data)
+    presets.write_text(folder / "record.json", presets.json_text(record))
+    return [folder / name for name in pictures] + [folder / "record.json"]
+
+
+def _named(found: Identification, name: str) -> Any:
+    """The model identified, called after its file, so that a table shows which one it is of."""
+    from dataclasses import replace
+
+    return replace(found.model, morphology=replace(found.model.morphology, name=name))
+
+
+def _bounds(items: list[str] | None) -> dict[str, tuple[float, float]]:
+    table = {}
+    for name, text in key_values(items, "--bound").items():
+        low, comma, high = text.partition(",")
+        try:
+            table[name] = (float(low), float(high))
+        except ValueError:
+            comma = ""
+        if not comma:
+            raise ConfigError(f"--bound {f'{name}={text}'!r}: expected name=low,high, such as maa.area=3e-4,5e-4")
+    return table
+
+
+def tell(console: Console, found: Identification) -> None:
+    """What was found, for people."""
+    if found.poses is not None:
+        _tell_poses(console, found.poses)
+    if found.trials is not None:
+        if found.poses is not None:
+            console.print("\nThen the trials, from the model that the poses gave:\n")
+        _tell_trials(console, found.trials, found.poses is not None)
+
+
+def _tell_poses(console: Console, done: IdentifiedPoses) -> None:
+    found = done.fit
+    m = found.model.morphology
+    console.print(f"{len(done.poses.pressure)} poses at rest of {done.poses.name}, {done.seconds:.1f} s", markup=False)
+    rows = [
+        ("as the model came", found.before),
+        ("identified", found.residuals),
+        (f"on poses left out in turn ({found.folds} fits)", found.heldout),
+    ]
+    _rmse_table(console, m.joint_names, rows, done.heldout)
+    _parameter_table(console, found, "the model came")
+    _explain(console, found, found.residuals.size)
+    loose = ~_any_nan(found.pressure_error)
+    if loose.any():
+        errors = (found.pressure_error[loose] ** 2).mean(axis=0) ** 0.5 / 1e3
+        text = ", ".join(f"{name} {error:.2f} kPa" for name, error in zip(m.actuator_names, errors, strict=True))
+        console.print(
+            f"The pressures that would hold the {loose.sum()} poses clear of the stops differ from those commanded by "
+            f"{text} (RMSE).",
+            markup=False,
+        )
+
+
+def _any_nan(values: Array) -> Any:
+    return (values != values).any(axis=1)
+
+
+def _tell_trials(console: Console, done: Identified, from_poses: bool) -> None:
+    found = done.fit
+    m = found.model.morphology
+    samples = sum(len(r) for r in found.residuals)
+    checked = f", cross-check {done.check_seconds:.1f} s" if done.check is not None else ""
+    console.print(
+        f"{len(done.recordings)} trial{'s' * (len(done.recordings) != 1)}, {samples} samples, {done.engine} engine; "
+        f"search {done.seconds:.1f} s over {found.evaluations} sets of parameters{checked}",
+        markup=False,
+    )
+    import numpy as np
+
+    before, after = (np.concatenate(r) for r in (found.before, found.residuals))
+    origin = "the poses gave them" if from_poses else "the model came"
+    rows = [("as the poses gave it" if from_poses else "as the model came", before), ("identified", after)]
+    _rmse_table(
+        console,
+        m.joint_names,
+        rows,
+        done.heldout,
+        None if done.check is None else (f"on trials left out in turn ({done.check.folds} fits)", done.check.rmse),
+    )
+    _parameter_table(console, found, origin)
+    if not found.converged:
+        console.print("The search was stopped before it had converged.", style="yellow")
+    _explain(console, found, after.size)
+
+
+def _rmse_table(
+    console: Console,
+    joints: Sequence[str],
+    residuals: Sequence[tuple[str, Array]],
+    heldout: Sequence[Judged],
+    more: tuple[str, Array] | None = None,
+) -> None:
+    import numpy as np
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from equimus_ctrl.identification.results import together
+
+    def rmse(values: Array) -> Array:
+        return np.asarray(np.sqrt((values**2).mean(axis=0)))
+
+    rows = [(label, rmse(values)) for label, values in residuals]
+    if more is not None:
+        rows.append(more)
+    table = Table(title="RMSE in rad", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("")
+    for name in (*joints, "all joints"):
+        table.add_column(name, justify="right")
+    for label, values in rows:
+        table.add_row(label, *(f"{v:.5f}" for v in (*values, together(values))))
+    worse = []
+    for what, own in (
+        ("held-out trial", [h for h in heldout if h.segment is not None]),
+        ("held-out pose", [h for h in heldout if h.segment is None]),
+    ):
+        if not own:
+            continue
+        table.add_section()
+        count = len(own) if what == "held-out trial" else sum(len(h.before) for h in own)
+        label = f"{count} {what}{'s' * (count > 1)}"
+        before, after = (rmse(np.concatenate([getattr(h, key) for h in own])) for key in ("before", "after"))
+        for state, values in (("as the model came", before), ("identified", after)):
+            table.add_row(f"{label}: {state}", *(f"{v:.5f}" for v in (*values, together(values))))
+        if together(after) > together(before):
+            worse.append(
+                f"On the {label} the identified model is worse than the one it came from, {together(after):.4f} "
+                f"against {together(before):.4f} rad: what was found does not carry over."
+            )
+    console.print(table)
+    for text in worse:
+        console.print(text, style="yellow", markup=False)
+
+
+def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(
+        title=f"Parameters: before as {origin}, after with 95 % intervals",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    for name in ("parameter", "unit", "before", "after", "interval", "at bound"):
+        text = name in ("parameter", "unit")
+        least = min(max(map(len, found.parameters.names)), 16) if name == "parameter" else None
+        table.add_column(name, justify="left" if text else "right", no_wrap=not text, overflow="fold", min_width=least)
+    for i, free in enumerate(found.parameters.free):
+        value, width = found.theta[i], found.uncertainty.half_width[i]
+        interval = f"{value - width:.3g} … {value + width:.3g}" if width < float("inf") else "not seen"
+        mark = {-1: "low", 0: "", 1: "high"}[int(found.at_bound[i])]
+        table.add_row(free.name, free.unit, f"{free.start:.4g}", f"{value:.4g}", interval, mark)
+    console.print(table)
+
+
+def _explain(console: Console, found: Fit | StaticFit, angles: int) -> None:
+    def say(text: str) -> None:
+        console.print(text, markup=False, soft_wrap=False)
+
+    held = [free.name for free, side in zip(found.parameters.free, found.at_bound, strict=True) if side]
+    if held:
+        say(
+            f"{len(held)} of {len(found.parameters.free)} parameters are held by a bound ({', '.join(held)}): what the "
+            "model leaves out may have gone into them."
+        )
+    effective = found.uncertainty.effective_samples
+    if effective < 0.9 * angles:
+        say(
+            f"Neighbouring residuals are alike: {angles} measured angles are worth about {effective:.0f} independent "
+            "ones, which the intervals take into account."
+        )
+    blind = [t for t in found.uncertainty.trade_offs if t.correlation is None]
+    close = [t for t in found.uncertainty.trade_offs if t.correlation is not None]
+    for trade in blind:
+        say(f"Not to be told from these data: {trade}.")
+    for trade in close:
+        say(f"Hardly to be told apart: {trade}.")

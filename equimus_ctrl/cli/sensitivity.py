@@ -1,0 +1,141 @@
+"""``equimus-ctrl sensitivity``: which numbers of a model matter to its predictions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json, shown_path
+from equimus_ctrl.cli.identify import EngineName, Patterns, Step, Window, write_results
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from equimus_ctrl.identification.sensitivity import Sensitivity
+
+SHOWN = 15
+
+
+def sensitivity(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
+    model: ModelFile = None,
+    parameter: Annotated[
+        list[str] | None, typer.Option("--parameter", metavar="NAME", help="Which, such as 'baa.*'; all by default.")
+    ] = None,
+    share: Annotated[
+        list[float] | None,
+        typer.Option("--share", metavar="PERCENT", help="By how much each is changed; ±1, ±5 and ±10 by default."),
+    ] = None,
+    select: Patterns = None,
+    window: Window = None,
+    engine: EngineName = "reduced",
+    dt: Step = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
+    ] = None,
+    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    effects: EffectFiles = None,
+    as_json: Json = False,
+) -> None:
+    """Change every number of a model in turn and tell how its errors on recordings change.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl sensitivity my_recordings
+    equimus-ctrl sensitivity step_release.csv --window 5 9 --parameter 'baa.*' --parameter '*.damping'
+    equimus-ctrl sensitivity my_recordings --model identified.toml --share -20 --share 20 --json
+    """  # noqa: D301
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from equimus_ctrl import presets
+
+    name = f"{recordings[0].resolve().stem}_sensitivity"
+    folder = output or presets.workspace() / "identification" / "results" / name
+    presets.check_folder(folder)
+    console = people()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    try:
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task("simulating", total=1.0)
+            from equimus_ctrl import workflow
+            from equimus_ctrl.identification.sensitivity import SHARES
+
+            workflow.load_effects(effects or ())
+
+            found = workflow.sensitivity_of(
+                recordings,
+                workflow.load_model(model),
+                select=select,
+                parameters=parameter or ("*",),
+                shares=SHARES if not share else sorted({s / 100 for s in share}),
+                window=window,
+                engine=engine,  # type: ignore[arg-type]
+                dt=dt,
+                progress=lambda done: progress.update(task, completed=done),
+            )
+            record = found.to_dict()
+
+            def draw() -> dict[str, Figure]:
+                from equimus_ctrl.report.sensitivity_figures import sensitivity_figures
+
+                progress.update(task, description="figures")
+                return sensitivity_figures(found) if figures else {}
+
+            files = write_results(folder, draw, record)
+    except KeyboardInterrupt:
+        console.print("stopped: nothing was written", markup=False)
+        raise typer.Exit(130) from None
+    _tell(console, found)
+    for file in files:
+        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    if as_json:
+        print_json({**record, "files": [str(file) for file in files]})
+
+
+def _tell(console: Console, found: Sensitivity) -> None:
+    import numpy as np
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from equimus_ctrl.identification.results import together
+
+    base = together(found.base)
+    joints = found.model.morphology.joint_names
+    shown = len(found.names) if len(found.names) <= SHOWN + 3 else SHOWN
+    table = Table(
+        title=f"{found.model.name}: RMSE over all joints in mrad, {1e3 * base:.1f} as the model came",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        caption=f"{len(found.names) - shown} more matter less" if shown < len(found.names) else None,
+        caption_justify="left",
+    )
+    table.add_column("parameter", no_wrap=True)
+    for share in found.shares:
+        table.add_column(f"{100 * share:+g} %", justify="right")
+    for joint in joints:
+        table.add_column(f"{joint}\nper 1 %", justify="right")
+    for i in range(shown):
+        cells = []
+        for k in range(len(found.shares)):
+            value = together(found.rmse[i, k])
+            cells.append("diverges" if found.diverged[i, k] else "–" if np.isnan(value) else f"{1e3 * value:.1f}")
+        cells += ["–" if np.isnan(v) else f"{1e3 * v:.3f}" for v in found.local[i]]
+        table.add_row(found.names[i], *cells)
+    console.print(table)
+    idle = [name for name, local in zip(found.names, found.local, strict=True) if np.all(local == 0)]
+    if idle:
+        console.print(f"No effect on these trials at all: {', '.join(idle)}.", markup=False)
+    if found.diverged.any():
+        rows = [name for name, lost in zip(found.names, found.diverged, strict=True) if lost.any()]
+        console.print(f"Diverging when changed: {', '.join(rows)}.", style="yellow", markup=False)

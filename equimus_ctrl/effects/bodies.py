@@ -1,0 +1,153 @@
+"""Effects that are another robot: masses, stops and a base that are not where the model has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, Self, TypeVar
+
+from equimus_ctrl.effects.base import Effect, parameter, register
+
+
+class _Link(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def length(self) -> float: ...
+    @property
+    def mass(self) -> float: ...
+    @property
+    def com(self) -> float: ...
+    @property
+    def inertia(self) -> float: ...
+
+
+class Robot(Protocol):
+    """What these effects need of a morphology."""
+
+    @property
+    def foot(self) -> str:
+        """The link whose tip is the foot."""
+        ...
+
+    @property
+    def tilt(self) -> float:
+        """Angle of gravity [rad]."""
+        ...
+
+    def link(self, name: str) -> _Link:
+        """The link called ``name``."""
+        ...
+
+    def with_parameters(self, values: Mapping[str, float]) -> Self:
+        """A copy with some numbers replaced."""
+        ...
+
+    def middle(self, joint: str) -> float:
+        """The angle of a joint that lies between its lower and its upper side [rad]."""
+        ...
+
+    def with_stop(self, joint: str, side: Literal["lower", "upper"], stop: tuple[float, float, float]) -> Self:
+        """A copy with another stop: angle [rad], stiffness [N·m/rad], damping [N·m·s/rad]."""
+        ...
+
+
+R = TypeVar("R", bound=Robot)
+
+
+@dataclass(frozen=True)
+class BodyEffect(Effect):
+    """An effect that changes the morphology; a subclass writes ``changes``, or ``changed`` where numbers do not do."""
+
+    side = "force"
+
+    def changes(self, robot: Robot) -> dict[str, float]:
+        """Parameter name → new value, see ``Morphology.with_parameters``."""
+        raise NotImplementedError
+
+    def changed(self, robot: R, modelled: R) -> R:
+        """The robot that this effect makes.
+
+        Args:
+            robot: with the effects before this one.
+            modelled: without any.
+        """
+        return robot.with_parameters(self.changes(robot))
+
+
+@register
+@dataclass(frozen=True)
+class PayloadMass(BodyEffect):
+    """A point mass at a link's tip: the link's mass, centre and inertia become those of both together."""
+
+    name = "payload_mass"
+    sits_at = ("foot", "link")
+    summary = "mass that is not in the model, at a link's tip"
+    mass: float = parameter("kg", 0.0, 100.0, "of the payload")
+
+    def changes(self, robot: Robot) -> dict[str, float]:
+        link = robot.link(robot.foot if self.location == "foot" else self.location)
+        mass = link.mass + self.mass
+        com = (link.mass * link.com + self.mass * link.length) / mass
+        inertia = link.inertia + link.mass * (link.com - com) ** 2 + self.mass * (link.length - com) ** 2
+        return {f"{link.name}.mass": mass, f"{link.name}.com": com, f"{link.name}.inertia": inertia}
+
+
+@register
+@dataclass(frozen=True)
+class GravityTilt(BodyEffect):
+    """Gravity turned by ``angle`` against the base."""
+
+    name = "gravity_tilt"
+    sits_at = ("base",)
+    summary = "the base is not level"
+    angle: float = parameter("rad", -1.6, 1.6, "of gravity, from the base's downward axis")
+
+    def changes(self, robot: Robot) -> dict[str, float]:
+        return {"tilt": robot.tilt + self.angle}
+
+
+@register
+@dataclass(frozen=True)
+class JointStop(BodyEffect):
+    """A joint's end stop at another place, or softer or harder: it replaces the modelled one on the side it lies on.
+
+    That is the lower side where its angle is below the middle of the modelled range, else the upper. A stop that is not
+    modelled counts as half a turn from the one that is; a joint without any has its middle where it hangs straight
+    down with all that carries it. One joint can have one of these on each side.
+    """
+
+    name = "joint_stop"
+    sits_at = ("joint",)
+    summary = "an end stop at another place or softer than modelled"
+    exclusive = "joint_stop"
+    angle: float = parameter("rad", -6.3, 6.3, "where it begins")
+    stiffness: float = parameter("N·m/rad", 0.0, 1e4, "of its spring")
+    damping: float = parameter("N·m·s/rad", 0.0, 100.0, "of its damper, while it is pressed")
+
+    def slot(self, robot: Any) -> str:
+        return f"{self.location}, {self._side(robot)} side"
+
+    def bounds(self, key: str, robot: Any) -> tuple[float, float]:
+        low, high = super().bounds(key, robot)
+        if key != "angle":
+            return low, high
+        middle = robot.middle(self.location)
+        # The middle itself belongs to the upper side.
+        return (low, math.nextafter(middle, low)) if self._side(robot) == "lower" else (middle, high)
+
+    def changed(self, robot: R, modelled: R) -> R:
+        return robot.with_stop(self.location, self._side(modelled), (self.angle, self.stiffness, self.damping))
+
+    def _side(self, robot: Robot) -> Literal["lower", "upper"]:
+        return "lower" if self.angle < robot.middle(self.location) else "upper"
+
+
+def changed_bodies(effects: Sequence[Effect], robot: R) -> R:
+    """The robot that these effects make of one."""
+    changed = robot
+    for effect in effects:
+        if isinstance(effect, BodyEffect):
+            changed = effect.changed(changed, robot)
+    return changed

@@ -1,0 +1,226 @@
+"""Effects that push: on a joint (torque) or along an actuator (force), as CasADi expressions.
+
+The one law of each effect is written over scalars: x is the joint's angle [rad] or the actuator's length [m], rate its
+derivative, z the effect's own states. Forces count positive where they would increase x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, cast
+
+import casadi as ca
+
+from equimus_ctrl.effects.base import REGISTRY, Effect, parameter, register
+from equimus_ctrl.errors import ConfigError
+
+Parameters = Mapping[str, ca.SX]
+
+PROBE = (0.73, -1.9, 1.9)
+"""Some x, rate and speed at which a law is asked whether its neutral parameters switch it off."""
+
+
+@dataclass(frozen=True)
+class ForceEffect(Effect):
+    """An effect that pushes along one coordinate x."""
+
+    side = "force"
+    n_states: ClassVar[int] = 0
+    rubs: ClassVar[bool] = False
+    """Whether the effect has a ``dry_friction`` of its own; found out by itself."""
+    neutral: ClassVar[Mapping[str, float]]
+    """Parameter values with which the effect does nothing; the others may be anything."""
+
+    def __init_subclass__(cls) -> None:
+        # The compiled engine has one set of parameters for each law and place.
+        super().__init_subclass__()
+        cls.rubs = cls.dry_friction.__func__ is not ForceEffect.dry_friction.__func__  # type: ignore[attr-defined]
+        if cls.exclusive is None and hasattr(cls, "name"):
+            cls.exclusive = cls.name
+
+    @classmethod
+    def check_class(cls) -> None:
+        """As of any effect; its expressions are also formed once, and must be nothing with the neutral parameters."""
+        super().check_class()
+        who = f"effect class {cls.__name__}"
+        info = cls.parameter_info()
+        if not set(cls.sits_at) <= {"joint", "actuator"}:
+            raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but what pushes sits at a joint or an actuator")
+        if not getattr(cls, "neutral", None) or not set(cls.neutral) <= set(info):
+            raise ConfigError(f"{who}: neutral must give values of some of {', '.join(info)} that switch it off")
+        x, rate, speed = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("speed")
+        z = ca.SX.sym("z", cls.n_states)
+        p = {key: ca.SX.sym(key) for key in info}
+        states = ca.vertsplit(z) if cls.n_states else []
+        try:
+            rates, rests = list(cls.state_rate(x, rate, states, p)), list(cls.rest_state(x, p))
+            push, rub = cls.force(x, rate, states, p), cls.dry_friction(x, speed, p)
+            symbols = [x, rate, speed, z, ca.vertcat(*p.values())]
+            law = ca.Function("law", symbols, [ca.SX(push), ca.SX(rub), ca.vertcat(*rates), ca.vertcat(*rests)])
+        except Exception as error:
+            reason = (str(error).strip() or "no reason given").splitlines()[-1]
+            raise ConfigError(
+                f"{who}: its law is no CasADi expression of its arguments, with casadi.if_else for conditions "
+                f"({type(error).__name__}: {reason})"
+            ) from error
+        if not len(rates) == len(rests) == cls.n_states:
+            raise ConfigError(
+                f"{who}: state_rate gives {len(rates)} and rest_state {len(rests)} values, expected n_states = "
+                f"{cls.n_states} each"
+            )
+        idle = [cls.neutral.get(key, meta["high"]) for key, meta in info.items()]
+        if any(float(size) != 0.0 for size in law(*PROBE, ca.DM.ones(cls.n_states) * 0.41, idle)[:2]):
+            raise ConfigError(f"{who}: it still pushes with its neutral parameters {dict(cls.neutral)}")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        """The push [N·m] or [N]."""
+        return ca.SX(0)
+
+    @classmethod
+    def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
+        """dz/dt, one for each state."""
+        return ()
+
+    @classmethod
+    def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
+        """The states after a long rest at x."""
+        return ()
+
+    @classmethod
+    def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        """The greatest friction there can be at a sliding speed ≥ 0 [N·m] or [N]; solved at velocity level."""
+        return ca.SX(0)
+
+
+@register
+@dataclass(frozen=True)
+class CoulombFriction(ForceEffect):
+    """Dry friction: −friction·sign(rate) while sliding, whatever holds the coordinate at rest up to that size."""
+
+    name = "coulomb_friction"
+    sits_at = ("joint", "actuator")
+    summary = "dry friction"
+    exclusive = "dry friction"
+    neutral = {"friction": 0.0}  # noqa: RUF012
+    friction: float = parameter("N·m | N", 0.0, 100.0, "size of the friction while sliding and before")
+
+    @classmethod
+    def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return p["friction"]
+
+
+@register
+@dataclass(frozen=True)
+class StribeckFriction(ForceEffect):
+    """Dry friction of size friction + breakaway/(1 + (rate/velocity)²) (Hess and Soom, 1990)."""
+
+    name = "stribeck_friction"
+    sits_at = ("joint",)
+    summary = "static friction above the sliding one"
+    exclusive = "dry friction"
+    neutral = {"friction": 0.0, "breakaway": 0.0}  # noqa: RUF012
+    friction: float = parameter("N·m", 0.0, 100.0, "size while sliding fast")
+    breakaway: float = parameter("N·m", 0.0, 100.0, "how much more it is at rest")
+    velocity: float = parameter("rad/s", 1e-3, 10.0, "speed at which half of that is gone")
+
+    @classmethod
+    def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return p["friction"] + p["breakaway"] / (1 + (speed / p["velocity"]) ** 2)
+
+
+@register
+@dataclass(frozen=True)
+class ParallelSpring(ForceEffect):
+    """A spring beside the joint: −stiffness·(x − rest)."""
+
+    name = "parallel_spring"
+    sits_at = ("joint",)
+    summary = "an unmodelled spring: a hose, a cable"
+    exclusive = "parallel_spring"
+    neutral = {"stiffness": 0.0}  # noqa: RUF012
+    stiffness: float = parameter("N·m/rad", 0.0, 100.0, "of the spring")
+    rest: float = parameter("rad", -6.3, 6.3, "angle at which it pulls nowhere")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["stiffness"] * (x - p["rest"])
+
+
+@register
+@dataclass(frozen=True)
+class NonlinearStiffness(ForceEffect):
+    """A cubic spring: −cubic·(x − centre)³, stiffening where cubic > 0, softening where it is below."""
+
+    name = "nonlinear_stiffness"
+    sits_at = ("actuator",)
+    summary = "stiffening or softening"
+    exclusive = "nonlinear_stiffness"
+    neutral = {"cubic": 0.0}  # noqa: RUF012
+    cubic: float = parameter("N/m³", -1e6, 1e6, "force for each cube of the lengthening")
+    centre: float = parameter("m", 0.0, 10.0, "length about which it stiffens")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["cubic"] * (x - p["centre"]) ** 3
+
+
+@register
+@dataclass(frozen=True)
+class Creep(ForceEffect):
+    """A standard linear solid's relaxing branch: −stiffness·(x − z), dz/dt = (x − z)/time_constant."""
+
+    name = "creep"
+    sits_at = ("actuator",)
+    summary = "slow relaxation (standard linear solid)"
+    exclusive = "creep"
+    n_states = 1
+    neutral = {"stiffness": 0.0}  # noqa: RUF012
+    stiffness: float = parameter("N/m", 0.0, 1e4, "that relaxes with time")
+    time_constant: float = parameter("s", 0.02, 100.0, "of the relaxation")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["stiffness"] * (x - z[0])
+
+    @classmethod
+    def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
+        return ((x - z[0]) / p["time_constant"],)
+
+    @classmethod
+    def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
+        return (x,)
+
+
+@register
+@dataclass(frozen=True)
+class Hysteresis(ForceEffect):
+    """Bouc–Wen with exponent 1: −force·z, dz/dt = (rate − |rate|·z)/width, so that z follows the path within ±1."""
+
+    name = "hysteresis"
+    sits_at = ("actuator",)
+    summary = "force depends on the path of the length (Bouc–Wen)"
+    exclusive = "hysteresis"
+    n_states = 1
+    neutral = {"size": 0.0}  # noqa: RUF012
+    size: float = parameter("N", 0.0, 1e3, "force after a long way in one direction")
+    width: float = parameter("m", 5e-4, 1.0, "way over which it builds up")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["size"] * z[0]
+
+    @classmethod
+    def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
+        return ((rate - ca.fabs(rate) * z[0]) / p["width"],)
+
+    @classmethod
+    def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
+        return (ca.SX(0),)
+
+
+def force_laws() -> tuple[type[ForceEffect], ...]:
+    """All registered effects that push, by name."""
+    found = (cls for cls in REGISTRY.values() if issubclass(cls, ForceEffect))
+    return tuple(sorted(cast("list[type[ForceEffect]]", list(found)), key=lambda cls: cls.name))

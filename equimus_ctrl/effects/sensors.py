@@ -1,0 +1,143 @@
+"""Effects between a joint's angle and what is measured of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.types import Array
+
+OFFSET, SCALE, LATE, PLAY = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class SensorEffect(Effect):
+    """An effect that is a setting of a joint's sensor."""
+
+    side = "measurement"
+    sits_at = ("joint",)
+
+    def apply(self, sensor: Array) -> None:
+        """Write this effect into its joint's row (4,): offset [rad], scale, delay [s], play [rad]."""
+        raise NotImplementedError
+
+
+@register
+@dataclass(frozen=True)
+class SensorOffset(SensorEffect):
+    """y = q + offset."""
+
+    name = "sensor_offset"
+    summary = "the measured angle is off by a constant"
+    exclusive = "sensor_offset"
+    offset: float = parameter("rad", -3.2, 3.2, "added to the angle")
+
+    def apply(self, sensor: Array) -> None:
+        sensor[OFFSET] = self.offset
+
+
+@register
+@dataclass(frozen=True)
+class SensorScale(SensorEffect):
+    """y = scale·q, before any offset."""
+
+    name = "sensor_scale"
+    summary = "the measured angle is off by a factor"
+    exclusive = "sensor_scale"
+    scale: float = parameter("1", 0.1, 10.0, "factor on the angle")
+
+    def apply(self, sensor: Array) -> None:
+        sensor[SCALE] = self.scale
+
+
+@register
+@dataclass(frozen=True)
+class SensorDelay(SensorEffect):
+    """y(t) = q(t − delay)."""
+
+    name = "sensor_delay"
+    summary = "the measurement is older than its time stamp"
+    exclusive = "sensor_delay"
+    delay: float = parameter("s", 0.0, 2.0, "age of what is measured")
+
+    def apply(self, sensor: Array) -> None:
+        sensor[LATE] = self.delay
+
+
+@register
+@dataclass(frozen=True)
+class Backlash(SensorEffect):
+    """Play between joint and sensor: y follows q only where it would lag by more than half of ``play``."""
+
+    name = "backlash"
+    summary = "play between joint and sensor"
+    exclusive = "backlash"
+    play: float = parameter("rad", 0.0, 1.0, "angle the joint can turn without the sensor")
+
+    def apply(self, sensor: Array) -> None:
+        sensor[PLAY] = self.play
+
+
+def sensor_settings(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
+    """(nj, 4) offset [rad], scale, delay [s] and play [rad] of each joint's sensor."""
+    sensor = np.zeros((len(joints), 4))
+    sensor[:, SCALE] = 1.0
+    for effect in effects:
+        if isinstance(effect, SensorEffect):
+            effect.apply(sensor[list(joints).index(effect.location)])
+    return sensor
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hermite(x0: float, v0: float, x1: float, v1: float, dt: float, share: float) -> float:
+    """Cubic through both ends and their slopes, at a share of the step."""
+    s2 = share * share
+    s3 = s2 * share
+    return (
+        (2.0 * s3 - 3.0 * s2 + 1.0) * x0
+        + (s3 - 2.0 * s2 + share) * dt * v0
+        + (3.0 * s2 - 2.0 * s3) * x1
+        + (s3 - s2) * dt * v1
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow(held: float, angle: float, play: float) -> float:
+    """Where a part driven with play is when the driver, having held it at ``held``, is at ``angle`` [rad]."""
+    return min(max(held, angle - 0.5 * play), angle + 0.5 * play)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample(q: Array, v: Array, start: float, dt: float, sensor: Array, times: Array, out: Array) -> None:
+    """What a joint's sensor says at given times of a motion on a grid; before the grid the joint stood still.
+
+    Args:
+        q: (n,) angles on the grid [rad].
+        v: (n,) their rates [rad/s].
+        start: of the grid [s].
+        dt: of the grid [s].
+        sensor: (4,), see ``SensorEffect.apply``.
+        times: (m,) ascending, none beyond the grid [s].
+        out: (m,) written [rad].
+    """
+    n, play = len(q), sensor[3]
+    held, reached = q[0], 0
+    for k in range(len(times)):
+        place = (times[k] - sensor[2] - start) / dt
+        if place <= 0.0:
+            angle = q[0]
+        else:
+            step = min(int(place), n - 2)
+            angle = hermite(q[step], v[step], q[step + 1], v[step + 1], dt, place - step)
+            if play > 0.0:
+                while reached < step:
+                    reached += 1
+                    held = follow(held, q[reached], play)
+        if play > 0.0:
+            held = follow(held, angle, play)
+            angle = held
+        out[k] = sensor[0] + sensor[1] * angle

@@ -1,0 +1,63 @@
+"""What the generator writes for each structure and set of laws; the lane kernel is written against these.
+
+A lane is one parameter set. All lanes' numbers live in one flat work array w: entry l of row r at r·LANES + l. The
+rows ROW_* hold, in this order: the state x = (q, v, z), its derivative, a sum of derivatives, the state at the start
+of a step, pressures, held friction, what friction needs, what joint stops need, and the constants that
+``prepare_lane`` makes from a parameter vector.
+"""
+
+from __future__ import annotations
+
+from equimus_ctrl.types import Array
+
+LANES = 8
+"""As many doubles as the widest vector registers hold."""
+
+N_JOINTS = 0
+N_ACTUATORS = 0
+N_STATES = 0
+N_ROWS = 0
+WORK_ROWS = 0
+
+ROW_X = 0
+ROW_RATE = 0
+ROW_SUM = 0
+ROW_START = 0
+ROW_PRESSURE = 0
+ROW_PHI = 0
+ROW_PUSH = 0
+ROW_DELASSUS = 0
+ROW_SLIP = 0
+ROW_BOUND = 0
+ROW_SPAN = 0
+ROW_PRESSED = 0
+ROW_GAPS = 0
+ROW_FROM = 0
+ROW_PART = 0
+ROW_BEGIN = 0
+ROW_END = 0
+
+
+def prepare_lane(p: Array, w: Array, l: int) -> None:  # noqa: E741
+    """Write the constants of the parameter vector p into lane l."""
+    raise NotImplementedError
+
+
+def lane_motion(w: Array) -> None:
+    """From state, pressure, friction and pressed stops: acceleration and the effects' rates, below v in ROW_RATE."""
+    raise NotImplementedError
+
+
+def lane_rest(w: Array) -> None:
+    """From the rows of q: the effects' states after a long rest there, into the rows of z."""
+    raise NotImplementedError
+
+
+def lane_friction(w: Array) -> None:
+    """From the rows of q, v and the start's v: ROW_PUSH to ROW_BOUND and, in ROW_SPAN, the rates at the start."""
+    raise NotImplementedError
+
+
+def lane_stops(w: Array) -> None:
+    """From the rows of q and v: ROW_GAPS, above 0 where a joint's lower, upper stop would be pressed."""
+    raise NotImplementedError

@@ -1,0 +1,358 @@
+"""The batch kernel: many parameter sets, side by side in lanes, through one trial.
+
+The classical Runge–Kutta method of order four on a fixed grid. Dry friction is held over each step and corrected at its
+end by the impulses that velocity-level Coulomb friction asks for: a box-constrained complementarity problem, solved by
+projected Gauss–Seidel from the last step's friction. While something slides the held friction is exact and the method
+keeps its order; where it sticks, velocities are zero to the solver's residual and angles do not drift. Where it turns
+within a step, the correction counts from the instant of the turn, so that a turn costs an error of the step squared.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from equimus_ctrl.effects.command import pressure_history
+from equimus_ctrl.effects.sensors import sample
+from equimus_ctrl.engines.lane_functions import (
+    LANES,
+    N_ACTUATORS,
+    N_JOINTS,
+    N_ROWS,
+    N_STATES,
+    ROW_BEGIN,
+    ROW_BOUND,
+    ROW_DELASSUS,
+    ROW_END,
+    ROW_FROM,
+    ROW_GAPS,
+    ROW_PART,
+    ROW_PHI,
+    ROW_PRESSED,
+    ROW_PRESSURE,
+    ROW_PUSH,
+    ROW_RATE,
+    ROW_SLIP,
+    ROW_SPAN,
+    ROW_START,
+    ROW_SUM,
+    ROW_X,
+    WORK_ROWS,
+    lane_friction,
+    lane_motion,
+    lane_rest,
+    lane_stops,
+    prepare_lane,
+)
+from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.types import Array
+
+N_STATE = 2 * N_JOINTS + N_STATES
+MOST_SPLITS = 6
+"""How often a step can be cut where stops change; a joint that bounces more often within one step is not resolved."""
+BRACKETINGS = 10
+NOTHING = 1e-100
+"""Angles and rates smaller than this are none."""
+MOST_SWEEPS = 100
+RESIDUAL = 1e-9
+"""Rate [rad/s or m/s] below which friction is taken as found."""
+SLIDING = 1e-6
+"""Rate [rad/s or m/s] above which something slides, and may turn."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def correct_friction(w: Array, dt: float, rubbing: Array) -> None:
+    """Find the friction that the step's end asks for, and change angles and velocities by what is new in it.
+
+    Args:
+        w: work array.
+        dt: [s].
+        rubbing: rows where any lane has dry friction.
+    """
+    lane_friction(w)
+    for i in range(N_ROWS * LANES):
+        w[ROW_SUM * LANES + i] = w[ROW_PHI * LANES + i]
+    # What changes with a turn does so from then on; with nothing that turns, from the start of the step.
+    for r in rubbing:
+        for l in range(LANES):  # noqa: E741
+            before, after = w[(ROW_SPAN + r) * LANES + l], w[(ROW_SLIP + r) * LANES + l]
+            turns = before * after < 0.0 and abs(before) > SLIDING
+            w[(ROW_SPAN + r) * LANES + l] = dt * after / (after - before) if turns else dt
+    # Each lane stops when its own friction is found, whatever the others do; the rows of the start are free by now.
+    sought, worst = ROW_START * LANES, (ROW_START + 1) * LANES
+    for l in range(LANES):  # noqa: E741
+        w[sought + l] = 1.0
+    for _ in range(MOST_SWEEPS):
+        for l in range(LANES):  # noqa: E741
+            w[worst + l] = 0.0
+        for r in rubbing:
+            own = (ROW_DELASSUS + r * (N_ROWS + 1)) * LANES
+            for l in range(LANES):  # noqa: E741
+                bound = w[(ROW_BOUND + r) * LANES + l]
+                old = w[(ROW_PHI + r) * LANES + l]
+                # An actuator without a lever arm cannot rub.
+                span = w[(ROW_SPAN + r) * LANES + l]
+                push = w[(ROW_SLIP + r) * LANES + l] / (w[own + l] * span) if w[own + l] > 0.0 else 0.0
+                new = min(max(old - push, -bound), bound) if w[sought + l] > 0.0 else old
+                w[(ROW_PHI + r) * LANES + l] = new
+                w[ROW_RATE * LANES + l] = (new - old) * span
+                w[worst + l] = max(w[worst + l], abs(new - old) * span * w[own + l])
+            for s in rubbing:
+                for l in range(LANES):  # noqa: E741
+                    w[(ROW_SLIP + s) * LANES + l] += (
+                        w[(ROW_DELASSUS + s + r * N_ROWS) * LANES + l] * w[ROW_RATE * LANES + l]
+                    )
+        left = 0.0
+        for l in range(LANES):  # noqa: E741
+            w[sought + l] = 1.0 if w[worst + l] > RESIDUAL else 0.0
+            left += w[sought + l]
+        if left == 0.0:
+            break
+    for r in rubbing:
+        for j in range(N_JOINTS):
+            for l in range(LANES):  # noqa: E741
+                span = w[(ROW_SPAN + r) * LANES + l]
+                more = (w[(ROW_PHI + r) * LANES + l] - w[(ROW_SUM + r) * LANES + l]) * span
+                change = w[(ROW_PUSH + j + r * N_JOINTS) * LANES + l] * more
+                w[(ROW_X + j) * LANES + l] += 0.5 * span * change
+                w[(ROW_X + N_JOINTS + j) * LANES + l] += change
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def copy_rows(w: Array, source: int, target: int, rows: int) -> None:
+    """Copy whole rows within the work array."""
+    for i in range(rows * LANES):
+        w[target * LANES + i] = w[source * LANES + i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance(w: Array, drive: Array, dt: float) -> None:
+    """One Runge–Kutta step from ROW_START over each lane's own part of the grid's step, its pressed stops held.
+
+    Args:
+        w: work array; ROW_FROM and ROW_PART say where the part begins and how long it is, as shares of the step.
+        drive: (2, na·LANES) mean and slope of the pressures over the step [Pa].
+        dt: the grid's step [s].
+    """
+    copy_rows(w, ROW_START, ROW_X, N_STATE)
+    for i in range(N_STATE * LANES):
+        w[ROW_SUM * LANES + i] = 0.0
+    for stage in range(4):
+        into = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
+        for i in range(N_ACTUATORS):
+            for l in range(LANES):  # noqa: E741
+                share = w[ROW_FROM * LANES + l] + into * w[ROW_PART * LANES + l] - 0.5
+                w[(ROW_PRESSURE + i) * LANES + l] = drive[0, i * LANES + l] + share * drive[1, i * LANES + l]
+        copy_rows(w, ROW_X + N_JOINTS, ROW_RATE, N_JOINTS)
+        lane_motion(w)
+        weight = 1.0 if stage == 0 or stage == 3 else 2.0
+        h = 0.5 * dt if stage < 2 else dt
+        for i in range(N_STATE):
+            for l in range(LANES):  # noqa: E741
+                rate = w[(ROW_RATE + i) * LANES + l]
+                w[(ROW_SUM + i) * LANES + l] += weight * rate
+                w[(ROW_X + i) * LANES + l] = w[(ROW_START + i) * LANES + l] + h * w[ROW_PART * LANES + l] * rate
+    for i in range(N_STATE):
+        for l in range(LANES):  # noqa: E741
+            change = dt / 6.0 * w[ROW_PART * LANES + l] * w[(ROW_SUM + i) * LANES + l]
+            reached = w[(ROW_START + i) * LANES + l] + change
+            # Processors are many times slower with the denormal numbers that speeds at rest decay into.
+            w[(ROW_X + i) * LANES + l] = 0.0 if abs(reached) < NOTHING else reached
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stops_change(w: Array) -> bool:
+    """Whether any lane's state asks for other stops to be pressed than those held; writes ROW_GAPS."""
+    lane_stops(w)
+    worst = 0.0
+    for i in range(2 * N_JOINTS * LANES):
+        asked = (1.0 - 2.0 * w[ROW_PRESSED * LANES + i]) * w[ROW_GAPS * LANES + i]
+        worst = asked if asked > worst else worst
+    return worst > 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def resolve_stops(w: Array, drive: Array, dt: float) -> None:
+    """Cut the steps of lanes whose stops change at the instants where they do; the other lanes' steps stay.
+
+    The instants are found by regula falsi (Illinois) on the motion itself, so that the method keeps its order and
+    predictions are smooth in parameters even where a joint hits a stop.
+    """
+    copy_rows(w, ROW_START, ROW_BEGIN, N_STATE)
+    first = np.empty((2 * N_JOINTS, LANES))
+    side = np.empty(LANES, dtype=np.int64)
+    left, right, at_left, at_right = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    for _ in range(MOST_SPLITS):
+        last = w[ROW_GAPS * LANES : (ROW_GAPS + 2 * N_JOINTS) * LANES].copy()
+        copy_rows(w, ROW_X, ROW_END, N_STATE)
+        copy_rows(w, ROW_START, ROW_X, N_STATE)
+        lane_stops(w)
+        for r in range(2 * N_JOINTS):
+            for l in range(LANES):  # noqa: E741
+                first[r, l] = w[(ROW_GAPS + r) * LANES + l]
+        for l in range(LANES):  # noqa: E741
+            side[l] = -1
+            soonest = 2.0
+            for r in range(2 * N_JOINTS):
+                sign = 1.0 - 2.0 * w[(ROW_PRESSED + r) * LANES + l]
+                before, after = sign * first[r, l], sign * last[r * LANES + l]
+                if after > 0.0:
+                    crossing = before / (before - after) if before < 0.0 else 0.0
+                    if crossing < soonest:
+                        soonest, side[l] = crossing, r
+                        left[l], at_left[l], at_right[l] = 0.0, before, after
+            right[l] = w[ROW_PART * LANES + l] if side[l] >= 0 and soonest > 0.0 else 0.0
+        length = w[ROW_PART * LANES : (ROW_PART + 1) * LANES].copy()
+        for _ in range(BRACKETINGS):
+            for l in range(LANES):  # noqa: E741
+                tried = right[l]
+                if left[l] < right[l]:
+                    tried = right[l] - at_right[l] * (right[l] - left[l]) / (at_right[l] - at_left[l])
+                    if not left[l] < tried < right[l]:
+                        tried = 0.5 * (left[l] + right[l])
+                w[ROW_PART * LANES + l] = tried
+            advance(w, drive, dt)
+            lane_stops(w)
+            for l in range(LANES):  # noqa: E741
+                if side[l] < 0 or not left[l] < right[l]:
+                    continue
+                sign = 1.0 - 2.0 * w[(ROW_PRESSED + side[l]) * LANES + l]
+                found = sign * w[(ROW_GAPS + side[l]) * LANES + l]
+                if found > 0.0:
+                    right[l], at_right[l] = w[ROW_PART * LANES + l], found
+                    at_left[l] *= 0.5
+                else:
+                    left[l], at_left[l] = w[ROW_PART * LANES + l], found
+                    at_right[l] *= 0.5
+        for l in range(LANES):  # noqa: E741
+            w[ROW_PART * LANES + l] = right[l]
+        advance(w, drive, dt)
+        for l in range(LANES):  # noqa: E741
+            done = side[l] < 0
+            for i in range(N_STATE):
+                w[(ROW_START + i) * LANES + l] = w[((ROW_END if done else ROW_X) + i) * LANES + l]
+            w[ROW_FROM * LANES + l] += right[l]
+            w[ROW_PART * LANES + l] = 0.0 if done else length[l] - right[l]
+            if not done:
+                w[(ROW_PRESSED + side[l]) * LANES + l] = 1.0 - w[(ROW_PRESSED + side[l]) * LANES + l]
+        advance(w, drive, dt)
+        if not stops_change(w):
+            break
+    copy_rows(w, ROW_BEGIN, ROW_START, N_STATE)
+    for l in range(LANES):  # noqa: E741
+        w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def run_lanes(w: Array, drive: Array, dt: float, rubbing: Array, out: Array) -> None:
+    """Integrate all lanes over a grid.
+
+    Args:
+        w: work array with state and constants.
+        drive: (steps, 2, na·LANES) mean and slope of the pressures over each step [Pa].
+        dt: [s].
+        rubbing: rows where any lane has dry friction.
+        out: (steps + 1, 2·nj·LANES) written: angles and velocities on the grid.
+    """
+    steps = len(drive)
+    lane_stops(w)
+    for i in range(2 * N_JOINTS * LANES):
+        w[ROW_PRESSED * LANES + i] = 1.0 if w[ROW_GAPS * LANES + i] > 0.0 else 0.0
+    for l in range(LANES):  # noqa: E741
+        w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
+    for k in range(steps + 1):
+        for i in range(2 * N_JOINTS * LANES):
+            out[k, i] = w[ROW_X * LANES + i]
+        if k == steps:
+            break
+        copy_rows(w, ROW_X, ROW_START, N_STATE)
+        advance(w, drive[k], dt)
+        if stops_change(w):
+            resolve_stops(w, drive[k], dt)
+        if len(rubbing) > 0:
+            correct_friction(w, dt, rubbing)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def run_block(
+    parameters: Array,
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    sensor: Array,
+    q0: Array,
+    v0: Array,
+    rubbing: Array,
+    start: float,
+    dt: float,
+    steps: int,
+    out_times: Array,
+    out: Array,
+    reached: Array,
+) -> None:
+    """Up to LANES parameter sets through one trial: valves, motion and sensors.
+
+    Args:
+        parameters: (k, np) parameter vectors, k ≤ LANES.
+        times: (n,) from when each command holds [s].
+        commands: (k, n, na) what reaches the valves [Pa].
+        before: (k, na) in force before [Pa].
+        valve: (k, na, 4), see ``effects.valves``.
+        sensor: (k, nj, 4), see ``effects.sensors``.
+        q0: (k, nj) angles at the start [rad].
+        v0: (k, nj) velocities there [rad/s].
+        rubbing: rows where any has dry friction.
+        start: of the motion [s].
+        dt: physics step [s].
+        steps: how many.
+        out_times: (m,) ascending [s].
+        out: (k, m, nj) written: measured angles [rad].
+        reached: (k,) written: m where all is well, else the index of the first sample that could not be had.
+    """
+    k, m = len(parameters), len(out_times)
+    w = np.zeros(WORK_ROWS * LANES)
+    drive = np.empty((steps, 2, N_ACTUATORS * LANES))
+    history = np.empty((steps, 2, N_ACTUATORS))
+    for l in range(LANES):  # noqa: E741
+        # Lanes without a set of their own repeat the last.
+        own = min(l, k - 1)
+        prepare_lane(parameters[own], w, l)
+        for j in range(N_JOINTS):
+            w[(ROW_X + j) * LANES + l] = q0[own, j]
+            w[(ROW_X + N_JOINTS + j) * LANES + l] = v0[own, j]
+        if l < k and not (l > 0 and _same(commands, before, valve, l)):
+            pressure_history(times, commands[own], before[own], valve[own], start, dt, history)
+        for s in range(steps):
+            for i in range(N_ACTUATORS):
+                drive[s, 0, i * LANES + l] = history[s, 0, i]
+                drive[s, 1, i * LANES + l] = history[s, 1, i]
+    lane_rest(w)
+    grid = np.empty((steps + 1, 2 * N_JOINTS * LANES))
+    run_lanes(w, drive, dt, rubbing, grid)
+    q, v = np.empty(steps + 1), np.empty(steps + 1)
+    y = np.empty(m)
+    for l in range(k):  # noqa: E741
+        reached[l] = m
+        for j in range(N_JOINTS):
+            for s in range(steps + 1):
+                q[s] = grid[s, j * LANES + l]
+                v[s] = grid[s, (N_JOINTS + j) * LANES + l]
+            sample(q, v, start, dt, sensor[l, j], out_times, y)
+            for i in range(m):
+                out[l, i, j] = y[i]
+            for s in range(steps + 1):
+                if not abs(v[s]) < MAX_SPEED:
+                    lost = start + (s - 1) * dt + sensor[l, j, 2]
+                    reached[l] = min(reached[l], np.searchsorted(out_times, lost, side="right"))
+                    break
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _same(commands: Array, before: Array, valve: Array, l: int) -> bool:  # noqa: E741
+    """Whether a lane has the pressures of the one before it."""
+    return bool(
+        np.array_equal(valve[l], valve[l - 1])
+        and np.array_equal(before[l], before[l - 1])
+        and np.array_equal(commands[l], commands[l - 1])
+    )

@@ -1,0 +1,74 @@
+"""Fits judged on trials they have not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from equimus_ctrl.identification.fit import Fit, FitSettings, Simulator, fit, joint_rmse, residuals_of
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class CrossCheck:
+    """Errors on trials left out, all folds together.
+
+    Attributes:
+        folds: how many fits were made, each without its share of the trials.
+        rmse: (nj,) of the fits on the trials they were made without [rad].
+        rmse_before: (nj,) of the model as it came, on the same trials [rad].
+        spread: (p,) largest difference of a parameter between the fits.
+    """
+
+    folds: int
+    rmse: Array
+    rmse_before: Array
+    spread: Array
+
+
+def cross_check(
+    found: Fit,
+    segments: Sequence[Segment],
+    simulator: Simulator,
+    folds: int,
+    settings: FitSettings | None = None,
+    notify: Callable[[int], None] = lambda done: None,
+) -> CrossCheck | None:
+    """Fit without each fold of the recordings in turn, and predict it; None where there are fewer than two recordings.
+
+    Recordings are dealt out to the folds in turn. Every fit starts from ``found``, which saves time and leads to the
+    same minimum.
+
+    Args:
+        found: the fit to all segments.
+        segments: what it was made from.
+        simulator: the engine.
+        folds: how many at most.
+        settings: how the fits search.
+        notify: called with the number of folds done.
+    """
+    recordings = sorted({s.recording for s in segments})
+    folds = min(folds, len(recordings))
+    if folds < 2:
+        return None
+    free = tuple(
+        replace(f, start=float(np.clip(v, f.low, f.high)))
+        for f, v in zip(found.parameters.free, found.theta, strict=True)
+    )
+    begin = FreeParameters(found.model, free)
+    unseen: list[Array] = []
+    before: list[Array] = []
+    thetas = []
+    for k in range(folds):
+        left_out = set(recordings[k::folds])
+        own = [s for s in segments if s.recording in left_out]
+        rest = fit(begin, [s for s in segments if s.recording not in left_out], simulator=simulator, settings=settings)
+        thetas.append(rest.theta)
+        unseen += residuals_of(rest.model, own, simulator)
+        before += residuals_of(found.parameters.model, own, simulator)
+        notify(k + 1)
+    return CrossCheck(folds, joint_rmse(unseen), joint_rmse(before), np.ptp(thetas, axis=0))

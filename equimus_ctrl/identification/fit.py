@@ -1,0 +1,397 @@
+"""Parameters of a model from what a robot did, by nonlinear least squares on simulated trials.
+
+Levenberg and Marquardt's method over the parameters θ, the free numbers of the segments' starts eliminated by a QR
+factorisation segment by segment, so that many short windows cost no more than their simulation. Each step solves
+
+    min ‖R δ − c‖² + λ‖D δ‖²   subject to   low ≤ θ + δ ≤ high
+
+for several λ at once and simulates all of them side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+from threadpoolctl import threadpool_limits
+
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.engines.batch import Predicted, simulate
+from equimus_ctrl.engines.steps import step_divisor
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Array
+
+STEP = 2e-3
+"""Physics step of the reduced engine in fits [s], where the robot allows it."""
+DIVERGED = 3.0
+"""Residual of a sample that a diverging simulation could not give [rad]: worse than any real one, yet finite."""
+DIFFERENCE = 1e-5
+"""Step of the finite differences, in units of each parameter's scale."""
+START_DIFFERENCE = 1e-5
+"""The same for angles [rad] and velocities [rad/s] at a start."""
+DAMPINGS = 10.0 ** np.arange(-4, 4)
+"""Around the last damping, these factors are tried side by side: a block of lanes costs as much as one."""
+LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
+IDLE = 1e-9
+"""A parameter with less than this share of the strongest one's effect is not moved."""
+
+Simulator = Callable[[Sequence[Model], Sequence[Segment], Sequence[Array]], list[Predicted]]
+"""(models, segments, starts (k, 2 nj) for each segment) → predictions."""
+
+
+def reduced_simulator(dt: float | None = None, threads: int | None = None) -> Simulator:
+    """The reduced engine.
+
+    Args:
+        dt: physics step [s]; by default 2 ms, divided until it follows the first model that is simulated, its joint
+            stops included. It then stays, so that a search always sees the same discretisation.
+        threads: as many as there are cores by default.
+    """
+    chosen: list[float] = []
+
+    def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
+        if not chosen:
+            m = changed_bodies(models[0].effects, models[0].morphology)
+            poses = [s.trial.position for s in segments]
+            chosen.append(dt or STEP / step_divisor(m, models[0].phase, poses, STEP))
+        trials = [s.trial for s in segments]
+        return simulate(models, trials, starts=starts, dt=chosen[0], threads=threads, check=dt is not None)
+
+    return run
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How a fit searches.
+
+    Attributes:
+        tolerance: relative change of cost or parameters at which it stops.
+        steps: at most.
+        confidence: of the intervals.
+    """
+
+    tolerance: float = 1e-6
+    steps: int = 100
+    confidence: float = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where a search ended.
+
+    Attributes:
+        parameters: what was free.
+        theta: (p,) the values found.
+        model: the model with them.
+        starts: for each segment (2 nj,) its start [rad, rad/s].
+        residuals: for each segment (m, nj) measured − predicted [rad].
+        before: the same of the model as it came.
+        uncertainty: of ``theta``.
+        jacobians: for each segment (m, nj, p) ∂prediction/∂θ.
+        at_bound: (p,) −1, 0, 1: where a bound holds a parameter back.
+        evaluations: how many parameter sets were simulated.
+        converged: whether the search ended by itself.
+    """
+
+    parameters: FreeParameters
+    theta: Array
+    model: Model
+    starts: tuple[Array, ...]
+    residuals: tuple[Array, ...]
+    before: tuple[Array, ...]
+    uncertainty: Uncertainty
+    jacobians: tuple[Array, ...]
+    at_bound: Array
+    evaluations: int
+    converged: bool
+
+    @property
+    def rmse(self) -> Array:
+        """(nj,) [rad]."""
+        return joint_rmse(self.residuals)
+
+    @property
+    def rmse_before(self) -> Array:
+        """(nj,) of the model as it came [rad]."""
+        return joint_rmse(self.before)
+
+
+def joint_rmse(residuals: Sequence[Array]) -> Array:
+    """(nj,) root mean square of all segments' residuals [rad]."""
+    return np.asarray(np.sqrt((np.concatenate(residuals) ** 2).mean(axis=0)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Derivatives at one point, the starts eliminated.
+
+    Attributes:
+        by_theta: for each segment (m, nj, p) ∂prediction/∂θ.
+        by_start: for each segment (m, nj, s) ∂prediction/∂start.
+        factor: (p, p) R with the columns in units of the parameters' scale.
+        target: (p,) c.
+        starts: for each segment its (Q, R) of ∂/∂start, the weighted start below the samples.
+    """
+
+    by_theta: list[Array]
+    by_start: list[Array]
+    factor: Array
+    target: Array
+    starts: list[tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A parameter set with its starts, residuals and cost."""
+
+    theta: Array
+    starts: list[Array]
+    residuals: list[Array]
+    cost: float
+
+
+def residuals_of(model: Model, segments: Sequence[Segment], simulator: Simulator) -> list[Array]:
+    """For each segment (m, nj) measured − predicted from its measured start [rad]; DIVERGED where there is none."""
+    if not segments:
+        return []
+    found = simulator([model], segments, [s.start[None, :] for s in segments])
+    return [_residual(s, f, 0) for s, f in zip(segments, found, strict=True)]
+
+
+class Problem:
+    """Residuals and their derivatives as functions of the free parameters and starts."""
+
+    def __init__(self, parameters: FreeParameters, segments: Sequence[Segment], simulator: Simulator) -> None:
+        self.parameters = parameters
+        self.segments = list(segments)
+        self.simulator = simulator
+        self.evaluations = 0
+
+    def points(self, thetas: Sequence[Array], starts: Sequence[Sequence[Sequence[Array]]]) -> list[_Point]:
+        """Simulate parameter sets (p,), each with one or more choices of starts, and take the best segment by segment.
+
+        Args:
+            thetas: (p,) each.
+            starts: for each parameter set its choices, for each choice (2 nj,) for every segment.
+        """
+        models = [self.parameters.model_at(theta) for theta in thetas]
+        spread = [(i, choice) for i, choices in enumerate(starts) for choice in choices]
+        self.evaluations += len(spread)
+        rows = [np.array([choice[k] for _, choice in spread]) for k in range(len(self.segments))]
+        found = self.simulator([models[i] for i, _ in spread], self.segments, rows)
+        points = [_Point(theta, [], [], 0.0) for theta in thetas]
+        for segment, row, predicted in zip(self.segments, rows, found, strict=True):
+            best: dict[int, tuple[float, Array, Array]] = {}
+            for place, (i, _) in enumerate(spread):
+                residual = _residual(segment, predicted, place)
+                cost = float((residual**2).sum() + (self._start_residual(segment, row[place]) ** 2).sum())
+                if i not in best or cost < best[i][0]:
+                    best[i] = cost, row[place], residual
+            for i, (cost, start, residual) in best.items():
+                points[i].starts.append(start)
+                points[i].residuals.append(residual)
+                points[i] = replace(points[i], cost=points[i].cost + cost)
+        return points
+
+    def slopes(self, point: _Point) -> _Slopes:
+        """Forward differences about a point."""
+        by_theta, by_start = self._derivatives(point)
+        scale = self.parameters.scale
+        p = len(scale)
+        rows, starts = [], []
+        for segment, j, n, r, x in zip(self.segments, by_theta, by_start, point.residuals, point.starts, strict=True):
+            count = j.shape[0] * j.shape[1]
+            system = np.column_stack([j.reshape(count, p) * scale, r.ravel()])
+            s = segment.free_start
+            if s:
+                whole = np.vstack([n.reshape(count, s), np.diag(segment.start_weights)])
+                own = np.zeros((s, p + 1))
+                own[:, p] = self._start_residual(segment, x)
+                system = np.vstack([system, own])
+                basis, upper = np.linalg.qr(whole, mode="reduced")
+                starts.append((basis, upper))
+                system = system - basis @ (basis.T @ system)
+            else:
+                starts.append((np.empty((count, 0)), np.empty((0, 0))))
+            rows.append(_triangle(system))
+        factor = _triangle(np.vstack(rows))
+        return _Slopes(by_theta, by_start, factor[:p, :p], factor[:p, p], starts)
+
+    def moved_starts(self, point: _Point, slopes: _Slopes, change: Array) -> list[list[Array]]:
+        """Starts that go with a change (p,) of θ in units of its scale: the best to first order, a tenth of the way.
+
+        The latter is for where the motion depends on its start with a kink, as on a joint's stop.
+        """
+        moved = []
+        scale = self.parameters.scale
+        for k, segment in enumerate(self.segments):
+            start = point.starts[k].copy()
+            s = segment.free_start
+            if s:
+                basis, upper = slopes.starts[k]
+                left = point.residuals[k].ravel() - slopes.by_theta[k].reshape(-1, len(scale)) @ (scale * change)
+                target = np.concatenate([left, self._start_residual(segment, start)])
+                start[:s] += solve_triangular(upper, basis.T @ target)
+            moved.append(start)
+        if not any(segment.free_start for segment in self.segments):
+            return [moved]
+        return [moved, [old + 0.1 * (new - old) for old, new in zip(point.starts, moved, strict=True)]]
+
+    @staticmethod
+    def _start_residual(segment: Segment, start: Array) -> Array:
+        s = segment.free_start
+        return np.asarray(segment.start_weights * (segment.start[:s] - start[:s]))
+
+    def _derivatives(self, point: _Point) -> tuple[list[Array], list[Array]]:
+        scale = self.parameters.scale
+        # Steps lead away from the upper bound.
+        steps = DIFFERENCE * scale * np.where(point.theta + DIFFERENCE * scale <= self.parameters.high, 1.0, -1.0)
+        p, most = len(scale), max(s.free_start for s in self.segments)
+        base = self.parameters.model_at(point.theta)
+        moved = [self.parameters.model_at(point.theta + steps * unit) for unit in np.eye(p)]
+        models = [base, *moved, *([base] * most)]
+        starts = []
+        for segment, start in zip(self.segments, point.starts, strict=True):
+            rows = np.tile(start, (len(models), 1))
+            for k in range(segment.free_start):
+                rows[1 + p + k, k] += START_DIFFERENCE
+            starts.append(rows)
+        self.evaluations += len(models)
+        by_theta, by_start = [], []
+        for segment, found in zip(self.segments, self.simulator(models, self.segments, starts), strict=True):
+            with np.errstate(invalid="ignore", over="ignore"):  # what diverges is dropped below
+                change = found.position[1:] - found.position[0]
+            change[~found.sound[1:]] = 0.0  # a neighbour that diverges tells no slope
+            if not found.sound[0]:
+                change[:, found.reached[0] :] = 0.0
+            by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
+            by_start.append(np.moveaxis(change[p : p + segment.free_start] / START_DIFFERENCE, 0, -1))
+        return by_theta, by_start
+
+
+def _triangle(matrix: Array) -> Array:
+    """R of the QR factorisation."""
+    return np.asarray(np.linalg.qr(matrix, mode="r"), dtype=np.float64)
+
+
+def _residual(segment: Segment, found: Predicted, index: int) -> Array:
+    reached = found.reached[index]
+    residual = np.full(segment.measured.shape, DIVERGED)
+    residual[:reached] = segment.measured[:reached] - found.position[index, :reached]
+    return np.asarray(np.clip(residual, -DIVERGED, DIVERGED))
+
+
+def fit(
+    parameters: FreeParameters,
+    segments: Sequence[Segment],
+    *,
+    simulator: Simulator | None = None,
+    settings: FitSettings | None = None,
+    notify: Callable[[int, float], None] = lambda evaluations, rmse: None,
+) -> Fit:
+    """Least squares over all segments, bounds kept.
+
+    Args:
+        parameters: what is free.
+        segments: what was measured.
+        simulator: the engine; the reduced one by default.
+        settings: how it searches.
+        notify: called with (parameter sets simulated, best RMSE over all joints [rad]) after each step.
+
+    Raises:
+        ConfigError: where there are fewer residuals than unknowns or nothing is free.
+        SimulationDiverged: where the model as it came diverges on every segment.
+    """
+    # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _fit(parameters, segments, simulator or reduced_simulator(), settings or FitSettings(), notify)
+
+
+def _fit(
+    parameters: FreeParameters,
+    segments: Sequence[Segment],
+    simulator: Simulator,
+    settings: FitSettings,
+    notify: Callable[[int, float], None],
+) -> Fit:
+    problem = Problem(parameters, segments, simulator)
+    samples = sum(s.measured.size for s in segments)
+    p, free_starts = len(parameters.free), sum(s.free_start for s in segments)
+    if not p:
+        raise ConfigError(f"{parameters.model.name}: no parameter is free, so there is nothing to identify")
+    if samples <= p + free_starts:
+        raise ConfigError(
+            f"{samples} measured angles are too few for {p + free_starts} unknowns ({p} parameters and {free_starts} "
+            "numbers of starts)"
+        )
+    (point,) = problem.points([parameters.start], [[[s.start for s in segments]]])
+    if all(np.all(r[-1] == DIVERGED) for r in point.residuals):
+        raise SimulationDiverged(f"{parameters.model.name}: the simulation diverges on every trial as the model came")
+    before = point.residuals
+    slopes = problem.slopes(point)
+    weights = np.zeros(p)
+    damping, converged = 1e-2, False
+    for _ in range(settings.steps):
+        weights = np.maximum(weights, np.linalg.norm(slopes.factor, axis=0))
+        dampings = np.clip(damping * DAMPINGS, LEAST_DAMPING, MOST_DAMPING)
+        changes = [_step(parameters, point.theta, slopes, weights * np.sqrt(d)) for d in dampings]
+        thetas = [np.clip(point.theta + parameters.scale * c, parameters.low, parameters.high) for c in changes]
+        tried = problem.points(thetas, [problem.moved_starts(point, slopes, c) for c in changes])
+        best = min(range(len(tried)), key=lambda i: tried[i].cost)
+        gain = (point.cost - tried[best].cost) / max(point.cost, 1e-300)
+        if gain > 0:
+            point, damping = tried[best], float(dampings[best])
+        elif dampings[-1] < MOST_DAMPING and np.abs(changes[-1]).max() > settings.tolerance:
+            damping = float(dampings[-1]) * 10
+            continue
+        notify(problem.evaluations, float(np.sqrt(point.cost / samples)))
+        slopes = problem.slopes(point) if gain > 0 else slopes
+        if gain < settings.tolerance:
+            converged = True
+            break
+    spread = parameters.high - parameters.low
+    low, high = point.theta - parameters.low < 1e-6 * spread, parameters.high - point.theta < 1e-6 * spread
+    known = uncertainty(
+        slopes.by_theta,
+        point.residuals,
+        slopes.by_start,
+        parameters.names,
+        parameters.scale,
+        point.theta,
+        settings.confidence,
+    )
+    return Fit(
+        parameters,
+        point.theta,
+        parameters.model_at(point.theta),
+        tuple(point.starts),
+        tuple(point.residuals),
+        tuple(before),
+        known,
+        tuple(slopes.by_theta),
+        high.astype(int) - low.astype(int),
+        problem.evaluations,
+        converged,
+    )
+
+
+def _step(parameters: FreeParameters, theta: Array, slopes: _Slopes, damping: Array) -> Array:
+    """(p,) the damped step within bounds, in units of the parameters' scale."""
+    # What has no effect beyond rounding stays where it is.
+    least = IDLE * np.linalg.norm(slopes.factor, axis=0).max() + 1e-300
+    system = np.vstack([slopes.factor, np.diag(np.maximum(damping, least))])
+    target = np.concatenate([slopes.target, np.zeros(len(theta))])
+    low, high = (parameters.low - theta) / parameters.scale, (parameters.high - theta) / parameters.scale
+    free = np.linalg.lstsq(system, target, rcond=None)[0]
+    if np.all(free >= low) and np.all(free <= high):
+        return np.asarray(free)
+    tight = 1e-12 * np.maximum(high - low, 1e-300)
+    found = lsq_linear(system, target, bounds=(np.minimum(low, -tight), np.maximum(high, tight)), method="bvls")
+    return np.asarray(np.clip(found.x, low, high))

@@ -1,0 +1,217 @@
+"""What an identification found, for figures, for people and as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl.identification.crosscheck import CrossCheck
+from equimus_ctrl.identification.fit import Fit, joint_rmse
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.statics import StaticFit
+from equimus_ctrl.identification.uncertainty import TradeOff, Uncertainty
+from equimus_ctrl.models.model import Model, model_to_dict
+from equimus_ctrl.recordings import StaticPoses
+from equimus_ctrl.types import Array, Recording
+
+SCHEMA = "equimus-ctrl/identification/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Something held out that the model is judged on.
+
+    Attributes:
+        name: of the trial or the poses.
+        before: (m, nj) measured − predicted by the model as it came [rad].
+        after: (m, nj) the same by the model identified [rad].
+        segment: the trial, or None where it is poses at rest.
+    """
+
+    name: str
+    before: Array
+    after: Array
+    segment: Segment | None = None
+
+    def to_dict(self, joints: Sequence[str]) -> dict[str, Any]:
+        """For machines."""
+        rows = joint_rmse([self.before]), joint_rmse([self.after])
+        what = "poses" if self.segment is None else "trial"
+        return {what: self.name, "before": _by_joint(joints, rows[0]), "after": _by_joint(joints, rows[1])}
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """Parameters found from trials.
+
+    Attributes:
+        fit: what was found.
+        segments: what it was found from.
+        recordings: the trials.
+        check: errors on trials left out in turn, or None where there was one trial only.
+        heldout: trials that took no part at all.
+        engine: that simulated.
+        seconds: how long the search took.
+        check_seconds: how long the cross-check took.
+    """
+
+    fit: Fit
+    segments: tuple[Segment, ...]
+    recordings: tuple[Recording, ...]
+    check: CrossCheck | None
+    heldout: tuple[Judged, ...]
+    engine: str
+    seconds: float
+    check_seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For machines; angles in rad, and null where an interval has no end."""
+        found, joints = self.fit, self.fit.model.morphology.joint_names
+        data: dict[str, Any] = {
+            "engine": self.engine,
+            "trials": [r.name for r in self.recordings],
+            "samples": int(sum(len(r) for r in found.residuals)),
+            "converged": found.converged,
+            "evaluations": found.evaluations,
+            "seconds": self.seconds,
+            "rmse_rad": _before_and_after(joints, found.rmse_before, found.rmse),
+            "parameters": parameter_rows(found.parameters, found.theta, found.uncertainty, found.at_bound),
+            "trade_offs": [_trade(t) for t in found.uncertainty.trade_offs],
+            "effective_samples": found.uncertainty.effective_samples,
+            "cross_check": None,
+            "heldout": [judged.to_dict(joints) for judged in self.heldout],
+            "heldout_rmse_rad": None,
+        }
+        if self.check is not None:
+            data["cross_check"] = {
+                "folds": self.check.folds,
+                "seconds": self.check_seconds,
+                "rmse_rad": _before_and_after(joints, self.check.rmse_before, self.check.rmse),
+            }
+        if self.heldout:
+            before, after = (joint_rmse([getattr(h, key) for h in self.heldout]) for key in ("before", "after"))
+            data["heldout_rmse_rad"] = _before_and_after(joints, before, after)
+        return data
+
+
+def together(rmse: Array) -> float:
+    """Root mean square over all joints of a root mean square of each."""
+    return float(np.sqrt(np.mean(rmse**2)))
+
+
+def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float]:
+    return {joint: float(v) for joint, v in zip(joints, values, strict=True)}
+
+
+def _before_and_after(joints: Sequence[str], before: Array, after: Array) -> dict[str, Any]:
+    return {
+        "before": _by_joint(joints, before),
+        "after": _by_joint(joints, after),
+        "before_together": together(before),
+        "after_together": together(after),
+    }
+
+
+def _trade(trade: TradeOff) -> dict[str, Any]:
+    return {"parameters": trade.weights, "correlation": trade.correlation}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def parameter_rows(
+    parameters: FreeParameters, theta: Array, known: Uncertainty, at_bound: Array
+) -> list[dict[str, Any]]:
+    """One table row for each parameter, intervals without an end as None."""
+    rows = []
+    for i, free in enumerate(parameters.free):
+        rows.append(
+            {
+                "name": free.name,
+                "unit": free.unit,
+                "start": free.start,
+                "value": float(theta[i]),
+                "low": _finite(theta[i] - known.half_width[i]),
+                "high": _finite(theta[i] + known.half_width[i]),
+                "bounds": [free.low, free.high],
+                "at_bound": {-1: "low", 0: None, 1: "high"}[int(at_bound[i])],
+            }
+        )
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedPoses:
+    """Parameters found from poses at rest.
+
+    Attributes:
+        fit: what was found.
+        poses: what it was found from.
+        heldout: poses that took no part.
+        seconds: how long it took.
+    """
+
+    fit: StaticFit
+    poses: StaticPoses
+    heldout: tuple[Judged, ...]
+    seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For machines; angles in rad, pressures in Pa."""
+        found = self.fit
+        m = found.model.morphology
+        before, after, left_out = (joint_rmse([r]) for r in (found.before, found.residuals, found.heldout))
+        loose = np.isfinite(found.pressure_error).all(axis=1)
+        pressure = found.pressure_error[loose]
+        return {
+            "poses": len(self.poses.pressure),
+            "name": self.poses.name,
+            "seconds": self.seconds,
+            "rmse_rad": _before_and_after(m.joint_names, before, after),
+            "parameters": parameter_rows(found.parameters, found.theta, found.uncertainty, found.at_bound),
+            "trade_offs": [_trade(t) for t in found.uncertainty.trade_offs],
+            "effective_samples": found.uncertainty.effective_samples,
+            "cross_check": {
+                "folds": found.folds,
+                "rmse_rad": _before_and_after(m.joint_names, before, left_out),
+            },
+            "loose_poses": int(loose.sum()),
+            "pressure_rmse_pa": _by_joint(m.actuator_names, joint_rmse([pressure])) if loose.any() else None,
+            "heldout": [judged.to_dict(m.joint_names) for judged in self.heldout],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What files of poses and of trials told together: the poses first, then the trials from the model these gave.
+
+    Attributes:
+        start: the model as it came.
+        poses: what the poses at rest told, or None where there were none.
+        trials: what the trials told, or None where there were none.
+    """
+
+    start: Model
+    poses: IdentifiedPoses | None
+    trials: Identified | None
+
+    @property
+    def model(self) -> Model:
+        """The model identified."""
+        last = self.trials or self.poses
+        return self.start if last is None else last.fit.model
+
+    def to_dict(self) -> dict[str, Any]:
+        """For machines: null for what there was none of."""
+        return {
+            "schema": SCHEMA,
+            "start": self.start.name,
+            "poses": None if self.poses is None else self.poses.to_dict(),
+            "trials": None if self.trials is None else self.trials.to_dict(),
+            "model": model_to_dict(self.model),
+        }

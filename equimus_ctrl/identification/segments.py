@@ -1,0 +1,141 @@
+"""Recordings cut into what is simulated from one start and compared with what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.predict import check_columns, modelled_start
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Array, Recording
+
+LEAST_SAMPLES = 10
+SLOPE_SPAN = 0.1
+"""Half the time over which a window's first angles and velocities are read off by a parabola [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """One start and what was measured from there on.
+
+    Attributes:
+        trial: commands, start and sample times.
+        measured: (m, nj) angles at the sample times [rad].
+        recording: which of the recordings it was cut from.
+        free_start: how many numbers of the start are free: none, the angles (nj), or angles and velocities (2 nj).
+            What was read off the measurements then counts as one more sample, see ``start_weights``.
+    """
+
+    trial: Trial
+    measured: Array
+    recording: int
+    free_start: int = 0
+
+    @property
+    def start_weights(self) -> Array:
+        """(free_start,) what a start's distance from the measured one weighs: an angle's as much as a sample's."""
+        nj = self.measured.shape[1]
+        return np.repeat([1.0, SLOPE_SPAN / 2], nj)[: self.free_start]
+
+    @property
+    def start(self) -> Array:
+        """(2 nj,) angles and velocities at the start [rad, rad/s]."""
+        velocity = self.trial.velocity
+        return np.concatenate(
+            [self.trial.position, np.zeros_like(self.trial.position) if velocity is None else velocity]
+        )
+
+
+def cut(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    window: tuple[float, float] | None = None,
+    shoot: float | None = None,
+    fit_start: bool = False,
+) -> list[Segment]:
+    """The segments of some recordings.
+
+    Args:
+        model: whose names the recordings must have.
+        recordings: what was measured.
+        window: (from, to) what is compared [s]; all of it by default. The motion starts with the recording.
+        shoot: cut what is compared into windows of this length, each from its own free angles and velocities [s].
+        fit_start: let each recording's first angles be free.
+
+    Raises:
+        ConfigError: where names do not match, or a recording or a shooting window is too short to identify from.
+    """
+    if shoot is not None and not 0.05 <= shoot < float("inf"):
+        raise ConfigError(f"shooting windows of {shoot:g} s are too short, expected at least 0.05 s")
+    segments = []
+    for index, recording in enumerate(recordings):
+        check_columns(model, recording)
+        time = recording.time
+        low, high = window or (float(time[0]), float(time[-1]))
+        inside = (time >= low) & (time <= high)
+        if np.count_nonzero(inside) < LEAST_SAMPLES:
+            raise ConfigError(
+                f"{recording.name}: has {np.count_nonzero(inside)} samples between {low:g} and {high:g} s, too few to "
+                f"identify from; expected at least {LEAST_SAMPLES} (it lasts from {time[0]:g} to {time[-1]:g} s)"
+            )
+        if shoot is None:
+            whole = Trial.of(recording, modelled_start(model, recording))
+            trial = _sampled(whole, np.array(time[inside]))
+            nj = len(recording.joints)
+            segments.append(Segment(trial, np.array(recording.position[inside]), index, nj if fit_start else 0))
+        else:
+            segments += _windows(recording, index, inside, shoot)
+    return segments
+
+
+def _sampled(trial: Trial, times: Array) -> Trial:
+    return Trial(
+        trial.name, trial.times, trial.commands, trial.before, trial.start, trial.position, times, trial.velocity
+    )
+
+
+def _windows(recording: Recording, index: int, inside: NDArray[np.bool_], length: float) -> list[Segment]:
+    time = recording.time
+    low, high = time[inside][0], time[inside][-1]
+    edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
+    found: list[Segment] = []
+    for a, b in pairwise(edges):
+        chosen = (time >= a) & ((time < b) | (b == high))
+        if np.count_nonzero(chosen) < LEAST_SAMPLES:
+            continue
+        position, velocity = _local_motion(recording, float(a))
+        trial = Trial(
+            f"{recording.name} from {a:.3f} s",
+            np.array(time),
+            np.array(recording.command),
+            np.array(recording.command_before),
+            float(a),
+            position,
+            np.array(time[chosen]),
+            velocity,
+        )
+        found.append(Segment(trial, np.array(recording.position[chosen]), index, 2 * len(recording.joints)))
+    if not found:
+        raise ConfigError(
+            f"{recording.name}: no shooting window of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "
+            f"{2 * LEAST_SAMPLES * np.median(np.diff(time)):.2g} s"
+        )
+    return found
+
+
+def _local_motion(recording: Recording, at: float) -> tuple[Array, Array]:
+    """Angles and velocities at an instant, from a parabola through the measurements around it."""
+    time = recording.time
+    near = np.abs(time - at) <= SLOPE_SPAN
+    while np.count_nonzero(near) < 4:
+        near[np.argsort(np.abs(time - at))[:5]] = True
+    basis = np.vander(time[near] - at, 3, increasing=True)
+    coefficients = np.linalg.lstsq(basis, recording.position[near], rcond=None)[0]
+    return coefficients[0], coefficients[1]

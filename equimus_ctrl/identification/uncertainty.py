@@ -1,0 +1,221 @@
+"""How well a fit knows its parameters: intervals for coloured residuals, and directions that cannot be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from equimus_ctrl.types import Array
+
+UNSEEN = 1e-6
+"""A direction in scaled parameters with less than this share of the strongest one's effect counts as without any."""
+INVOLVED = 1e-2
+"""Share of an unseen direction from which on a parameter belongs to it."""
+STRONG = 0.9
+"""Correlation from which on two parameters are said to trade off."""
+
+
+@dataclass(frozen=True)
+class TradeOff:
+    """Parameters that these data tell apart badly or not at all.
+
+    Attributes:
+        weights: parameter name → share of its own value in a change that leaves the fit as it is, the largest being 1.
+        correlation: the strongest between errors of two of them, or None where the change has no effect at all.
+    """
+
+    weights: dict[str, float]
+    correlation: float | None
+
+    def __str__(self) -> str:
+        """For people."""
+        if len(self.weights) == 1:
+            return f"{next(iter(self.weights))} cannot be seen in these data at all"
+        # Of the parameters the one that has to change most is told first, and up.
+        ordered = sorted(self.weights.items(), key=lambda item: -abs(item[1]))
+        sign = np.sign(ordered[0][1])
+        parts = [f"{name} by {10 * sign * weight:+.2g} %" for name, weight in ordered]
+        change = f"{', '.join(parts[:-1])} and {parts[-1]}"
+        if self.correlation is None:
+            return f"changing {change} at once makes no difference at all"
+        return f"changing {change} at once makes hardly any difference (correlation {self.correlation:+.3f})"
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What the residuals say of the parameters.
+
+    Attributes:
+        standard_error: (p,) inf where a parameter cannot be seen.
+        half_width: (p,) of the interval of the confidence asked for.
+        correlation: (p, p); nan where a parameter cannot be seen.
+        trade_offs: strongest first.
+        effective_samples: how many independent residuals the coloured ones are worth.
+    """
+
+    standard_error: Array
+    half_width: Array
+    correlation: Array
+    trade_offs: tuple[TradeOff, ...]
+    effective_samples: float
+
+
+def correlation_time(residuals: Sequence[Array]) -> float:
+    """Integrated autocorrelation time in samples of residual series (m, nj), at least 1 (white).
+
+    1 + 2·Σ ρ(lag) up to the first lag whose correlation lies within the noise of its own estimate.
+    """
+    longest = max(len(r) for r in residuals)
+    total = sum(r.size for r in residuals)
+    variance = sum(float((r**2).sum()) for r in residuals) / total
+    if variance == 0:
+        return 1.0
+    time = 1.0
+    for lag in range(1, max(longest // 2, 1)):
+        pairs = [r[lag:] * r[:-lag] for r in residuals if len(r) > lag]
+        count = sum(p.size for p in pairs)
+        rho = sum(float(p.sum()) for p in pairs) / count / variance
+        if rho < 2.0 / np.sqrt(count):
+            break
+        time += 2.0 * rho
+    return time
+
+
+def uncertainty(
+    jacobians: Sequence[Array],
+    residuals: Sequence[Array],
+    nuisances: Sequence[Array],
+    names: Sequence[str],
+    scale: Array,
+    values: Array,
+    confidence: float = 0.95,
+) -> Uncertainty:
+    """Intervals from a least-squares fit whose residuals are coloured within each segment.
+
+    The sandwich (JᵀJ)⁻¹ S (JᵀJ)⁻¹ with S the sum over lags of the scores' autocovariances, weighted as by Newey and
+    West (1987) up to four correlation times, the starts of the segments projected out; then Student's t with the
+    effective number of samples. A direction without effect makes the interval of every parameter it touches infinite.
+
+    Args:
+        jacobians: for each segment (m, nj, p), derivative of the prediction by the parameters.
+        residuals: for each segment (m, nj) [rad].
+        nuisances: for each segment (m, nj, s), derivative by the free numbers of its start; s may be 0.
+        names: of the parameters.
+        scale: (p,) sizes of changes that count.
+        values: (p,) where the fit ended.
+        confidence: of the intervals.
+    """
+    p = len(names)
+    projected = [_without(j * scale, n) for j, n in zip(jacobians, nuisances, strict=True)]
+    stacked = np.concatenate([j.reshape(-1, p) for j in projected])
+    time = correlation_time(residuals)
+    samples = sum(r.size for r in residuals)
+    effective = samples / time
+    _, strength, directions = np.linalg.svd(stacked, full_matrices=False)
+    strongest = strength[0] if len(strength) else 0.0
+    seen = strength > UNSEEN * strongest if strongest > 0 else np.zeros(len(strength), dtype=bool)
+    blind = _sparse(directions[~seen])
+    inverse = (directions[seen].T / strength[seen] ** 2) @ directions[seen]
+    lags = int(np.ceil(4 * time)) if time > 1 else 0
+    meat = np.zeros((p, p))
+    for j, r in zip(projected, residuals, strict=True):
+        scores = np.einsum("mjp,mj->mp", j, r)
+        meat += scores.T @ scores
+        for lag in range(1, min(lags, len(scores) - 1) + 1):
+            cross = scores[lag:].T @ scores[:-lag]
+            meat += (1 - lag / (lags + 1)) * (cross + cross.T)
+    started = sum(n.shape[2] for n in nuisances)
+    freedom = effective - p - started / time
+    hidden = (
+        np.any(np.abs(blind) > INVOLVED, axis=0) if len(blind) else np.zeros(p, dtype=bool)
+    )  # parameters that some unseen direction touches
+    if freedom <= 0:
+        error = np.full(p, np.inf)
+        t = np.inf
+    else:
+        covariance = inverse @ meat @ inverse * (effective / freedom)
+        error = np.where(hidden, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)) * scale)
+        t = float(stats.t.ppf(0.5 + confidence / 2, freedom))
+    bread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    correlation = np.where(hidden[:, None] | hidden[None, :], np.nan, inverse / np.outer(bread, bread))
+    return Uncertainty(
+        error,
+        np.where(np.isinf(error), np.inf, t * error),
+        correlation,
+        tuple(_trade_offs(names, scale, values, blind, inverse, correlation)),
+        effective,
+    )
+
+
+def _without(jacobian: Array, nuisance: Array) -> Array:
+    """A segment's Jacobian with what its start could imitate projected out."""
+    if nuisance.shape[2] == 0:
+        return jacobian
+    m, nj, p = jacobian.shape
+    basis, _ = np.linalg.qr(nuisance.reshape(m * nj, -1))
+    flat = jacobian.reshape(m * nj, p)
+    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(m, nj, p))
+
+
+def _sparse(directions: Array) -> Array:
+    """Another basis of the same span with as many zeros as elimination with pivoting finds, each row's largest 1.
+
+    Parameters that are unseen each by itself so come out one by one.
+    """
+    rows = np.array(directions)
+    for i in range(len(rows)):
+        largest, column = divmod(int(np.abs(rows[i:]).argmax()), rows.shape[1])
+        rows[[i, i + largest]] = rows[[i + largest, i]]
+        rows[i] /= rows[i, column]
+        others = np.arange(len(rows)) != i
+        rows[others] -= np.outer(rows[others, column], rows[i])
+    return rows / np.abs(rows).max(axis=1, keepdims=True) if len(rows) else rows
+
+
+def _trade_offs(
+    names: Sequence[str], scale: Array, values: Array, blind: Array, inverse: Array, correlation: Array
+) -> list[TradeOff]:
+    """The blind directions, then for each group of strongly correlated parameters the direction least known.
+
+    ``inverse`` is (JᵀJ)⁻¹ in scaled parameters.
+    """
+    found = []
+    for direction in blind:
+        share = direction * scale / np.where(values == 0, scale, np.abs(values))
+        share = share / share[np.abs(share).argmax()]
+        found.append(TradeOff(_weights(names, share, direction), None))
+    for group in _groups(correlation):
+        block = inverse[np.ix_(group, group)]
+        _, vectors = np.linalg.eigh(block)
+        weakest = vectors[:, -1]
+        share = (weakest * scale[group]) / np.where(values[group] == 0, scale[group], np.abs(values[group]))
+        share = share / share[np.abs(share).argmax()]
+        pairs = np.triu(correlation[np.ix_(group, group)], 1)
+        strongest = float(pairs.flat[np.abs(pairs).argmax()])
+        found.append(TradeOff(_weights([names[i] for i in group], share, weakest), strongest))
+    return sorted(found, key=lambda t: -1.0 if t.correlation is None else 1 - abs(t.correlation))
+
+
+def _weights(names: Sequence[str], share: Array, direction: Array) -> dict[str, float]:
+    rows = zip(names, share, direction, strict=True)
+    return {name: float(s) for name, s, d in rows if abs(d) > INVOLVED * np.abs(direction).max()}
+
+
+def _groups(correlation: Array) -> list[list[int]]:
+    """Parameters linked to one another by strong correlations, one group each."""
+    left = set(range(len(correlation)))
+    groups = []
+    while left:
+        group, open_ends = [], [min(left)]
+        while open_ends:
+            i = open_ends.pop()
+            if i in left:
+                left.remove(i)
+                group.append(i)
+                open_ends += [j for j in left if abs(correlation[i, j]) > STRONG]
+        if len(group) > 1:
+            groups.append(sorted(group))
+    return groups

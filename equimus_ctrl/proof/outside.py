@@ -1,0 +1,247 @@
+"""Physics that no catalogue holds: what a diagnosis has to call unexplained.
+
+These are written as a user would write effects, but they stand in a register of their own and must never come into
+``effects.REGISTRY``. Those that push along one coordinate alone are plain ``ForceEffect``s; the others see the whole
+motion and the clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from equimus_ctrl.effects.base import Effect, parameter
+from equimus_ctrl.effects.force import ForceEffect, Parameters
+from equimus_ctrl.models.morphology import ElasticActuator, Morphology
+
+OUTSIDE: dict[str, type[Effect]] = {}
+"""Name → class of everything from outside the catalogue."""
+
+
+def _conceal(cls: type[Effect]) -> type[Effect]:
+    cls.check_class()
+    OUTSIDE[cls.name] = cls
+    return cls
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What such physics can depend on, as CasADi expressions, by name of joint or actuator.
+
+    Attributes:
+        robot: the leg.
+        time: since the trial's start [s].
+        x: angle of a joint [rad] or length of an actuator [m].
+        rate: its derivative.
+        pressure: of each actuator [Pa].
+    """
+
+    robot: Morphology
+    time: ca.SX
+    x: Mapping[str, ca.SX]
+    rate: Mapping[str, ca.SX]
+    pressure: Mapping[str, ca.SX]
+
+    def actuator(self, name: str) -> ElasticActuator:
+        """The actuator called ``name``."""
+        return self.robot.actuators[self.robot.actuator_names.index(name)]
+
+
+@dataclass(frozen=True)
+class MotionEffect(Effect):
+    """Physics that sees the whole motion."""
+
+    side = "force"
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        """Joint → torque [N·m], actuator → force [N], positive where they would increase its coordinate."""
+        raise NotImplementedError
+
+
+@_conceal
+@dataclass(frozen=True)
+class SquareDrag(MotionEffect):
+    """−drag·|v|·v at a joint."""
+
+    name = "square_drag"
+    sits_at = ("joint",)
+    summary = "drag that grows with the square of the speed"
+    drag: float = parameter("N·m·s²/rad²", 0.0, 10.0, "torque at 1 rad/s")
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        rate = at.rate[self.location]
+        return {self.location: -self.drag * ca.fabs(rate) * rate}
+
+
+@_conceal
+@dataclass(frozen=True)
+class CrossSpring(MotionEffect):
+    """A spring across both joints, such as a hose along the leg, of energy ½·stiffness·(q₁·q₂)²."""
+
+    name = "cross_spring"
+    sits_at = ("joint",)
+    summary = "a spring that couples the joints"
+    stiffness: float = parameter("N·m/rad³", 0.0, 10.0, "of the coupling")
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        first, second = at.robot.joint_names[:2]
+        both = at.x[first] * at.x[second]
+        return {first: -self.stiffness * both * at.x[second], second: -self.stiffness * both * at.x[first]}
+
+
+@_conceal
+@dataclass(frozen=True)
+class RoughSpot(ForceEffect):
+    """Dry friction of size friction·exp(−((q − centre)/width)²)."""
+
+    name = "rough_spot"
+    sits_at = ("joint",)
+    summary = "dry friction about one angle only"
+    neutral = {"friction": 0.0}  # noqa: RUF012
+    friction: float = parameter("N·m", 0.0, 10.0, "in the middle of the spot")
+    centre: float = parameter("rad", -3.2, 3.2, "angle of the spot")
+    width: float = parameter("rad", 0.01, 3.2, "of the spot")
+
+    @classmethod
+    def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return p["friction"] * ca.exp(-(((x - p["centre"]) / p["width"]) ** 2))
+
+
+@_conceal
+@dataclass(frozen=True)
+class AngleDamping(ForceEffect):
+    """−damping·((q − centre)/width)²·v."""
+
+    name = "angle_damping"
+    sits_at = ("joint",)
+    summary = "damping that grows away from one angle"
+    neutral = {"damping": 0.0}  # noqa: RUF012
+    damping: float = parameter("N·m·s/rad", 0.0, 10.0, "at one width from the centre")
+    centre: float = parameter("rad", -3.2, 3.2, "angle without it")
+    width: float = parameter("rad", 0.01, 3.2, "where it has its size")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: object, p: Parameters) -> ca.SX:
+        return -p["damping"] * ((x - p["centre"]) / p["width"]) ** 2 * rate
+
+
+@_conceal
+@dataclass(frozen=True)
+class Cogging(ForceEffect):
+    """size·sin(2π q/pitch): a torque that repeats along the angle."""
+
+    name = "cogging"
+    sits_at = ("joint",)
+    summary = "a torque that repeats with the angle"
+    neutral = {"size": 0.0}  # noqa: RUF012
+    size: float = parameter("N·m", 0.0, 10.0, "amplitude")
+    pitch: float = parameter("rad", 0.01, 3.2, "angle of one repetition")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: object, p: Parameters) -> ca.SX:
+        return p["size"] * ca.sin(2 * ca.pi * x / p["pitch"])
+
+
+@_conceal
+@dataclass(frozen=True)
+class StiffnessDrift(MotionEffect):
+    """An actuator's stiffness grows or falls by a share of itself each second of the trial."""
+
+    name = "stiffness_drift"
+    sits_at = ("actuator",)
+    summary = "stiffness that drifts with time"
+    share: float = parameter("1/s", -0.5, 0.5, "change each second")
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        own = at.actuator(self.location)
+        stretch = at.x[self.location] - own.rest_length
+        return {self.location: -own.stiffness * self.share * at.time * stretch}
+
+
+@_conceal
+@dataclass(frozen=True)
+class PeriodicTorque(MotionEffect):
+    """size·sin(2π·frequency·t) from the trial's start on."""
+
+    name = "periodic_torque"
+    sits_at = ("joint",)
+    summary = "a disturbance that repeats with time"
+    size: float = parameter("N·m", 0.0, 10.0, "amplitude")
+    frequency: float = parameter("Hz", 0.01, 50.0, "of the disturbance")
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        return {self.location: self.size * ca.sin(2 * ca.pi * self.frequency * at.time)}
+
+
+@_conceal
+@dataclass(frozen=True)
+class PressureGrowth(MotionEffect):
+    """The rest length grows with the square of the pressure: stiffness·growth·(P/10 kPa)²."""
+
+    name = "pressure_growth"
+    sits_at = ("actuator",)
+    summary = "rest length that depends on the command"
+    growth: float = parameter("m", 0.0, 0.1, "lengthening at 10 kPa")
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        own = at.actuator(self.location)
+        return {self.location: own.stiffness * self.growth * (at.pressure[self.location] / 1e4) ** 2}
+
+
+@_conceal
+@dataclass(frozen=True)
+class PressureDamping(MotionEffect):
+    """An actuator is damped the more, the harder it is inflated: −damping·(P/10 kPa)·l̇."""
+
+    name = "pressure_damping"
+    sits_at = ("actuator",)
+    summary = "damping that grows with the pressure"
+    damping: float = parameter("N·s/m", 0.0, 1e3, "at 10 kPa")
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        return {self.location: -self.damping * at.pressure[self.location] / 1e4 * at.rate[self.location]}
+
+
+@_conceal
+@dataclass(frozen=True)
+class Leak(MotionEffect):
+    """Air passes between the actuators: both pressures move by a share of their difference towards each other."""
+
+    name = "leak"
+    sits_at = ("actuator",)
+    summary = "a leak between the actuators"
+    share: float = parameter("1", 0.0, 0.5, "of the pressure difference that is lost")
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        first, second = at.robot.actuator_names[:2]
+        moved = self.share * (at.pressure[first] - at.pressure[second])
+        areas = {name: at.actuator(name).area for name in (first, second)}
+        return {first: -areas[first] * moved, second: areas[second] * moved}
+
+
+@_conceal
+@dataclass(frozen=True)
+class Fade(MotionEffect):
+    """An actuator that warms up pushes less: its force falls by share·(1 − e^(−t/time_constant))."""
+
+    name = "fade"
+    sits_at = ("actuator",)
+    summary = "force that fades slowly during a trial"
+    share: float = parameter("1", 0.0, 0.9, "lost in the end")
+    time_constant: float = parameter("s", 0.1, 1e3, "of the fading")
+
+    def push(self, at: Motion) -> dict[str, ca.SX]:
+        own = at.actuator(self.location)
+        lost = self.share * (1 - ca.exp(-at.time / self.time_constant))
+        return {self.location: -lost * own.area * at.pressure[self.location]}
+
+
+def acts_on(effect: Effect, robot: Morphology) -> tuple[str, ...]:
+    """The joints and actuators that an effect pushes."""
+    if not isinstance(effect, MotionEffect):
+        return (effect.location,)
+    names = (*robot.joint_names, *robot.actuator_names)
+    symbols = {name: ca.SX.sym(name) for name in names}
+    return tuple(effect.push(Motion(robot, ca.SX.sym("t"), symbols, symbols, symbols)))

@@ -1,0 +1,204 @@
+"""Cases on disk: recordings for everybody, truths for the end, seals before anything begins.
+
+    <root>/recordings/case_0007/trial_00.csv …    all that a diagnosis may see
+    <root>/seals/case_0007.txt                    SHA-256 of the truth
+    <root>/truth/case_0007.json                   the truth, one line
+
+A case is complete when its seal is there, for that is written last.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.proof.designs import DURATION, TRIALS
+from equimus_ctrl.proof.outside import acts_on
+from equimus_ctrl.proof.realities import Kind, Reality, draw, findings
+from equimus_ctrl.proof.seal import digest, opened, salted, seal
+from equimus_ctrl.proof.simulation import RATE, recordings, simulate
+from equimus_ctrl.proof.strength import excess
+from equimus_ctrl.recordings.folders import holds, read_text, write_folder, write_text
+from equimus_ctrl.recordings.sets import read_set
+
+SCHEMA = "equimus-ctrl/proof-truth/1"
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a set of cases is made from.
+
+    Attributes:
+        root: folder of the proof.
+        seed: of the whole.
+        kind: of all cases; drawn for each by default.
+        trials: of each case.
+        duration: of each trial [s].
+        rate: physics steps a second.
+    """
+
+    root: Path
+    seed: int
+    kind: Kind | None = None
+    trials: int = TRIALS
+    duration: float = DURATION
+    rate: float = RATE
+
+    def recordings(self, case: int) -> Path:
+        """The folder that a diagnosis is given."""
+        return self.root / "recordings" / f"case_{case:04d}"
+
+    def seal(self, case: int) -> Path:
+        """The file with the case's seal."""
+        return self.root / "seals" / f"case_{case:04d}.txt"
+
+    def truth(self, case: int) -> Path:
+        """The file with the case's truth."""
+        return self.root / "truth" / f"case_{case:04d}.json"
+
+
+@dataclass(frozen=True)
+class Made:
+    """One case that is there.
+
+    Attributes:
+        case: its number.
+        seal: SHA-256 of its truth.
+        seconds: what it took; 0 where it was there already.
+    """
+
+    case: int
+    seal: str
+    seconds: float
+
+
+def truth_of(reality: Reality, clean: list[Any]) -> dict[str, Any]:
+    """All there is to know of a reality, as JSON.
+
+    ``excess`` is what is left of data without noise when the ten default parameters have been fitted without any
+    effect. In a pair ``alone`` says of each finding how much is left when only it is missing.
+    """
+    nothing = not reality.effects and not reality.outside
+    left = excess(reality, clean, refit=not nothing)
+    found = []
+    for name, locations, parameters in findings(reality.effects):
+        others = [e for e in reality.effects if e.name != name]
+        alone = excess(reality, clean, others) if others else left
+        found.append({"effect": name, "locations": locations, "parameters": parameters, "alone": alone.total})
+    beyond = [
+        {"effect": e.name, "locations": acts_on(e, reality.leg), "parameters": e.parameters()} for e in reality.outside
+    ]
+    joints = reality.leg.joint_names
+    return {
+        "schema": SCHEMA,
+        "seed": reality.seed,
+        "case": reality.case,
+        "kind": reality.kind,
+        "parameters": {name: reality.leg.parameters()[name] for name in changed_names(reality)},
+        "findings": found,
+        "outside": beyond,
+        "noise_rad": dict(zip(joints, reality.noise, strict=True)),
+        "noise_correlation_s": reality.correlation,
+        "trials": [trial.kind for trial in reality.trials],
+        "excess": left.total,
+        "excess_joints": dict(zip(joints, left.joints, strict=True)),
+        "refitted": left.parameters,
+    }
+
+
+def changed_names(reality: Reality) -> list[str]:
+    """The leg's numbers that were drawn."""
+    a = [f"{a.name}.{key}" for a in reality.leg.actuators for key in ("stiffness", "area", "rest_length", "damping")]
+    return a + [f"{j.name}.damping" for j in reality.leg.joints]
+
+
+def make_case(request: Request, case: int) -> Made:
+    """Make one case, unless it is there."""
+    names = [f"trial_{k:02d}" for k in range(request.trials)]
+    known = read_text(request.seal(case))
+    line = read_text(request.truth(case))
+    if known is not None and line is not None and holds(request.recordings(case), names):
+        truth = opened(line.strip(), known.strip(), f"case {case}")
+        _check_same(request, truth)
+        return Made(case, known.strip(), 0.0)
+    began = time.perf_counter()
+    reality = draw(request.seed, case, kind=request.kind, trials=request.trials, duration=request.duration)
+    clean = simulate(reality, request.rate)
+    seen = recordings(reality, clean)
+    made = {"duration_s": request.duration, "physics_hz": request.rate, "recordings_sha256": digest(seen)}
+    line = salted({**truth_of(reality, clean), **made}, request.seed, case)
+    write_folder(request.recordings(case), seen)
+    write_text(request.truth(case), line + "\n")
+    write_text(request.seal(case), seal(line) + "\n")
+    return Made(case, seal(line), time.perf_counter() - began)
+
+
+def _check_same(request: Request, truth: dict[str, Any]) -> None:
+    wanted: dict[str, Any] = {"seed": request.seed, "duration_s": request.duration, "physics_hz": request.rate}
+    if request.kind is not None:
+        wanted["kind"] = request.kind
+    for key, value in wanted.items():
+        if truth[key] != value:
+            raise ConfigError(
+                f"{request.root}: case {truth['case']} was made with {key} {truth[key]}, not {value}; choose another "
+                "folder"
+            )
+
+
+def make_cases(
+    request: Request, cases: Iterable[int], workers: int = 1, notify: Callable[[Made], None] = lambda made: None
+) -> list[Made]:
+    """Make cases that are not there yet, in processes of their own where there are several workers.
+
+    Args:
+        request: what of.
+        cases: their numbers.
+        workers: processes; 1 makes them in this one.
+        notify: told of each case as it is done.
+
+    Returns:
+        All of them by number.
+    """
+    made = []
+    for done in _each(request, list(cases), workers):
+        notify(done)
+        made.append(done)
+    return sorted(made, key=lambda m: m.case)
+
+
+def _each(request: Request, cases: list[int], workers: int) -> Iterator[Made]:
+    if workers <= 1:
+        yield from (make_case(request, case) for case in cases)
+        return
+    # A fork would copy locks that threads of the numerical libraries may hold.
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        tasks = [pool.submit(make_case, request, case) for case in cases]
+        try:
+            for task in as_completed(tasks):
+                yield task.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def open_truth(request: Request, case: int) -> dict[str, Any]:
+    """The truth of a case, its seal and the recordings checked.
+
+    Raises:
+        ConfigError: where it is not there, or it or the recordings were changed.
+        RecordingError: where the recordings cannot be read.
+    """
+    line, sealed = read_text(request.truth(case)), read_text(request.seal(case))
+    if line is None or sealed is None:
+        missing = request.truth(case) if line is None else request.seal(case)
+        raise ConfigError(f"{missing}: the file is missing, so case {case} cannot be opened")
+    truth = opened(line.strip(), sealed.strip(), str(request.truth(case)))
+    if digest(read_set(request.recordings(case))) != truth["recordings_sha256"]:
+        raise ConfigError(f"{request.recordings(case)}: the recordings were changed after their truth was sealed")
+    return truth

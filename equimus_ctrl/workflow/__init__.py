@@ -1,0 +1,52 @@
+"""What the commands do, as functions of a library: load a model, run a scenario, score, tune, identify."""
+
+from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged
+from equimus_ctrl.workflow.identify import (
+    identify_files,
+    identify_poses,
+    identify_recordings,
+    sensitivity_of,
+    simulator_of,
+)
+from equimus_ctrl.workflow.plugins import load_effects
+from equimus_ctrl.workflow.runs import (
+    RecordingsScore,
+    ScenarioRun,
+    TrialScore,
+    TunedPid,
+    gather,
+    load_controller,
+    load_model,
+    load_scenario,
+    recordings_of,
+    run_scenario,
+    save_model,
+    score_recordings,
+    tune_pid,
+)
+
+__all__ = [
+    "Identification",
+    "Identified",
+    "IdentifiedPoses",
+    "Judged",
+    "RecordingsScore",
+    "ScenarioRun",
+    "TrialScore",
+    "TunedPid",
+    "gather",
+    "identify_files",
+    "identify_poses",
+    "identify_recordings",
+    "load_controller",
+    "load_effects",
+    "load_model",
+    "load_scenario",
+    "recordings_of",
+    "run_scenario",
+    "save_model",
+    "score_recordings",
+    "sensitivity_of",
+    "simulator_of",
+    "tune_pid",
+]

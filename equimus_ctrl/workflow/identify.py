@@ -1,0 +1,403 @@
+"""Identification and sensitivity from recordings, for the commands and for users of the library."""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
+from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
+from equimus_ctrl.engines.predict import Engine, check_columns
+from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.identification.crosscheck import cross_check
+from equimus_ctrl.identification.fit import FitSettings, Simulator, fit, reduced_simulator, residuals_of
+from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged, together
+from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.sensitivity import SHARES, Sensitivity, sensitivity
+from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
+from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.recordings import StaticPoses, read_static_poses
+from equimus_ctrl.recordings.sheet import header_of
+from equimus_ctrl.recordings.upstream import STATIC_POSES, kind
+from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.workflow.runs import gather
+
+TRIALS_ONLY = {"window": None, "shoot": None, "fit_start": False, "engine": "reduced", "dt": None}
+"""What poses at rest have no use for, and the value that asks for nothing."""
+FOLD_SHARE = 0.15
+"""What a fold of the cross-check takes beside the search, for the share done."""
+FOLDS = 4
+Some = Path | str | Iterable[Path | str] | Sequence[Recording]
+Progress = Callable[[str, float, float], None]
+"""Called with the stage, the share of the whole that is done, and the best RMSE over all joints so far [rad], nan where
+there is none yet."""
+
+
+def simulator_of(engine: str, dt: float | None = None, threads: int | None = None) -> Simulator:
+    """The engine by its name: ``reduced`` or ``mujoco``, with a physics step [s] of its own choice by default.
+
+    Raises:
+        ConfigError: for another name or a step that is none.
+    """
+    if engine not in ("reduced", "mujoco"):
+        raise ConfigError(unknown_name("engine", engine, ("reduced", "mujoco")))
+    if dt is not None and not 0 < dt < float("inf"):
+        raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
+    if engine == "reduced":
+        return reduced_simulator(dt, threads)
+    settings = replace(FAST_SETTINGS, timestep=dt) if dt else None
+
+    def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> Any:
+        trials = [s.trial for s in segments]
+        return simulate_mujoco(models, trials, starts=starts, settings=settings, threads=threads)
+
+    return run
+
+
+def choose(trials: Sequence[Recording], patterns: Sequence[str] | None) -> list[Recording]:
+    """The trials whose names fit one of some patterns such as ``step_release_p1*``; all where there is no pattern.
+
+    Raises:
+        ConfigError: for a pattern that fits none.
+    """
+    if not patterns:
+        return list(trials)
+    names = [trial.name for trial in trials]
+    for pattern in patterns:
+        if not fnmatch.filter(names, pattern):
+            raise ConfigError(unknown_name("trial", pattern, names))
+    return [trial for trial in trials if any(fnmatch.fnmatchcase(trial.name, pattern) for pattern in patterns)]
+
+
+def identify_recordings(
+    recordings: Some,
+    model: Model | None = None,
+    *,
+    free: Sequence[str] | None = None,
+    fix: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    select: Sequence[str] | None = None,
+    window: tuple[float, float] | None = None,
+    shoot: float | None = None,
+    fit_start: bool = False,
+    engine: Engine = "reduced",
+    dt: float | None = None,
+    threads: int | None = None,
+    folds: int = FOLDS,
+    heldout: Some | None = None,
+    settings: FitSettings | None = None,
+    progress: Progress = lambda stage, share, best: None,
+) -> Identified:
+    """Parameters of a model from trials, with intervals, cross-checked on trials left out.
+
+    Args:
+        recordings: files, folders or trials.
+        model: where the search starts; the nominal leg by default.
+        free: names or patterns of what may change; stiffness, area, rest length and damping by default.
+        fix: names or patterns of what stays as it is all the same.
+        bounds: (low, high) of some of them.
+        select: patterns of the names of the trials to use; all by default.
+        window: (from, to) [s] of each trial that is compared; all of it by default.
+        shoot: cut into windows of this length, each from its own free start [s].
+        fit_start: let each trial's first angles be free.
+        engine: ``"reduced"`` or ``"mujoco"``.
+        dt: physics step [s].
+        threads: all cores by default.
+        folds: of the cross-check; less than two for none.
+        heldout: files, folders or trials that only judge; those that take part in the fit are left out.
+        settings: how it searches.
+        progress: see ``Progress``.
+
+    Raises:
+        EquimusError: where something given cannot be used.
+    """
+    model = model or nominal_model()
+    trials = choose(gather(recordings), select)
+    others = [] if heldout is None else _unseen(gather(heldout), trials)
+    parameters = free_parameters(model, free, bounds, fix)
+    simulator = simulator_of(engine, dt, threads)
+    segments = cut(model, trials, window=window, shoot=shoot, fit_start=fit_start)
+    judged = cut(model, others, window=window)
+    share = _Share(min(folds, len(trials)) if min(folds, len(trials)) > 1 else 0, settings or FitSettings())
+    progress("compiling", 0.0, math.nan)
+    simulator([model], segments[:1], [segments[0].start[None, :]])
+    begun = time.perf_counter()
+    progress("search", 0.0, math.nan)
+    found = fit(
+        parameters,
+        segments,
+        simulator=simulator,
+        settings=settings,
+        notify=lambda evaluations, rmse: progress("search", share.of_search(rmse), rmse),
+    )
+    best = together(found.rmse)
+    searched = time.perf_counter()
+    check = cross_check(
+        found,
+        segments,
+        simulator,
+        folds,
+        settings,
+        lambda done: progress("cross-check", share.of_folds(done), best),
+    )
+    checked = time.perf_counter()
+    pairs = zip(
+        judged, residuals_of(model, judged, simulator), residuals_of(found.model, judged, simulator), strict=True
+    )
+    unseen = tuple(Judged(s.trial.name, before, after, s) for s, before, after in pairs)
+    progress("done", 1.0, best)
+    return Identified(
+        found, tuple(segments), tuple(trials), check, unseen, engine, searched - begun, checked - searched
+    )
+
+
+class _Share:
+    """How much of the work is done: the search counts as one, by how far its gains have come down to the tolerance."""
+
+    def __init__(self, folds: int, settings: FitSettings) -> None:
+        self.whole = 1.0 + FOLD_SHARE * folds
+        self.tolerance = settings.tolerance
+        self.last = math.nan
+        self.done = 0.0
+
+    def of_search(self, rmse: float) -> float:
+        gain = 1.0 - (rmse / self.last) ** 2 if self.last > 0 else math.nan
+        self.last = rmse
+        if gain < 1:
+            self.done = max(self.done, min(math.log(max(gain, self.tolerance)) / math.log(self.tolerance), 1.0))
+        return self.done / self.whole
+
+    def of_folds(self, done: int) -> float:
+        return min((1.0 + FOLD_SHARE * done) / self.whole, 1.0)
+
+
+def _unseen(heldout: Sequence[Recording], used: Sequence[Recording]) -> list[Recording]:
+    """The trials held out less those that take part, which a file given for both has."""
+
+    def same(a: Recording, b: Recording) -> bool:
+        return np.array_equal(a.time, b.time) and np.array_equal(a.position, b.position)
+
+    left = [trial for trial in heldout if not any(same(trial, other) for other in used)]
+    if not left:
+        raise ConfigError("every trial held out takes part in the fit too; hold out others, or select fewer to fit")
+    return left
+
+
+def identify_poses(
+    poses: Path | str | StaticPoses,
+    model: Model | None = None,
+    *,
+    free: Sequence[str] | None = None,
+    fix: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    heldout: Sequence[Path | str | StaticPoses] = (),
+    progress: Progress = lambda stage, share, best: None,
+) -> IdentifiedPoses:
+    """Parameters of a model from poses at rest under known pressures.
+
+    Args:
+        poses: the poses or their file.
+        model: where the search starts; the nominal leg by default.
+        free: names or patterns; stiffness, area and rest length of every actuator by default.
+        fix: names or patterns of what stays as it is all the same.
+        bounds: (low, high) of some of them.
+        heldout: poses that only judge; those that take part in the fit are left out.
+        progress: see ``Progress``.
+
+    Raises:
+        EquimusError: where something given cannot be used.
+    """
+    model = model or nominal_model()
+    given = _poses_for(model, poses)
+    others = [_unseen_poses(_poses_for(model, item), given) for item in heldout]
+    parameters = free_parameters(model, free if free is not None else static_names(model), bounds, fix)
+    begun = time.perf_counter()
+    progress("poses at rest", 0.0, math.nan)
+    found = fit_static(
+        parameters,
+        given.pressure,
+        given.position,
+        notify=lambda share: progress("poses at rest", share, math.nan),
+    )
+    seconds = time.perf_counter() - begun
+    judged = tuple(judge_poses(model, found.model, other) for other in others)
+    progress("done", 1.0, together(found.rmse))
+    return IdentifiedPoses(found, given, judged, seconds)
+
+
+def judge_poses(before: Model, after: Model, poses: StaticPoses) -> Judged:
+    """Two models on poses at rest."""
+    first, last = (pose_residuals(model, poses.pressure, poses.position) for model in (before, after))
+    return Judged(poses.name, first, last)
+
+
+def _unseen_poses(heldout: StaticPoses, used: StaticPoses) -> StaticPoses:
+    """The poses held out less those that take part."""
+    rows = {tuple(row) for row in np.hstack([used.pressure, used.position]).tolist()}
+    own = np.hstack([heldout.pressure, heldout.position]).tolist()
+    left = np.array([tuple(row) not in rows for row in own], dtype=bool)
+    if not left.any():
+        raise ConfigError(f"{heldout.name}: every pose held out takes part in the fit too; hold out others")
+    return replace(heldout, pressure=heldout.pressure[left], position=heldout.position[left])
+
+
+def _poses_for(model: Model, poses: Path | str | StaticPoses) -> StaticPoses:
+    given = poses if isinstance(poses, StaticPoses) else read_static_poses(Path(poses))
+    m = model.morphology
+    if (given.joints, given.actuators) != (m.joint_names, m.actuator_names):
+        raise ConfigError(
+            f"{given.name}: has joints {', '.join(given.joints)} and actuators {', '.join(given.actuators)}, but the "
+            f"model {m.name} has {', '.join(m.joint_names)} and {', '.join(m.actuator_names)}"
+        )
+    return given
+
+
+def identify_files(
+    sources: Sequence[Path | str],
+    model: Model | None = None,
+    *,
+    free: Sequence[str] | None = None,
+    fix: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    select: Sequence[str] | None = None,
+    heldout: Sequence[Path | str] = (),
+    progress: Progress = lambda stage, share, best: None,
+    **trials_only: Any,
+) -> Identification:
+    """Parameters from files of trials, of poses at rest, or of both.
+
+    Files of poses are recognised by their header. Where both are given the poses come first (stiffness, area and rest
+    length, as far as these are free), then the trials, from the model that the poses gave and between the bounds about
+    the model as it came.
+
+    Args:
+        sources: files, or folders of trials.
+        model: where the search starts; the nominal leg by default.
+        free: names or patterns of what may change.
+        fix: names or patterns of what stays as it is all the same.
+        bounds: (low, high) of some of them.
+        select: patterns of the names of the trials to use; all by default.
+        heldout: files or folders that only judge: trials, or poses at rest.
+        progress: see ``Progress``.
+        **trials_only: more of ``identify_recordings``: window, shoot, fit_start, engine, dt, threads, folds, settings.
+
+    Raises:
+        EquimusError: where something given cannot be used.
+    """
+    model = model or nominal_model()
+    poses, files = _sorted_out(sources)
+    judging_files, judging = _sorted_out(heldout)
+    judging_poses = [_poses_for(model, path) for path in judging_files]
+    if not files:
+        if judging:
+            raise ConfigError(
+                f"{judging[0]}: trials are held out, but only poses at rest are given, which tell no damping; give "
+                "trials to fit too"
+            )
+        if select:
+            raise ConfigError("there is no trial to select from: only poses at rest are given")
+        for key, idle in TRIALS_ONLY.items():
+            if trials_only.get(key, idle) != idle:
+                raise ConfigError(f"--{key.replace('_', '-')} is for trials, but only poses at rest are given")
+        still = identify_poses(
+            _stacked(poses), model, free=free, fix=fix, bounds=bounds, heldout=judging_poses, progress=progress
+        )
+        return Identification(model, still, None)
+    trials = choose(gather(files), select)
+    for trial in trials:
+        check_columns(model, trial)
+    others = _unseen(gather(judging), trials) if judging else None
+    if poses:
+        judging_poses = [_unseen_poses(p, _stacked(poses)) for p in judging_poses]
+    parameters = free_parameters(model, free, bounds, fix)
+    limits = {f.name: (f.low, f.high) for f in parameters.free}
+    rest = None
+    start = model
+    if poses:
+        seen = [name for name in parameters.names if name in static_names(model)]
+        if not seen:
+            raise ConfigError(
+                f"none of the free parameters ({', '.join(parameters.names)}) is one that poses at rest are for "
+                f"({', '.join(static_names(model))}); give the trials alone"
+            )
+        rest = identify_poses(
+            _stacked(poses),
+            model,
+            free=seen,
+            bounds={name: limits[name] for name in seen},
+            progress=progress,
+        )
+        start = rest.fit.model
+    found = identify_recordings(
+        trials, start, free=parameters.names, bounds=limits, heldout=others, progress=progress, **trials_only
+    )
+    # What was held out is judged against the model as it came, whatever the poses made of it.
+    simulator = simulator_of(trials_only.get("engine", "reduced"), trials_only.get("dt"), trials_only.get("threads"))
+    judged = [
+        replace(h, before=residuals_of(model, [h.segment], simulator)[0])
+        for h in found.heldout
+        if h.segment is not None
+    ]
+    judged += [judge_poses(model, found.fit.model, p) for p in judging_poses]
+    return Identification(model, rest, replace(found, heldout=tuple(judged)))
+
+
+def _sorted_out(paths: Sequence[Path | str]) -> tuple[list[Path], list[Path]]:
+    """(files of poses, all others)."""
+    poses: list[Path] = []
+    others: list[Path] = []
+    for path in map(Path, paths):
+        (poses if kind(header_of(path)) == STATIC_POSES else others).append(path)
+    return poses, others
+
+
+def _stacked(paths: Sequence[Path]) -> StaticPoses:
+    read = [read_static_poses(path) for path in paths]
+    if len(read) == 1:
+        return read[0]
+    names = "+".join(p.name for p in read)
+    return StaticPoses(names, np.vstack([p.pressure for p in read]), np.vstack([p.position for p in read]))
+
+
+def sensitivity_of(
+    recordings: Some,
+    model: Model | None = None,
+    *,
+    select: Sequence[str] | None = None,
+    parameters: Sequence[str] = ("*",),
+    shares: Sequence[float] = SHARES,
+    window: tuple[float, float] | None = None,
+    engine: Engine = "reduced",
+    dt: float | None = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Sensitivity:
+    """How a model's errors on recordings change with each of its numbers.
+
+    Args:
+        recordings: files, folders or trials.
+        model: the nominal leg by default.
+        select: patterns of the names of the trials to use; all by default.
+        parameters: names or patterns.
+        shares: by which each is changed.
+        window: (from, to) [s] of each trial that is compared.
+        engine: ``"reduced"`` or ``"mujoco"``.
+        dt: physics step [s].
+        threads: all cores by default.
+        progress: called with the share done.
+
+    Raises:
+        EquimusError: where something given cannot be used.
+    """
+    model = model or nominal_model()
+    simulator = simulator_of(engine, dt, threads)
+    segments = cut(model, choose(gather(recordings), select), window=window)
+    return sensitivity(model, segments, patterns=parameters, shares=shares, simulator=simulator, notify=progress)
