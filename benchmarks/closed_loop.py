@@ -1,7 +1,8 @@
 """Closed-loop evaluations a second: the tuner's compiled loop beside a plain Python loop over mj_step.
 
 One evaluation is 20 s of the PID on the leg with delayed, lagging valves and a noisy 120 Hz sensor. Both do the same
-work on the same leg and are timed alternately in one process; medians and the ratio are printed.
+work on the same leg and are timed alternately in one process; medians and the ratio are printed. The compiled loop
+takes evaluations side by side, as the tuner does, and one alone.
 
     python benchmarks/closed_loop.py [--rounds 7] [--json]
 """
@@ -21,6 +22,7 @@ import mujoco
 import numpy as np
 
 import equimus_ctrl as eq
+from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.mjcf import close_elements, compile_model
 from equimus_ctrl.tuning.ensemble import make_ensemble
 from equimus_ctrl.tuning.objective import Problem, Task
@@ -102,22 +104,28 @@ def main() -> None:
     finer = replace(problem, steps=8 * STEPS)
     accuracy = float(np.abs(finer.simulate(settings, 0, 0)[0] - q).max())
     cores = os.cpu_count() or 1
-    plain, one, all_cores = [], [], []
+    plain, alone, one, all_cores = [], [], [], []
+    block = [(settings, 0)] * LANES
     with ThreadPoolExecutor(cores) as pool:
         for _ in range(options.rounds):
             begun = time.perf_counter()
             plain_loop(problem, settings)
             plain.append(1 / (time.perf_counter() - begun))
             begun = time.perf_counter()
-            for _ in range(50):
+            for _ in range(20):
                 problem.outcome(settings, 0, 0)
-            one.append(50 / (time.perf_counter() - begun))
+            alone.append(20 / (time.perf_counter() - begun))
             begun = time.perf_counter()
-            list(pool.map(lambda _: problem.outcome(settings, 0, 0), range(100)))
-            all_cores.append(100 / (time.perf_counter() - begun))
+            for _ in range(6):
+                problem.outcomes(block, 0)
+            one.append(6 * LANES / (time.perf_counter() - begun))
+            begun = time.perf_counter()
+            list(pool.map(lambda _: problem.outcomes(block, 0), range(6 * cores)))
+            all_cores.append(6 * cores * LANES / (time.perf_counter() - begun))
     result = {
         "evaluation": "20 s closed loop, 120 Hz control, 480 Hz physics, RK4",
         "plain_python_per_s": statistics.median(plain),
+        "compiled_alone_per_s": statistics.median(alone),
         "compiled_one_thread_per_s": statistics.median(one),
         "compiled_all_cores_per_s": statistics.median(all_cores),
         "cores": cores,

@@ -89,6 +89,7 @@ from .types import (
     Start as Start,
 )
 from .workflow import (
+    diagnose_recordings as diagnose_recordings,
     identify_poses as identify_poses,
     identify_recordings as identify_recordings,
     load_effects as load_effects,

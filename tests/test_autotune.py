@@ -332,6 +332,17 @@ def test_everything_an_evaluation_depends_on_is_in_the_key(study: Study, problem
     assert len({key, *keys}) == len(others) + 1
 
 
+def test_so_are_the_laws_of_a_user_s_own_effects(study: Study, problem: Problem, tmp_path: Path) -> None:
+    text = (Path(__file__).resolve().parents[1] / "docs" / "examples" / "drag.py").read_text(encoding="utf-8")
+    keys = []
+    for law in (text, text.replace("* rate * ca.fabs(rate)", "* rate**3"), text):
+        (tmp_path / "own.py").write_text(law, encoding="utf-8")
+        workflow.load_effects([tmp_path / "own.py"])
+        effect = eq.effects.make("quadratic_drag", "knee", {"coefficient": 0.1})
+        keys.append(tuning.study_key(study, replace(problem, model=eq.Model(eq.nominal_leg(), (effect,)))))
+    assert keys[0] == keys[2] != keys[1]
+
+
 @pytest.mark.parametrize("change", [{"position": np.array([1.4, 0.5])}, {"step_like": False}])
 def test_the_rest_of_a_task_is_in_the_key_too(change: dict[str, Any], study: Study, problem: Problem) -> None:
     other = replace(problem, tasks=[replace(problem.tasks[0], **change)])

@@ -393,6 +393,47 @@ def test_autotune_options(ran: Any, here: Path) -> None:
     assert files(here) == ["kept/journal.jsonl", "kept/record.json", "mine.toml", "small.toml"]
 
 
+CORRECTED = """
+morphology = "nominal_leg"
+
+[[effects]]
+effect = "dead_zone"
+location = "baa"
+threshold = 800.0
+
+[[effects]]
+effect = "coulomb_friction"
+location = "knee"
+friction = 0.01
+
+[[effects]]
+effect = "sensor_delay"
+location = "hip"
+delay = 0.02
+
+[[effects]]
+effect = "quadratic_drag"
+location = "knee"
+coefficient = 0.02
+"""
+
+
+def test_autotune_on_a_model_with_effects(ran: Any, here: Path) -> None:
+    """Of every side, and one of a user's own."""
+    presets.write_text(here / "small.toml", presets.toml_text({**STUDY, "limits": {"overshoot": 0.9}}))
+    (here / "corrected.toml").write_text(CORRECTED)
+    drag = Path(__file__).resolve().parents[1] / "docs" / "examples" / "drag.py"
+    tune = ("autotune-pid", "--study", "small.toml", "--model", "corrected.toml", "--no-figures", "--json")
+    code, _, err = ran(*tune)
+    assert code == 2 and "there is no effect 'quadratic_drag'" in err
+    code, out, err = ran(*tune, "--effects", drag)
+    assert code == 0, err
+    found = json.loads(out)
+    assert [effect["effect"] for effect in found["model"]["effects"]] == re.findall(r'effect = "(\w+)"', CORRECTED)
+    assert 0 < found["mujoco"][0]["largest_difference_rad"] < 1e-3
+    assert found["settings"]["gains"].keys() == {"maa", "baa"}
+
+
 # Real processes.
 
 

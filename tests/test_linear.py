@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from morphologies import STRUCTURES, integrate, pendulum, random_morphology, random_poses
 from scipy.linalg import expm
 
+from equimus_ctrl.effects import Effect, ForceEffect, NonlinearStiffness, ParallelSpring, make, parameter
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.linear import state_matrices
@@ -63,3 +67,58 @@ def test_small_motions_of_the_leg_follow_the_linear_model() -> None:
     linear = [(expm(system * t) @ [*offset, 1.0])[:4] for t in times]
     np.testing.assert_allclose(moved, linear, atol=2e-3 * np.abs(moved).max())
     assert np.linalg.eigvals(a).real.max() < 0
+
+
+# What pushes.
+
+POSE, PRESSURE = np.array([1.4, 0.6]), np.array([14e3, 6e3])
+
+
+def with_effects(*effects: Effect, quick: bool = True, more: float = 0.0) -> np.ndarray:
+    """(2, 4) how much the effects change the leg's accelerations by angles and by velocities, times the masses.
+
+    ``more`` is the pressure of the first actuator that makes up for what they push [Pa].
+    """
+    m = nominal_leg()
+    changed, _ = state_matrices(m, POSE, PRESSURE + np.array([more, 0.0]), "swing", effects, quick)
+    plain, _ = state_matrices(m, POSE, PRESSURE, "swing")
+    return np.asarray(Kinematics(m).mass(POSE) @ (changed - plain)[2:])
+
+
+def test_springs_stiffen_by_their_slopes() -> None:
+    k, area = Kinematics(nominal_leg()), nominal_leg().actuators[0].area
+    found = with_effects(ParallelSpring("knee", stiffness=0.3, rest=POSE[1]))
+    np.testing.assert_allclose(found, [[0, 0, 0, 0], [0, -0.3, 0, 0]], atol=1e-9)
+    length, arm = k.lengths(POSE)[0], k.jacobian(POSE)[0]
+    found = with_effects(NonlinearStiffness("maa", cubic=3e4, centre=length - 0.02), more=3e4 * 0.02**3 / area)
+    np.testing.assert_allclose(found[:, :2], -3e4 * 3 * 0.02**2 * np.outer(arm, arm), atol=1e-9)
+    np.testing.assert_allclose(found[:, 2:], 0, atol=1e-9)
+
+
+def test_effects_with_states_are_springs_to_quick_motion_and_what_they_are_at_rest_to_slow_motion() -> None:
+    arm = Kinematics(nominal_leg()).jacobian(POSE)[1]
+    for effect, stiffness in (
+        (make("creep", "baa", {"stiffness": 70.0, "time_constant": 2.0}), 70.0),
+        (make("hysteresis", "baa", {"size": 0.5, "width": 0.01}), 50.0),
+    ):
+        expected = -stiffness * np.outer(arm, arm)
+        np.testing.assert_allclose(with_effects(effect)[:, :2], expected, atol=1e-9)
+        np.testing.assert_allclose(with_effects(effect, quick=False), 0, atol=1e-9)
+
+
+@dataclass(frozen=True)
+class RootDrag(ForceEffect):
+    name = "root_drag"
+    sits_at = ("joint",)
+    summary = "drag whose slope at rest is none"
+    neutral = {"size": 0.0}  # noqa: RUF012
+    size: float = parameter("N·m", 0.0, 10.0, "drag at 1 rad/s")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Any, p: Any) -> ca.SX:
+        return -p["size"] * ca.sign(rate) * ca.sqrt(ca.fabs(rate))
+
+
+def test_what_has_no_slope_and_what_only_rubs_change_nothing() -> None:
+    for effect in (RootDrag("knee", size=0.1), make("coulomb_friction", "knee", {"friction": 0.1})):
+        np.testing.assert_allclose(with_effects(effect), 0, atol=1e-9)

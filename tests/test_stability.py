@@ -8,15 +8,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import brentq, root
 
 import equimus_ctrl as eq
+from equimus_ctrl.effects import Effect, make
+from equimus_ctrl.effects.sensors import sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
+from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.morphology import pack
 from equimus_ctrl.tuning import stability
 from equimus_ctrl.tuning.ensemble import Member, make_ensemble
 from equimus_ctrl.tuning.objective import Problem, Task
-from equimus_ctrl.tuning.stability import LinearLeg, Margins, largest_modulus, linear_leg, loop_matrix, margins, sample
+from equimus_ctrl.tuning.stability import (
+    LinearLeg,
+    Margins,
+    largest_modulus,
+    linear_leg,
+    linear_legs,
+    loop_matrix,
+    margins,
+    sample,
+)
 from equimus_ctrl.tuning.study import EnsembleSettings, Limits, Weights
 
 DT = 1 / 120
@@ -194,6 +206,79 @@ def test_the_largest_of_several_legs_counts() -> None:
     assert largest_modulus(legs, gains) == max(each)
 
 
+# With effects.
+
+
+EFFECTS: dict[str, tuple[Effect, ...]] = {
+    "spring": (make("parallel_spring", "knee", {"stiffness": 0.2, "rest": 0.1}),),
+    "cubic spring": (make("nonlinear_stiffness", "maa", {"cubic": 3e4, "centre": 0.2}),),
+    "late sensor": (make("sensor_delay", "knee", {"delay": 0.03}),),
+    "late sensors": tuple(make("sensor_delay", joint, {"delay": s}) for joint, s in (("hip", 0.05), ("knee", DT / 3))),
+    "scaled sensor": (make("sensor_scale", "hip", {"scale": 1.05}), make("sensor_offset", "knee", {"offset": 0.05})),
+    "dead zone": (make("dead_zone", "maa", {"threshold": 1e3}),),
+    "coupled supply": (make("supply_coupling", "baa", {"share": 0.3}),),
+    "several": (
+        make("supply_coupling", "maa", {"share": 0.1}),
+        make("parallel_spring", "hip", {"stiffness": 0.3, "rest": 1.2}),
+        make("sensor_delay", "hip", {"delay": 0.02}),
+        make("sensor_scale", "knee", {"scale": 0.9}),
+    ),
+}
+
+
+def held_command(model: eq.Model, pose: np.ndarray) -> np.ndarray:
+    """(na,) the commands under which a model with its effects rests in a pose [Pa]."""
+    first = eq.Kinematics(model.morphology).static_pressure(pose)
+    found = root(lambda kpa: rest_pose(model, 1e3 * kpa) - pose, first / 1e3, tol=1e-11)
+    assert found.success
+    assert np.all((found.x > 0) & (found.x < 50))
+    return np.asarray(1e3 * found.x)
+
+
+@pytest.mark.parametrize("space", ["length", "joint"])
+@pytest.mark.parametrize("name", EFFECTS)
+def test_a_small_disturbance_with_effects_dies_as_the_linear_loop_says(name: str, space: str) -> None:
+    """From the same pose under the same commands, with and without a small push: what differs is linear."""
+    effects, settings, n = EFFECTS[name], SETTINGS[space], 180
+    model = eq.Model(eq.nominal_leg(), effects)
+    still = EnsembleSettings(members=1, delay=(0.02, 0.02), lag=(0.05, 0.05))
+    (leg,) = make_ensemble(model, still, 1, 0)
+    kinematics = eq.Kinematics(leg.morphology)
+    sensor = sensor_settings(effects, ("hip", "knee"))
+    true = (POSE - sensor[:, 0]) / sensor[:, 1]
+    command = held_command(model, true)
+    push = np.array([2e-5, -3e-5])
+    angles = []
+    for offset in (np.zeros(2), push):
+        task = Task("d", 1.0, np.tile(POSE, (n, 1)), command, true + offset, True, np.zeros((n, 2)), DT)
+        q, _, done = Problem(model, [leg], [task], Weights(), Limits(), steps=8).simulate(settings, 0, 0)
+        assert done == n
+        angles.append(q)
+    found = angles[1] - angles[0]
+    linear = linear_legs(leg, eq.nominal_leg(), POSE, space, "swing")[0]
+    matrix = loop_matrix(sample(linear, DT), gain_matrix(settings))
+    x = np.zeros(len(matrix))
+    x[:2] = push
+    # The sensors have long seen the pose that the leg begins in.
+    kept = np.arange(len(linear.a) + 2 * (max(sample(linear, DT).whole) + 1), len(x) - 6)
+    x[kept] = np.resize([*push, 0.0, 0.0], len(kept))
+    # Bumpless: the integral begins off by as much as the feed-forward of the pose seen differs.
+    force = np.diag([a.area for a in leg.morphology.actuators])
+
+    def standing(pose: np.ndarray) -> np.ndarray:
+        unmap = force if space == "length" else kinematics.jacobian(pose).T @ force
+        return unmap @ (command - kinematics.static_pressure(pose))
+
+    seen = sensor[:, 1] * push
+    x[-6:-4] = standing(POSE + seen) - standing(POSE)
+    predicted = np.empty((n, 2))
+    for k in range(n):
+        predicted[k] = x[:2]
+        x = matrix @ x
+    scale = np.abs(found).max()
+    np.testing.assert_allclose(found / scale, predicted / scale, rtol=0, atol=6e-3)
+
+
 # Margins.
 
 
@@ -282,6 +367,37 @@ def test_margins_are_where_an_eigenvalue_reaches_one(which: int, space: str, leg
             assert modulus(0.999 * found.gain, 0.0) < 1 < modulus(1.001 * found.gain, 0.0)
         if found.delay < 1.0:
             assert modulus(1.0, 0.999 * found.delay) < 1 < modulus(1.0, 1.001 * found.delay)
+
+
+@pytest.mark.parametrize("space", ["length", "joint"])
+@pytest.mark.parametrize("name", ["late sensors", "coupled supply", "several"])
+def test_margins_with_effects_are_there_too(name: str, space: str) -> None:
+    settings = SETTINGS[space]
+    gains = gain_matrix(settings)
+    (leg,) = make_ensemble(eq.Model(eq.nominal_leg(), EFFECTS[name]), EnsembleSettings(members=1), 1, 0)
+    linear = linear_leg(leg, eq.nominal_leg(), POSE, space, "swing")
+    assert largest_modulus([sample(linear, DT)], gains) < 1
+    for i, found in enumerate(margins(settings, leg, eq.nominal_leg(), POSE, DT, "swing")):
+        modulus = []
+        for factor in (0.995, 1.005):
+            scale = np.ones((2, 1))
+            scale[i] = factor * found.gain
+            changed = replace(linear, effort_map=scale * linear.effort_map, pose_gain=scale * linear.pose_gain)
+            modulus.append(largest_modulus([sample(changed, DT)], gains))
+        assert modulus[0] < 1 < modulus[1]
+
+
+def test_effects_with_states_are_looked_at_twice() -> None:
+    """The margins are the least of the loop's with the effects as they are to quick and to slow motion."""
+    effects = (make("creep", "baa", {"stiffness": 100.0, "time_constant": 0.3}),)
+    (leg,) = make_ensemble(eq.Model(eq.nominal_leg(), effects), EnsembleSettings(members=1), 1, 0)
+    assert len(linear_legs(leg, eq.nominal_leg(), POSE, "length", "swing")) == 2
+    found = margins(SETTINGS["length"], leg, eq.nominal_leg(), POSE, DT, "swing")
+    (plain,) = make_ensemble(eq.nominal_model(), EnsembleSettings(members=1), 1, 0)
+    stiff = (make("parallel_spring", "knee", {"stiffness": 0.0, "rest": 0.0}),)
+    without = margins(SETTINGS["length"], replace(plain, effects=stiff), eq.nominal_leg(), POSE, DT, "swing")
+    for own, other in zip(found, without, strict=True):
+        assert own.gain <= other.gain * (1 + 1e-9) and own.delay <= other.delay * (1 + 1e-9)
 
 
 def test_the_parameter_vector_and_the_morphology_agree(legs: list[Member]) -> None:

@@ -49,7 +49,7 @@ def test_the_example_is_short() -> None:
 def test_from_a_run_to_the_coefficient_that_was_in_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     drag = str(DRAG)
     quiet = ["--no-figures", "--json"]
-    chirp = ["run", "chirp", "--set", "duration=6", "--record", "rec", *quiet]
+    chirp = ["run", "chirp", "--set", "duration=7", "--record", "rec", *quiet]
     assert main([*chirp, "--effects", drag, "--effect", ATTACHED]) == 0
     Path("start.toml").write_text(
         'morphology = "nominal_leg"\n[[effects]]\neffect = "quadratic_drag"\nlocation = "knee"\ncoefficient = 0.001\n'

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, people, print_json, shown_path
+from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json, shown_path
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 def autotune_pid(
     study: Annotated[Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml by default.")] = None,
     model: ModelFile = None,
+    effects: EffectFiles = None,
     scenario: Annotated[
         list[str] | None, typer.Option("--scenario", help="Objective in place of the study's own; may be repeated.")
     ] = None,
@@ -64,6 +65,7 @@ def autotune_pid(
         task = progress.add_task("getting ready", total=None, best="–")
         from equimus_ctrl import workflow
 
+        workflow.load_effects(effects or ())
         lowest = float("inf")
 
         def begin(total: int) -> None:

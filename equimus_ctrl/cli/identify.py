@@ -98,7 +98,7 @@ def identify(
         presets.check_folder(write_model.parent)
         if write_model.is_dir():
             raise ConfigError(f"{write_model}: is a folder; a model file to write belongs there")
-    limits = _bounds(bound)
+    limits = parse_bounds(bound)
     console = people()
     columns = (
         TextColumn("{task.description:<13}"),
@@ -148,7 +148,7 @@ def identify(
         console.print("stopped: nothing was written", markup=False)
         raise typer.Exit(130) from None
     if write_model is not None:
-        workflow.save_model(write_model, _named(found, write_model.stem))
+        workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem))
         files.append(write_model)
     tell(console, found)
     for file in files:
@@ -173,14 +173,12 @@ def write_results(folder: Path, draw: Callable[[], dict[str, Figure]], record: d
     return [folder / name for name in pictures] + [folder / "record.json"]
 
 
-def _named(found: Identification, name: str) -> Any:
-    """The model identified, called after its file, so that a table shows which one it is of."""
-    from dataclasses import replace
+def parse_bounds(items: list[str] | None) -> dict[str, tuple[float, float]]:
+    """``NAME=LOW,HIGH`` texts as a table.
 
-    return replace(found.model, morphology=replace(found.model.morphology, name=name))
-
-
-def _bounds(items: list[str] | None) -> dict[str, tuple[float, float]]:
+    Raises:
+        ConfigError: where a text is not of that form.
+    """
     table = {}
     for name, text in key_values(items, "--bound").items():
         low, comma, high = text.partition(",")

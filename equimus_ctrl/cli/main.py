@@ -8,7 +8,18 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli import autotune_pid, identify, list_names, recordings, run, score, sensitivity, validate
+from equimus_ctrl.cli import (
+    autotune_pid,
+    diagnose,
+    identify,
+    list_names,
+    prove,
+    recordings,
+    run,
+    score,
+    sensitivity,
+    validate,
+)
 from equimus_ctrl.errors import EquimusError
 
 EXIT_CODES = """\
@@ -29,6 +40,8 @@ app.command("run")(run.run)
 app.command("score")(score.score)
 app.command("validate")(validate.validate)
 app.command("identify")(identify.identify)
+app.command("diagnose")(diagnose.diagnose)
+app.command("prove")(prove.prove)
 app.command("sensitivity")(sensitivity.sensitivity)
 app.command("list")(list_names.list_names)
 app.add_typer(recordings.app, name="recordings")

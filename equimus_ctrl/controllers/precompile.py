@@ -1,4 +1,4 @@
-"""The PID's law compiled in a second process, while the first compiles the robot's equations of motion.
+"""The laws of PID, valves and sensors compiled in a second process, while the first compiles the equations of motion.
 
 Compiling takes seconds the first time a robot's structure is met, and numba compiles one function at a time within a
 process. Both processes leave what they made in the same cache.
@@ -9,16 +9,26 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from equimus_ctrl.controllers import pid_kernel
+from equimus_ctrl.effects.command import advance_pressure, shape_command
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.sensors import follow, recall
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
+from equimus_ctrl.models.morphology import pack, structure
 
 
-def compile_law(model: Model) -> None:
-    """Compile the PID's functions for a model's structure, or load them from the cache."""
+def compile_laws(model: Model, lanes: bool) -> None:
+    """Compile the functions of PID, valves and sensors for a model's structure, or load them from the cache.
+
+    Args:
+        model: whose structure.
+        lanes: whether to compile what prepares the constants of robots without force laws, too.
+    """
     m = model.morphology
     law = compiled.load(m, model.phase, pid_kernel)
     constants = compiled.prepared(m, model.phase)
@@ -26,13 +36,19 @@ def compile_law(model: Model) -> None:
     y, command, gains, state = np.ones(nj), np.zeros(na), np.ones((7, na)), np.zeros((3, na))
     law.pid_start(y, command, gains, True, True, constants, state)
     law.pid_command(y, y, gains, True, True, np.zeros(na), np.ones(na), 0.01, constants, state, command)
+    shape_command(np.empty((0, 3)), command, np.empty(na))
+    advance_pressure(np.zeros(1), np.zeros(1), 0.0, -1, 0.0, 0.01, 0.0, np.zeros(4))
+    follow(recall(np.zeros((1, 2)), 0, 0.0, 0.01), 0.0, 0.0)
+    if lanes:
+        kernel = compiled.load_lanes(structure(m), model.phase, ())
+        kernel.prepare_lane(pack(m), np.zeros(kernel.WORK_ROWS * kernel.LANES), 0)
     compiled.mark_compiled(law)
 
 
 def start(model: Model) -> subprocess.Popen[str] | None:
-    """Begin to compile the law in another process; None where it is compiled already.
+    """Begin to compile the laws in another process; None where they are compiled already.
 
-    Wait for it with ``finish``. A process that fails is no loss: the law is then compiled where it is needed.
+    Wait for it with ``finish``. A process that fails is no loss: the laws are then compiled where they are needed.
     """
     if compiled.is_marked_compiled(compiled.load(model.morphology, model.phase, pid_kernel)):
         return None
@@ -45,7 +61,9 @@ def start(model: Model) -> subprocess.Popen[str] | None:
             text=True,
         )
         assert process.stdin is not None
-        process.stdin.write(json.dumps(model_to_dict(model)))
+        # Only the structure counts, and the other process knows no effects of a user's own.
+        lanes = not any(isinstance(effect, ForceEffect) for effect in model.effects)
+        process.stdin.write(json.dumps([model_to_dict(replace(model, effects=())), lanes]))
         process.stdin.close()
     except OSError:
         return None
@@ -65,4 +83,5 @@ def finish(process: subprocess.Popen[str] | None) -> None:
 
 
 if __name__ == "__main__":
-    compile_law(model_from_dict(json.load(sys.stdin)))
+    described, with_lanes = json.load(sys.stdin)
+    compile_laws(model_from_dict(described), with_lanes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import product
 from numbers import Real
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
@@ -16,6 +17,62 @@ Side = Literal["command", "force", "measurement"]
 def parameter(unit: str, low: float, high: float, doc: str) -> Any:
     """A dataclass field for an effect's parameter: its unit, its bounds and what it means."""
     return field(metadata={"unit": unit, "low": low, "high": high, "doc": doc})
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What recordings show of a place, from which sizes worth trying there follow.
+
+    Attributes:
+        low: lower end of what its coordinate covers: a joint's angle [rad] or an actuator's length [m].
+        high: upper end.
+        speed: what its rate seldom exceeds [rad/s or m/s].
+        push: torque or force that moves it from one end to the other [N·m or N].
+        command: largest command of the actuator, or of any where the place is none [Pa].
+        interval: usual time between samples [s].
+        duration: of a trial [s].
+        mass: of what moves [kg].
+    """
+
+    low: float
+    high: float
+    speed: float
+    push: float
+    command: float
+    interval: float
+    duration: float
+    mass: float
+
+    @property
+    def span(self) -> float:
+        """What the coordinate covers [rad or m]."""
+        return self.high - self.low
+
+    def sizes(self, unit: str) -> tuple[float, ...]:
+        """A few values from hardly visible to strong of something that has this unit; none for a unit unknown here."""
+        joint, _, actuator = unit.partition(" | ")
+        known: dict[str, tuple[float, ...]] = {
+            "s": tuple(n * self.interval for n in (2.5, 8.0, 25.0)),
+            "Pa": _shares(self.command, 0.03, 0.1, 0.3),
+            "Pa/s": tuple(self.command / t for t in (0.1, 0.4, 1.5)),
+            "kg": _shares(self.mass, 0.02, 0.1, 0.3),
+            "rad/s": _shares(self.speed, 0.05, 0.2),
+            "m/s": _shares(self.speed, 0.05, 0.2),
+            "rad": _shares(self.span, 0.01, 0.05),
+            "m": _shares(self.span, 0.01, 0.05),
+            "1": (0.02, 0.1),
+            **dict.fromkeys(("N·m", "N"), _shares(self.push, 0.005, 0.02, 0.08)),
+            **dict.fromkeys(("N·m/rad", "N/m"), _shares(self.push / self.span, 0.05, 0.2)),
+            **dict.fromkeys(("N·m·s/rad", "N·s/m"), _shares(self.push / self.speed, 0.05, 0.2)),
+            **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), _shares(self.push / self.speed**2, 0.05, 0.2)),
+            **dict.fromkeys(("N·m/rad²", "N/m²"), _shares(self.push / self.span**2, 0.05, 0.2)),
+            **dict.fromkeys(("N·m/rad³", "N/m³"), _shares(self.push / self.span**3, 0.05, 0.2)),
+        }
+        return known.get(joint, known.get(actuator, ()))
+
+
+def _shares(whole: float, *shares: float) -> tuple[float, ...]:
+    return tuple(whole * share for share in shares)
 
 
 @dataclass(frozen=True)
@@ -34,6 +91,10 @@ class Effect:
     sits_at: ClassVar[tuple[str, ...]]
     """Kinds of places: joint, actuator, link, foot, base."""
     summary: ClassVar[str]
+    alike: ClassVar[bool] = True
+    """Whether it is worth trying with the same numbers at all places of a kind: what is built alike ails alike."""
+    nothing: ClassVar[float | None] = 0.0
+    """See ``grows_from``."""
     exclusive: ClassVar[str | None] = None
     """Of effects that share this word one place can have only one; see ``slot``."""
 
@@ -58,6 +119,30 @@ class Effect:
         """Between what a parameter can vary on a robot while all else about the effect stays."""
         meta = self.parameter_info()[key]
         return float(meta["low"]), float(meta["high"])
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        """Parameter sets from which a search for this effect can begin, from weak to strong and of each kind it has.
+
+        By default all combinations of a few values that go with the parameters' units; a class that knows better says
+        so. What lies outside a parameter's bounds is left out.
+        """
+        choices = []
+        for meta in cls.parameter_info().values():
+            low, high = float(meta["low"]), float(meta["high"])
+            values = seen.sizes(meta["unit"])
+            if not values:
+                least = max(low, 1e-4 * high)
+                values = tuple(least * (high / least) ** share for share in (0.2, 0.4, 0.6, 0.8))
+            if low < 0:
+                values = (*values, *(-v for v in values))
+            choices.append([v for v in values if low <= v <= high] or [0.5 * (low + high)])
+        return [dict(zip(cls.parameter_info(), values, strict=True)) for values in product(*choices)]
+
+    @classmethod
+    def grows_from(cls) -> float | None:
+        """The value of the first parameter at which the effect does nothing; None where there is no such."""
+        return cls.nothing
 
     @classmethod
     def check_class(cls) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, Self, TypeVar
 
-from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.effects.base import Effect, Seen, parameter, register
 
 
 class _Link(Protocol):
@@ -84,6 +84,7 @@ class PayloadMass(BodyEffect):
     name = "payload_mass"
     sits_at = ("foot", "link")
     summary = "mass that is not in the model, at a link's tip"
+    alike = False
     mass: float = parameter("kg", 0.0, 100.0, "of the payload")
 
     def changes(self, robot: Robot) -> dict[str, float]:
@@ -104,6 +105,10 @@ class GravityTilt(BodyEffect):
     summary = "the base is not level"
     angle: float = parameter("rad", -1.6, 1.6, "of gravity, from the base's downward axis")
 
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [{"angle": angle} for angle in (0.03, -0.03, 0.15, -0.15)]
+
     def changes(self, robot: Robot) -> dict[str, float]:
         return {"tilt": robot.tilt + self.angle}
 
@@ -121,10 +126,22 @@ class JointStop(BodyEffect):
     name = "joint_stop"
     sits_at = ("joint",)
     summary = "an end stop at another place or softer than modelled"
+    nothing = None
+    alike = False
     exclusive = "joint_stop"
     angle: float = parameter("rad", -6.3, 6.3, "where it begins")
     stiffness: float = parameter("N·m/rad", 0.0, 1e4, "of its spring")
     damping: float = parameter("N·m·s/rad", 0.0, 100.0, "of its damper, while it is pressed")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        places = [seen.low + share * seen.span for share in (0.02, 0.1, 0.25, 0.75, 0.9, 0.98)]
+        slope = seen.push / seen.span
+        return [
+            {"angle": angle, "stiffness": hard * slope, "damping": 0.1 * hard * seen.push / seen.speed}
+            for angle in places
+            for hard in (3.0, 30.0)
+        ]
 
     def slot(self, robot: Any) -> str:
         return f"{self.location}, {self._side(robot)} side"

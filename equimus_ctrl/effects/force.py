@@ -12,7 +12,7 @@ from typing import ClassVar, cast
 
 import casadi as ca
 
-from equimus_ctrl.effects.base import REGISTRY, Effect, parameter, register
+from equimus_ctrl.effects.base import REGISTRY, Effect, Seen, parameter, register
 from equimus_ctrl.errors import ConfigError
 
 Parameters = Mapping[str, ca.SX]
@@ -38,6 +38,10 @@ class ForceEffect(Effect):
         cls.rubs = cls.dry_friction.__func__ is not ForceEffect.dry_friction.__func__  # type: ignore[attr-defined]
         if cls.exclusive is None and hasattr(cls, "name"):
             cls.exclusive = cls.name
+
+    @classmethod
+    def grows_from(cls) -> float | None:
+        return cls.neutral.get(next(iter(cls.parameter_info())))
 
     @classmethod
     def check_class(cls) -> None:
@@ -126,6 +130,14 @@ class StribeckFriction(ForceEffect):
     velocity: float = parameter("rad/s", 1e-3, 10.0, "speed at which half of that is gone")
 
     @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [
+            {"friction": size, "breakaway": size, "velocity": speed}
+            for size in seen.sizes("N·m")
+            for speed in seen.sizes("rad/s")
+        ]
+
+    @classmethod
     def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         return p["friction"] + p["breakaway"] / (1 + (speed / p["velocity"]) ** 2)
 
@@ -138,10 +150,15 @@ class ParallelSpring(ForceEffect):
     name = "parallel_spring"
     sits_at = ("joint",)
     summary = "an unmodelled spring: a hose, a cable"
+    alike = False
     exclusive = "parallel_spring"
     neutral = {"stiffness": 0.0}  # noqa: RUF012
     stiffness: float = parameter("N·m/rad", 0.0, 100.0, "of the spring")
     rest: float = parameter("rad", -6.3, 6.3, "angle at which it pulls nowhere")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [{"stiffness": size, "rest": rest} for size in seen.sizes("N·m/rad") for rest in (seen.low, seen.high)]
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
@@ -156,10 +173,20 @@ class NonlinearStiffness(ForceEffect):
     name = "nonlinear_stiffness"
     sits_at = ("actuator",)
     summary = "stiffening or softening"
+    alike = False
     exclusive = "nonlinear_stiffness"
     neutral = {"cubic": 0.0}  # noqa: RUF012
     cubic: float = parameter("N/m³", -1e6, 1e6, "force for each cube of the lengthening")
     centre: float = parameter("m", 0.0, 10.0, "length about which it stiffens")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [
+            {"cubic": sign * size, "centre": seen.low + share * seen.span}
+            for size in seen.sizes("N/m³")
+            for sign in (1.0, -1.0)
+            for share in (0.15, 0.5, 0.85)
+        ]
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
@@ -179,6 +206,14 @@ class Creep(ForceEffect):
     neutral = {"stiffness": 0.0}  # noqa: RUF012
     stiffness: float = parameter("N/m", 0.0, 1e4, "that relaxes with time")
     time_constant: float = parameter("s", 0.02, 100.0, "of the relaxation")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [
+            {"stiffness": size, "time_constant": share * seen.duration}
+            for size in seen.sizes("N/m")
+            for share in (0.03, 0.1, 0.4)
+        ]
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
@@ -206,6 +241,10 @@ class Hysteresis(ForceEffect):
     neutral = {"size": 0.0}  # noqa: RUF012
     size: float = parameter("N", 0.0, 1e3, "force after a long way in one direction")
     width: float = parameter("m", 5e-4, 1.0, "way over which it builds up")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [{"size": size, "width": share * seen.span} for size in seen.sizes("N") for share in (0.03, 0.15)]
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:

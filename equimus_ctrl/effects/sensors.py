@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.effects.base import Effect, Seen, parameter, register
 from equimus_ctrl.types import Array
 
 OFFSET, SCALE, LATE, PLAY = 0, 1, 2, 3
@@ -47,8 +47,13 @@ class SensorScale(SensorEffect):
 
     name = "sensor_scale"
     summary = "the measured angle is off by a factor"
+    nothing = 1.0
     exclusive = "sensor_scale"
     scale: float = parameter("1", 0.1, 10.0, "factor on the angle")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [{"scale": scale} for scale in (0.98, 1.02, 0.9, 1.1)]
 
     def apply(self, sensor: Array) -> None:
         sensor[SCALE] = self.scale
@@ -109,6 +114,28 @@ def hermite(x0: float, v0: float, x1: float, v1: float, dt: float, share: float)
 def follow(held: float, angle: float, play: float) -> float:
     """Where a part driven with play is when the driver, having held it at ``held``, is at ``angle`` [rad]."""
     return min(max(held, angle - 0.5 * play), angle + 0.5 * play)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def recall(past: Array, newest: int, late: float, dt: float) -> float:
+    """Where a joint was a while ago.
+
+    Args:
+        past: (n, 2) its angle [rad] and rate [rad/s] at the last n steps, that of step s at s modulo n.
+        newest: the last of them; the first step of all is 0, and before it the joint stood still.
+        late: how long ago, in steps.
+        dt: of a step [s].
+    """
+    n = len(past)
+    first = max(newest + 1 - n, 0)
+    place = newest - late - first
+    if place <= 0.0:
+        oldest: float = past[first % n, 0]
+        return oldest
+    step = min(int(place), newest - first - 1)
+    before, after = past[(first + step) % n], past[(first + step + 1) % n]
+    angle: float = hermite(before[0], before[1], after[0], after[1], dt, place - step)
+    return angle
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -13,7 +13,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.effects.base import Effect, Seen, parameter, register
+from equimus_ctrl.effects.command import COUPLING, DEAD_ZONE, SATURATION, shape_column
 from equimus_ctrl.types import Array
 
 DELAY, FILL, VENT, RATE = 0, 1, 2, 3
@@ -48,6 +49,23 @@ class ShapingEffect(Effect):
             own: the actuator's column.
         """
         raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class CompiledShaping(ShapingEffect):
+    """One whose law stands in ``effects.command``, numbered by ``order``, and takes the effect's only parameter."""
+
+    @property
+    def number(self) -> float:
+        """The parameter."""
+        (value,) = self.parameters().values()
+        return value
+
+    def shape(self, commands: Array, own: int) -> Array:
+        given = np.array(commands, dtype=np.float64, order="C")
+        out = np.empty(len(given))
+        shape_column(self.order, given, own, self.number, out)
+        return out
 
 
 @register
@@ -88,6 +106,12 @@ class AsymmetricLag(ValveEffect):
     fill: float = parameter("s", 0.0, 5.0, "time constant of a rising pressure")
     vent: float = parameter("s", 0.0, 5.0, "time constant of a falling pressure")
 
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        short, middle, long = seen.sizes("s")
+        pairs = ((short, middle), (middle, short), (middle, long), (long, middle), (short, long), (long, short))
+        return [{"fill": fill, "vent": vent} for fill, vent in pairs]
+
     def apply(self, valve: Array) -> None:
         valve[FILL], valve[VENT] = self.fill, self.vent
 
@@ -99,6 +123,7 @@ class RateLimit(ValveEffect):
 
     name = "rate_limit"
     summary = "the pressure changes no faster than the valve's flow allows"
+    nothing = None
     exclusive = "rate_limit"
     rate: float = parameter("Pa/s", 1e3, 1e7, "the fastest the pressure can change")
 
@@ -108,48 +133,48 @@ class RateLimit(ValveEffect):
 
 @register
 @dataclass(frozen=True)
-class DeadZone(ShapingEffect):
+class DeadZone(CompiledShaping):
     """u' = max(u − threshold, 0)."""
 
     name = "dead_zone"
     summary = "commands below a threshold do nothing"
     exclusive = "dead_zone"
-    order = 0
+    order = DEAD_ZONE
     threshold: float = parameter("Pa", 0.0, 5e4, "pressure that a command loses, and below which it does nothing")
 
-    def shape(self, commands: Array, own: int) -> Array:
-        return np.maximum(commands[:, own] - self.threshold, 0.0)
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        # Above the threshold all is as with another rest length: only commands below it tell.
+        return [{"threshold": share * seen.command} for share in (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.26, 0.34)]
 
 
 @register
 @dataclass(frozen=True)
-class SupplyCoupling(ShapingEffect):
+class SupplyCoupling(CompiledShaping):
     """u' = max(u − share·Σ of the other actuators' commands, 0)."""
 
     name = "supply_coupling"
     summary = "the other channels' demand lowers this one's pressure"
     exclusive = "supply_coupling"
-    order = 1
+    order = COUPLING
     share: float = parameter("1", 0.0, 1.0, "pressure lost for each pressure that the others ask for")
-
-    def shape(self, commands: Array, own: int) -> Array:
-        others = commands.sum(axis=1) - commands[:, own]
-        return np.asarray(np.maximum(commands[:, own] - self.share * others, 0.0))
 
 
 @register
 @dataclass(frozen=True)
-class Saturation(ShapingEffect):
+class Saturation(CompiledShaping):
     """u' = min(u, level)."""
 
     name = "saturation"
     summary = "the pressure stops rising above a level"
+    nothing = None
     exclusive = "saturation"
-    order = 2
+    order = SATURATION
     level: float = parameter("Pa", 0.0, 1e6, "the greatest pressure there is")
 
-    def shape(self, commands: Array, own: int) -> Array:
-        return np.minimum(commands[:, own], self.level)
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [{"level": share * seen.command} for share in (0.97, 0.92, 0.86, 0.8, 0.72, 0.64, 0.56, 0.48, 0.4, 0.33)]
 
 
 def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
@@ -173,3 +198,14 @@ def shaped_commands(effects: Sequence[Effect], actuators: Sequence[str], command
                 own = list(actuators).index(effect.location)
                 shaped[:, own] = effect.shape(given, own)
     return shaped
+
+
+def shaping_laws(effects: Sequence[Effect], actuators: Sequence[str]) -> Array | None:
+    """(m, 3) the shaping effects as ``effects.command.shape_command`` takes them; None where one is Python alone."""
+    shapers = sorted((e for e in effects if isinstance(e, ShapingEffect)), key=lambda e: e.order)
+    rows = [
+        (e.order, list(actuators).index(e.location), e.number)
+        for e in shapers
+        if isinstance(e, CompiledShaping) and type(e).shape is CompiledShaping.shape
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3) if len(rows) == len(shapers) else None

@@ -62,15 +62,17 @@ def _private_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="equimus-ctrl-"))
 
 
-def load(model: Morphology, phase: Phase, kernel: ModuleType) -> ModuleType:
+def load(model: Morphology, phase: Phase, kernel: ModuleType, laws: Laws = ()) -> ModuleType:
     """The compiled counterpart of a kernel module for a morphology's structure.
 
     Args:
         model: whose structure; its numbers are arguments of the kernels.
         phase: base fixed or foot pinned.
-        kernel: a module written against ``engines.model_functions``; it may import from other such modules.
+        kernel: a module written against ``engines.model_functions``; it may import from other such modules, and from
+            ``engines.lane_functions`` and ``engines.lane_kernel``.
+        laws: force laws that the lanes have wherever they can sit.
     """
-    return _load(structure(model), phase, kernel)
+    return _load(structure(model), phase, kernel, laws)
 
 
 def prepared(model: Morphology, phase: Phase) -> Array:
@@ -103,11 +105,13 @@ def load_lanes(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
 
 
 @lru_cache(maxsize=64)
-def _load(form: Structure, phase: Phase, kernel: ModuleType) -> ModuleType:
+def _load(form: Structure, phase: Phase, kernel: ModuleType, laws: Laws) -> ModuleType:
     replaced = {_STUB: _model(form, phase)}
+    if _LANE_STUB in inspect.getsource(kernel):
+        replaced |= {_LANE_STUB: _lane_model(form, phase, laws), lane_kernel.__name__: load_lanes(form, phase, laws)}
     for other in _imported(kernel):
         if _STUB in inspect.getsource(other):
-            replaced[other.__name__] = _load(form, phase, other)
+            replaced[other.__name__] = _load(form, phase, other, ())
     return _led(kernel, replaced)
 
 

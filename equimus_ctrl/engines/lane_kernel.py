@@ -252,7 +252,7 @@ def run_lanes(w: Array, drive: Array, dt: float, rubbing: Array, out: Array) -> 
         drive: (steps, 2, na·LANES) mean and slope of the pressures over each step [Pa].
         dt: [s].
         rubbing: rows where any lane has dry friction.
-        out: (steps + 1, 2·nj·LANES) written: angles and velocities on the grid.
+        out: (steps + 1, r·LANES) written: the first r rows of the state on the grid.
     """
     steps = len(drive)
     lane_stops(w)
@@ -261,7 +261,7 @@ def run_lanes(w: Array, drive: Array, dt: float, rubbing: Array, out: Array) -> 
     for l in range(LANES):  # noqa: E741
         w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
     for k in range(steps + 1):
-        for i in range(2 * N_JOINTS * LANES):
+        for i in range(out.shape[1]):
             out[k, i] = w[ROW_X * LANES + i]
         if k == steps:
             break
@@ -271,6 +271,42 @@ def run_lanes(w: Array, drive: Array, dt: float, rubbing: Array, out: Array) -> 
             resolve_stops(w, drive[k], dt)
         if len(rubbing) > 0:
             correct_friction(w, dt, rubbing)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def begin_block(
+    w: Array,
+    drive: Array,
+    parameters: Array,
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    q0: Array,
+    v0: Array,
+    start: float,
+    dt: float,
+) -> None:
+    """Put parameter sets at rest into the work array w and their pressures into drive (steps, 2, na·LANES).
+
+    The other arguments are those of ``run_block``.
+    """
+    k, steps = len(parameters), len(drive)
+    history = np.empty((steps, 2, N_ACTUATORS))
+    for l in range(LANES):  # noqa: E741
+        # Lanes without a set of their own repeat the last.
+        own = min(l, k - 1)
+        prepare_lane(parameters[own], w, l)
+        for j in range(N_JOINTS):
+            w[(ROW_X + j) * LANES + l] = q0[own, j]
+            w[(ROW_X + N_JOINTS + j) * LANES + l] = v0[own, j]
+        if l < k and not (l > 0 and _same(commands, before, valve, l)):
+            pressure_history(times, commands[own], before[own], valve[own], start, dt, history)
+        for s in range(steps):
+            for i in range(N_ACTUATORS):
+                drive[s, 0, i * LANES + l] = history[s, 0, i]
+                drive[s, 1, i * LANES + l] = history[s, 1, i]
+    lane_rest(w)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -313,21 +349,7 @@ def run_block(
     k, m = len(parameters), len(out_times)
     w = np.zeros(WORK_ROWS * LANES)
     drive = np.empty((steps, 2, N_ACTUATORS * LANES))
-    history = np.empty((steps, 2, N_ACTUATORS))
-    for l in range(LANES):  # noqa: E741
-        # Lanes without a set of their own repeat the last.
-        own = min(l, k - 1)
-        prepare_lane(parameters[own], w, l)
-        for j in range(N_JOINTS):
-            w[(ROW_X + j) * LANES + l] = q0[own, j]
-            w[(ROW_X + N_JOINTS + j) * LANES + l] = v0[own, j]
-        if l < k and not (l > 0 and _same(commands, before, valve, l)):
-            pressure_history(times, commands[own], before[own], valve[own], start, dt, history)
-        for s in range(steps):
-            for i in range(N_ACTUATORS):
-                drive[s, 0, i * LANES + l] = history[s, 0, i]
-                drive[s, 1, i * LANES + l] = history[s, 1, i]
-    lane_rest(w)
+    begin_block(w, drive, parameters, times, commands, before, valve, q0, v0, start, dt)
     grid = np.empty((steps + 1, 2 * N_JOINTS * LANES))
     run_lanes(w, drive, dt, rubbing, grid)
     q, v = np.empty(steps + 1), np.empty(steps + 1)
@@ -346,6 +368,51 @@ def run_block(
                     lost = start + (s - 1) * dt + sensor[l, j, 2]
                     reached[l] = min(reached[l], np.searchsorted(out_times, lost, side="right"))
                     break
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def run_inner(
+    parameters: Array,
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    q0: Array,
+    v0: Array,
+    rubbing: Array,
+    start: float,
+    dt: float,
+    states: Array,
+    pressures: Array,
+) -> None:
+    """One parameter set through one trial, with what no sensor shows.
+
+    Args:
+        parameters: (1, np), as all arrays that are handed in those of ``run_block`` for one set.
+        times: (n,) [s].
+        commands: (1, n, na) [Pa].
+        before: (1, na) [Pa].
+        valve: (1, na, 4).
+        q0: (1, nj) [rad].
+        v0: (1, nj) [rad/s].
+        rubbing: rows with dry friction.
+        start: of the motion [s].
+        dt: physics step [s].
+        states: (steps + 1, 2 nj + nz) written: angles, velocities and effect states on the grid.
+        pressures: (steps, 2, na) written: mean and slope over each step [Pa].
+    """
+    w = np.zeros(WORK_ROWS * LANES)
+    drive = np.empty((len(pressures), 2, N_ACTUATORS * LANES))
+    begin_block(w, drive, parameters, times, commands, before, valve, q0, v0, start, dt)
+    grid = np.empty((len(states), N_STATE * LANES))
+    run_lanes(w, drive, dt, rubbing, grid)
+    for s in range(len(states)):
+        for i in range(N_STATE):
+            states[s, i] = grid[s, i * LANES]
+    for s in range(len(pressures)):
+        for i in range(N_ACTUATORS):
+            pressures[s, 0, i] = drive[s, 0, i * LANES]
+            pressures[s, 1, i] = drive[s, 1, i * LANES]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -75,27 +75,37 @@ class ForceStepper:
                 mujoco_model.tendon_solref_fri[self._tendons[i]] = (2 * dt, 1.0)
                 mujoco_model.tendon_solimp_fri[self._tendons[i]] = STICKING
         self._z: Array = np.zeros(augmented.z.numel())
+        self._begins = True
 
     def reset(self, q: Array) -> None:
         """The effects' states after a long rest at the joint angles q (nj,) [rad]."""
         if self.active:
             self._z[:] = np.array(self._rest(q, self._parameters)).ravel()
+            self._begins = True
 
     def apply(self, data: mujoco.MjData) -> None:
         """Set what the effects exert over the step that comes, and move their states to its end."""
         if not self.active:
             return
         half = 0.5 * self._model.opt.timestep
-        q, v, a = data.qpos[self._qpos], data.qvel[self._dof], data.qacc[self._dof]
         own_q, own_v, own_z = self._arguments
-        torque, force, rate, bound = self._results
-        own_q[:], own_v[:], own_z[:] = q, v, self._z
+        own_q[:], own_v[:], own_z[:] = data.qpos[self._qpos], data.qvel[self._dof], self._z
         self._evaluate()
-        own_q += half * v + 0.5 * half * half * a
+        if self._begins:
+            # What stands in the data are accelerations without commands and pushes.
+            self._exert(data)
+            mujoco.mj_forward(self._model, data)
+            self._begins = False
+        a, rate = data.qacc[self._dof], self._results[2]
+        own_q += half * own_v + 0.5 * half * half * a
         own_v += half * a
         own_z += half * rate
         self._evaluate()
         self._z += 2 * half * rate
+        self._exert(data)
+
+    def _exert(self, data: mujoco.MjData) -> None:
+        torque, force, _, bound = self._results
         data.qfrc_applied[self._dof] = torque
         data.qfrc_applied[self._slides] = force[:, None]
         for (kind, i), size in zip(self._rubbing, bound, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
@@ -42,8 +43,18 @@ def measured_start(recording: Recording) -> Array:
 
 def modelled_start(model: Model, recording: Recording) -> Array:
     """(nj,) the joint angles that the model's sensors show as the measured start [rad]."""
-    sensor = sensor_settings(model.effects, recording.joints)
-    return np.asarray((measured_start(recording) - sensor[:, OFFSET]) / sensor[:, SCALE])
+    return np.asarray(behind_sensors([model], measured_start(recording)[None, :])[0])
+
+
+def behind_sensors(models: Sequence[Model], shown: Array) -> Array:
+    """(k, nj) angles, or (k, 2 nj) angles and velocities, behind what each model's sensors show (of the same shape)."""
+    nj = len(models[0].morphology.joints)
+    found = np.array(shown)
+    for row, model in zip(found, models, strict=True):
+        sensor = sensor_settings(model.effects, model.morphology.joint_names)
+        row[:nj] = (row[:nj] - sensor[:, OFFSET]) / sensor[:, SCALE]
+        row[nj:] /= sensor[: len(row) - nj, SCALE]
+    return found
 
 
 def check_columns(model: Model, recording: Recording) -> None:

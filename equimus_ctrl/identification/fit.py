@@ -20,8 +20,10 @@ from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.engines.batch import Predicted, simulate
+from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
@@ -42,8 +44,10 @@ LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
 IDLE = 1e-9
 """A parameter with less than this share of the strongest one's effect is not moved."""
 
+Begin = tuple[Array, Sequence[Array]]
+"""Parameters (p,) and, for each segment, its start (2 nj,)."""
 Simulator = Callable[[Sequence[Model], Sequence[Segment], Sequence[Array]], list[Predicted]]
-"""(models, segments, starts (k, 2 nj) for each segment) → predictions."""
+"""(models, segments, starts (k, 2 nj) for each segment as the sensors show them) → predictions."""
 
 
 def reduced_simulator(dt: float | None = None, threads: int | None = None) -> Simulator:
@@ -62,7 +66,8 @@ def reduced_simulator(dt: float | None = None, threads: int | None = None) -> Si
             poses = [s.trial.position for s in segments]
             chosen.append(dt or STEP / step_divisor(m, models[0].phase, poses, STEP))
         trials = [s.trial for s in segments]
-        return simulate(models, trials, starts=starts, dt=chosen[0], threads=threads, check=dt is not None)
+        true = [behind_sensors(models, rows) for rows in starts]
+        return simulate(models, trials, starts=true, dt=chosen[0], threads=threads, check=dt is not None)
 
     return run
 
@@ -90,11 +95,13 @@ class Fit:
         parameters: what was free.
         theta: (p,) the values found.
         model: the model with them.
-        starts: for each segment (2 nj,) its start [rad, rad/s].
+        starts: for each segment (2 nj,) its start as the sensors show it [rad, rad/s].
         residuals: for each segment (m, nj) measured − predicted [rad].
         before: the same of the model as it came.
         uncertainty: of ``theta``.
         jacobians: for each segment (m, nj, p) ∂prediction/∂θ.
+        start_jacobians: for each segment (m, nj, s) ∂prediction/∂start, its free numbers.
+        cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else [rad²].
         at_bound: (p,) −1, 0, 1: where a bound holds a parameter back.
         evaluations: how many parameter sets were simulated.
         converged: whether the search ended by itself.
@@ -108,6 +115,8 @@ class Fit:
     before: tuple[Array, ...]
     uncertainty: Uncertainty
     jacobians: tuple[Array, ...]
+    start_jacobians: tuple[Array, ...]
+    cost: float
     at_bound: Array
     evaluations: int
     converged: bool
@@ -166,13 +175,31 @@ def residuals_of(model: Model, segments: Sequence[Segment], simulator: Simulator
 
 
 class Problem:
-    """Residuals and their derivatives as functions of the free parameters and starts."""
+    """Residuals and their derivatives as functions of the free parameters and starts.
 
-    def __init__(self, parameters: FreeParameters, segments: Sequence[Segment], simulator: Simulator) -> None:
+    Args:
+        parameters: what is free.
+        segments: what was measured.
+        simulator: the engine.
+        noise: of the joints, whose innovations are what is squared; all residuals count alike without.
+    """
+
+    def __init__(
+        self,
+        parameters: FreeParameters,
+        segments: Sequence[Segment],
+        simulator: Simulator,
+        noise: Noise | None = None,
+    ) -> None:
         self.parameters = parameters
         self.segments = list(segments)
         self.simulator = simulator
+        self.noise = noise
         self.evaluations = 0
+
+    def whitened(self, segment: Segment, values: Array) -> Array:
+        """Residuals or derivatives (m, nj, ...) of a segment as they count."""
+        return values if self.noise is None else whiten(self.noise, segment.trial.sample_times, values)
 
     def points(self, thetas: Sequence[Array], starts: Sequence[Sequence[Sequence[Array]]]) -> list[_Point]:
         """Simulate parameter sets (p,), each with one or more choices of starts, and take the best segment by segment.
@@ -189,11 +216,12 @@ class Problem:
         points = [_Point(theta, [], [], 0.0) for theta in thetas]
         for segment, row, predicted in zip(self.segments, rows, found, strict=True):
             best: dict[int, tuple[float, Array, Array]] = {}
+            residuals = np.stack([_residual(segment, predicted, place) for place in range(len(spread))], axis=-1)
+            squares = (self.whitened(segment, residuals) ** 2).sum(axis=(0, 1))
             for place, (i, _) in enumerate(spread):
-                residual = _residual(segment, predicted, place)
-                cost = float((residual**2).sum() + (self._start_residual(segment, row[place]) ** 2).sum())
+                cost = float(squares[place] + (self._start_residual(segment, row[place]) ** 2).sum())
                 if i not in best or cost < best[i][0]:
-                    best[i] = cost, row[place], residual
+                    best[i] = cost, row[place], residuals[:, :, place]
             for i, (cost, start, residual) in best.items():
                 points[i].starts.append(start)
                 points[i].residuals.append(residual)
@@ -207,11 +235,11 @@ class Problem:
         p = len(scale)
         rows, starts = [], []
         for segment, j, n, r, x in zip(self.segments, by_theta, by_start, point.residuals, point.starts, strict=True):
-            count = j.shape[0] * j.shape[1]
-            system = np.column_stack([j.reshape(count, p) * scale, r.ravel()])
-            s = segment.free_start
+            count, s = j.shape[0] * j.shape[1], segment.free_start
+            columns = self.whitened(segment, np.concatenate([j * scale, r[:, :, None], n], axis=2)).reshape(count, -1)
+            system = columns[:, : p + 1]
             if s:
-                whole = np.vstack([n.reshape(count, s), np.diag(segment.start_weights)])
+                whole = np.vstack([columns[:, p + 1 :], np.diag(self._start_weights(segment))])
                 own = np.zeros((s, p + 1))
                 own[:, p] = self._start_residual(segment, x)
                 system = np.vstack([system, own])
@@ -236,7 +264,7 @@ class Problem:
             s = segment.free_start
             if s:
                 basis, upper = slopes.starts[k]
-                left = point.residuals[k].ravel() - slopes.by_theta[k].reshape(-1, len(scale)) @ (scale * change)
+                left = self.whitened(segment, point.residuals[k] - slopes.by_theta[k] @ (scale * change)).ravel()
                 target = np.concatenate([left, self._start_residual(segment, start)])
                 start[:s] += solve_triangular(upper, basis.T @ target)
             moved.append(start)
@@ -244,10 +272,16 @@ class Problem:
             return [moved]
         return [moved, [old + 0.1 * (new - old) for old, new in zip(point.starts, moved, strict=True)]]
 
-    @staticmethod
-    def _start_residual(segment: Segment, start: Array) -> Array:
+    def _start_weights(self, segment: Segment) -> Array:
+        if self.noise is None or not segment.free_start:
+            return segment.start_weights
+        nj = segment.measured.shape[1]
+        sigma = np.array([self.noise[k % nj].sigma for k in range(segment.free_start)])
+        return np.asarray(segment.start_weights / sigma)
+
+    def _start_residual(self, segment: Segment, start: Array) -> Array:
         s = segment.free_start
-        return np.asarray(segment.start_weights * (segment.start[:s] - start[:s]))
+        return np.asarray(self._start_weights(segment) * (segment.start[:s] - start[:s]))
 
     def _derivatives(self, point: _Point) -> tuple[list[Array], list[Array]]:
         scale = self.parameters.scale
@@ -294,6 +328,8 @@ def fit(
     *,
     simulator: Simulator | None = None,
     settings: FitSettings | None = None,
+    noise: Noise | None = None,
+    begin: Sequence[Begin] = (),
     notify: Callable[[int, float], None] = lambda evaluations, rmse: None,
 ) -> Fit:
     """Least squares over all segments, bounds kept.
@@ -303,6 +339,8 @@ def fit(
         segments: what was measured.
         simulator: the engine; the reduced one by default.
         settings: how it searches.
+        noise: of the joints, by which residuals count; all alike without.
+        begin: where the search may begin, the best of them is taken; the model as it came by default.
         notify: called with (parameter sets simulated, best RMSE over all joints [rad]) after each step.
 
     Raises:
@@ -311,17 +349,12 @@ def fit(
     """
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _fit(parameters, segments, simulator or reduced_simulator(), settings or FitSettings(), notify)
+        problem = Problem(parameters, segments, simulator or reduced_simulator(), noise)
+        return _fit(problem, settings or FitSettings(), begin, notify)
 
 
-def _fit(
-    parameters: FreeParameters,
-    segments: Sequence[Segment],
-    simulator: Simulator,
-    settings: FitSettings,
-    notify: Callable[[int, float], None],
-) -> Fit:
-    problem = Problem(parameters, segments, simulator)
+def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify: Callable[[int, float], None]) -> Fit:
+    parameters, segments = problem.parameters, problem.segments
     samples = sum(s.measured.size for s in segments)
     p, free_starts = len(parameters.free), sum(s.free_start for s in segments)
     if not p:
@@ -331,7 +364,8 @@ def _fit(
             f"{samples} measured angles are too few for {p + free_starts} unknowns ({p} parameters and {free_starts} "
             "numbers of starts)"
         )
-    (point,) = problem.points([parameters.start], [[[s.start for s in segments]]])
+    given = begin or [(parameters.start, [s.start for s in segments])]
+    point = min(problem.points([b[0] for b in given], [[b[1]] for b in given]), key=lambda tried: tried.cost)
     if all(np.all(r[-1] == DIVERGED) for r in point.residuals):
         raise SimulationDiverged(f"{parameters.model.name}: the simulation diverges on every trial as the model came")
     before = point.residuals
@@ -342,7 +376,7 @@ def _fit(
         weights = np.maximum(weights, np.linalg.norm(slopes.factor, axis=0))
         dampings = np.clip(damping * DAMPINGS, LEAST_DAMPING, MOST_DAMPING)
         changes = [_step(parameters, point.theta, slopes, weights * np.sqrt(d)) for d in dampings]
-        thetas = [np.clip(point.theta + parameters.scale * c, parameters.low, parameters.high) for c in changes]
+        thetas = [parameters.moved(point.theta, parameters.scale * c) for c in changes]
         tried = problem.points(thetas, [problem.moved_starts(point, slopes, c) for c in changes])
         best = min(range(len(tried)), key=lambda i: tried[i].cost)
         gain = (point.cost - tried[best].cost) / max(point.cost, 1e-300)
@@ -351,7 +385,7 @@ def _fit(
         elif dampings[-1] < MOST_DAMPING and np.abs(changes[-1]).max() > settings.tolerance:
             damping = float(dampings[-1]) * 10
             continue
-        notify(problem.evaluations, float(np.sqrt(point.cost / samples)))
+        notify(problem.evaluations, float(np.sqrt(sum((r**2).sum() for r in point.residuals) / samples)))
         slopes = problem.slopes(point) if gain > 0 else slopes
         if gain < settings.tolerance:
             converged = True
@@ -359,9 +393,9 @@ def _fit(
     spread = parameters.high - parameters.low
     low, high = point.theta - parameters.low < 1e-6 * spread, parameters.high - point.theta < 1e-6 * spread
     known = uncertainty(
-        slopes.by_theta,
-        point.residuals,
-        slopes.by_start,
+        [problem.whitened(s, j) for s, j in zip(segments, slopes.by_theta, strict=True)],
+        [problem.whitened(s, r) for s, r in zip(segments, point.residuals, strict=True)],
+        [problem.whitened(s, n) for s, n in zip(segments, slopes.by_start, strict=True)],
         parameters.names,
         parameters.scale,
         point.theta,
@@ -376,6 +410,8 @@ def _fit(
         tuple(before),
         known,
         tuple(slopes.by_theta),
+        tuple(slopes.by_start),
+        point.cost,
         high.astype(int) - low.astype(int),
         problem.evaluations,
         converged,

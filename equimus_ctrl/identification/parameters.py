@@ -35,6 +35,8 @@ class FreeParameter:
         low: lower bound.
         high: upper bound.
         unit: SI.
+        also: other parameters of the model that have the same value.
+        size: the size of a change that counts, where it is known better than ``scale`` guesses.
     """
 
     name: str
@@ -42,6 +44,8 @@ class FreeParameter:
     low: float
     high: float
     unit: str
+    also: tuple[str, ...] = ()
+    size: float | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.low) and math.isfinite(self.high)):
@@ -57,7 +61,7 @@ class FreeParameter:
     @property
     def scale(self) -> float:
         """The size of a change that counts: the number itself, or a tenth of its range where it is about zero."""
-        return max(abs(self.start), 0.1 * min(self.high - self.low, 1e6))
+        return self.size or max(abs(self.start), 0.1 * min(self.high - self.low, 1e6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +101,26 @@ class FreeParameters:
         """(p,) sizes of changes that count."""
         return np.array([f.scale for f in self.free])
 
+    def moved(self, theta: Array, change: Array) -> Array:
+        """(p,) θ after a change (p,) within bounds, along which elastic forces change evenly.
+
+        An actuator's force is stiffness·rest_length − stiffness·length: the rest length goes such that its product with
+        the stiffness changes in proportion, or the long valley of both together would be a bend that searches creep
+        along.
+        """
+        moved = np.array(theta + change)
+        place = {name: i for i, name in enumerate(self.names)}
+        for name, i in place.items():
+            owner, _, key = name.rpartition(".")
+            k = place.get(f"{owner}.stiffness")
+            if key in ("rest_length", "rest") and k is not None and moved[k] > 0:
+                moved[i] = (theta[k] * moved[i] + theta[i] * change[k]) / moved[k]
+        return np.clip(moved, self.low, self.high)
+
     def model_at(self, theta: Array) -> Model:
         """The model with these values (p,)."""
-        return self.model.with_parameters({f.name: float(v) for f, v in zip(self.free, theta, strict=True)})
+        values = {name: float(v) for f, v in zip(self.free, theta, strict=True) for name in (f.name, *f.also)}
+        return self.model.with_parameters(values)
 
 
 def unit_of(model: Model, name: str) -> str:

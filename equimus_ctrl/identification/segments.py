@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.predict import check_columns, modelled_start
+from equimus_ctrl.engines.predict import behind_sensors, check_columns, measured_start, modelled_start
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Recording
@@ -28,6 +28,7 @@ class Segment:
         trial: commands, start and sample times.
         measured: (m, nj) angles at the sample times [rad].
         recording: which of the recordings it was cut from.
+        start: (2 nj,) angles and velocities at the start as the sensors show them [rad, rad/s].
         free_start: how many numbers of the start are free: none, the angles (nj), or angles and velocities (2 nj).
             What was read off the measurements then counts as one more sample, see ``start_weights``.
     """
@@ -35,6 +36,7 @@ class Segment:
     trial: Trial
     measured: Array
     recording: int
+    start: Array
     free_start: int = 0
 
     @property
@@ -42,14 +44,6 @@ class Segment:
         """(free_start,) what a start's distance from the measured one weighs: an angle's as much as a sample's."""
         nj = self.measured.shape[1]
         return np.repeat([1.0, SLOPE_SPAN / 2], nj)[: self.free_start]
-
-    @property
-    def start(self) -> Array:
-        """(2 nj,) angles and velocities at the start [rad, rad/s]."""
-        velocity = self.trial.velocity
-        return np.concatenate(
-            [self.trial.position, np.zeros_like(self.trial.position) if velocity is None else velocity]
-        )
 
 
 def cut(
@@ -87,11 +81,12 @@ def cut(
             )
         if shoot is None:
             whole = Trial.of(recording, modelled_start(model, recording))
+            start = np.concatenate([measured_start(recording), np.zeros(len(recording.joints))])
             trial = _sampled(whole, np.array(time[inside]))
             nj = len(recording.joints)
-            segments.append(Segment(trial, np.array(recording.position[inside]), index, nj if fit_start else 0))
+            segments.append(Segment(trial, np.array(recording.position[inside]), index, start, nj if fit_start else 0))
         else:
-            segments += _windows(recording, index, inside, shoot)
+            segments += _windows(model, recording, index, inside, shoot)
     return segments
 
 
@@ -101,7 +96,7 @@ def _sampled(trial: Trial, times: Array) -> Trial:
     )
 
 
-def _windows(recording: Recording, index: int, inside: NDArray[np.bool_], length: float) -> list[Segment]:
+def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.bool_], length: float) -> list[Segment]:
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
@@ -110,7 +105,8 @@ def _windows(recording: Recording, index: int, inside: NDArray[np.bool_], length
         chosen = (time >= a) & ((time < b) | (b == high))
         if np.count_nonzero(chosen) < LEAST_SAMPLES:
             continue
-        position, velocity = _local_motion(recording, float(a))
+        start = np.concatenate(_local_motion(recording, float(a)))
+        position, velocity = np.split(behind_sensors([model], start[None, :])[0], 2)
         trial = Trial(
             f"{recording.name} from {a:.3f} s",
             np.array(time),
@@ -121,7 +117,7 @@ def _windows(recording: Recording, index: int, inside: NDArray[np.bool_], length
             np.array(time[chosen]),
             velocity,
         )
-        found.append(Segment(trial, np.array(recording.position[chosen]), index, 2 * len(recording.joints)))
+        found.append(Segment(trial, np.array(recording.position[chosen]), index, start, 2 * len(recording.joints)))
     if not found:
         raise ConfigError(
             f"{recording.name}: no shooting window of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "

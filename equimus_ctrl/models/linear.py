@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, slots_of
 from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.models.symbolic import Structure, build, joint_stops, ldl_solve, stops_in_mode
 from equimus_ctrl.types import Array
@@ -21,8 +25,27 @@ def _jacobians(form: Structure, phase: Phase) -> ca.Function:
     return ca.Function("linear", [m.q, m.v, m.f, m.tau, m.p], parts)
 
 
+@lru_cache(maxsize=16)
+def _pushed_jacobians(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, ca.Function]:
+    """(q, pressure, p) → ∂a/∂q, ∂a/∂v, ∂a/∂P at rest: the effects' states following quick motion, and slow motion."""
+    m = augmented_model(form, phase, laws)
+    by_q, by_v, by_p = (ca.jacobian(m.acceleration, x) for x in (m.q, m.v, m.pressure))
+    by_z = ca.jacobian(m.acceleration, m.z)
+    still = [m.v, m.phi, m.z], [ca.SX.zeros(m.v.shape), ca.SX.zeros(m.phi.shape), m.rest_state]
+    found = []
+    for name, follows in (("quick", ca.jacobian(m.z_rate, m.v)), ("slow", ca.jacobian(m.rest_state, m.q))):
+        outputs = ca.substitute([by_q + by_z @ follows, by_v, by_p], *still)
+        found.append(ca.Function(name, [m.q, m.pressure, m.p], outputs))
+    return found[0], found[1]
+
+
 def state_matrices(
-    morphology: Morphology, pose: ArrayLike, pressure: ArrayLike, phase: Phase = "swing"
+    morphology: Morphology,
+    pose: ArrayLike,
+    pressure: ArrayLike,
+    phase: Phase = "swing",
+    effects: Sequence[Effect] = (),
+    quick: bool = True,
 ) -> tuple[Array, Array]:
     """(A, B) of d/dt (q, v) = A (q, v) + B P about a pose at rest.
 
@@ -31,19 +54,25 @@ def state_matrices(
         pose: (nj,) [rad].
         pressure: (na,) that holds it there [Pa].
         phase: base fixed or foot pinned.
+        effects: those that push count, dry friction left out; a law without a slope at rest counts as having none.
+        quick: whether the effects' own states follow rates alone, as in quick motion; else they are as at rest.
 
     Returns:
         A (2nj, 2nj) and B (2nj, na).
     """
     nj, na = len(morphology.joints), len(morphology.actuators)
-    force = np.array([a.area for a in morphology.actuators]) * np.asarray(pressure, dtype=np.float64)
-    zero = np.zeros(nj)
-    by_q, by_v, by_p = (
-        np.array(x)
-        for x in _jacobians(structure(morphology), phase)(
-            np.asarray(pose, dtype=np.float64), zero, force, zero, pack(morphology)
-        )
-    )
+    at, given = np.asarray(pose, dtype=np.float64), np.asarray(pressure, dtype=np.float64)
+    laws = tuple(sorted({type(e) for e in effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+    form = structure(morphology)
+    if laws:
+        slots = slots_of(form, laws)
+        numbers = law_parameters(slots, effects, morphology.joint_names, morphology.actuator_names)
+        function = _pushed_jacobians(form, phase, laws)[0 if quick else 1]
+        found = function(at, given, np.append(pack(morphology), numbers))
+        by_q, by_v, by_p = (np.where(np.isfinite(x), x, 0.0) for x in map(np.array, found))
+    else:
+        force, zero = np.array([a.area for a in morphology.actuators]) * given, np.zeros(nj)
+        by_q, by_v, by_p = (np.array(x) for x in _jacobians(form, phase)(at, zero, force, zero, pack(morphology)))
     a = np.block([[np.zeros((nj, nj)), np.eye(nj)], [by_q, by_v]])
     b = np.vstack([np.zeros((nj, na)), by_p])
     return a, b

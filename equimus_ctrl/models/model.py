@@ -72,11 +72,12 @@ class Model:
     def effect_parameters(self) -> dict[str, tuple[Effect, str]]:
         """Dotted name → the effect whose parameter it is, and which."""
         found: dict[str, tuple[Effect, str]] = {}
-        for effect, prefix in zip(self.effects, self._prefixes(), strict=True):
+        for effect, prefix in zip(self.effects, self.effect_prefixes(), strict=True):
             found |= {prefix + key: (effect, key) for key in effect.parameter_info()}
         return found
 
-    def _prefixes(self) -> list[str]:
+    def effect_prefixes(self) -> list[str]:
+        """For each effect what its parameters' dotted names begin with, the last dot included."""
         count: dict[str, int] = {}
         prefixes = []
         for effect in self.effects:
@@ -94,7 +95,7 @@ class Model:
         """
         left = dict(values)
         effects = []
-        for effect, prefix in zip(self.effects, self._prefixes(), strict=True):
+        for effect, prefix in zip(self.effects, self.effect_prefixes(), strict=True):
             own = {key: left.pop(prefix + key) for key in effect.parameter_info() if prefix + key in left}
             effects.append(replace(effect, **own) if own else effect)  # type: ignore[arg-type]
         if not left:

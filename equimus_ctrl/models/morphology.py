@@ -258,10 +258,8 @@ class Morphology:
         carried: dict[str, str] = {}
         for joint in self.joints:
             for body in (joint.parent, joint.child):
-                _require(
-                    body in link_names or (body == BASE and body == joint.parent),
-                    unknown_name("link", body, link_names, f"{self.name}: joint {joint.name!r}"),
-                )
+                if not (body in link_names or (body == BASE and body == joint.parent)):
+                    raise ModelError(unknown_name("link", body, link_names, f"{self.name}: joint {joint.name!r}"))
             if joint.child in carried:
                 raise ModelError(
                     f"{self.name}: link {joint.child!r} is carried by both joint {carried[joint.child]!r} and joint "
@@ -276,14 +274,16 @@ class Morphology:
             reached.add(joint.child)
         for link in self.links:
             _require(link.name in carried, f"{self.name}: link {link.name!r} hangs on no joint")
-        _require(self.foot in link_names, unknown_name("link", self.foot, link_names, f"{self.name}: foot"))
+        if self.foot not in link_names:
+            raise ModelError(unknown_name("link", self.foot, link_names, f"{self.name}: foot"))
 
     def _check_actuators(self) -> None:
         bodies = {BASE} | {link.name for link in self.links}
         for actuator in self.actuators:
             owner = f"{self.name}: actuator {actuator.name!r}"
             for point in (actuator.origin, actuator.insertion):
-                _require(point.body in bodies, unknown_name("body", point.body, bodies, owner))
+                if point.body not in bodies:
+                    raise ModelError(unknown_name("body", point.body, bodies, owner))
             _require(
                 actuator.origin.body != actuator.insertion.body,
                 f"{owner} has both ends on {actuator.origin.body!r}, so no joint moves it; "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -12,12 +11,13 @@ from numpy.typing import ArrayLike
 from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import advance_pressure
-from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, hermite, sensor_settings
+from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, recall, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_forces import ForceStepper
 from equimus_ctrl.engines.mujoco_trials import MUJOCO_KINDS
+from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place, step_quietly
@@ -169,7 +169,7 @@ class MujocoPlant:
                 f"{_kpa(self.spec.command_high)} kPa"
             )
         reaches = self._shaped(np.asarray(command))
-        position = self._kinematics.equilibrium(reaches) if start.position is None else start.position
+        position = rest_pose(self.model, command) if start.position is None else start.position
         mujoco.mj_resetData(self.mujoco_model, self.data)
         self._place(np.asarray(position), start.velocity)
         self._forces.reset(np.asarray(position))
@@ -184,8 +184,8 @@ class MujocoPlant:
         self._commands = np.empty((256, na))
         self._clipped = np.zeros(na, dtype=bool)
         # As much of the motion as the latest sensor looks back, and a step more.
-        back = int(np.ceil(self._sensor[:, LATE].max() / self._dt)) + 3
-        self._past = deque([(self.position, np.array(self.data.qvel[self._dof]))], maxlen=back)
+        self._past = np.zeros((nj, int(np.ceil(self._sensor[:, LATE].max() / self._dt)) + 3, 2))
+        self._remember()
         self._held = self.position
         self._measure()
         return self._observation(np.array(command))
@@ -250,6 +250,8 @@ class MujocoPlant:
         self._step_count += 1
         if self._sensor_remembers():
             self._remember()
+            for j, row in enumerate(self._sensor):
+                self._held[j] = follow(self._held[j], self._seen(j), row[PLAY])
         if not (slow and sound and self._is_slow()):
             self._diverged = (
                 f"{self.model.name}: the simulation diverged at {self._step_count * self._dt:.3f} s under commands of "
@@ -268,22 +270,15 @@ class MujocoPlant:
         return bool(np.any(self._sensor[:, LATE] > 0) or np.any(self._sensor[:, PLAY] > 0))
 
     def _remember(self) -> None:
-        self._past.append((self.position, np.array(self.data.qvel[self._dof])))
-        for j, row in enumerate(self._sensor):
-            self._held[j] = follow(self._held[j], self._seen(j), row[PLAY])
+        newest = self._step_count % self._past.shape[1]
+        self._past[:, newest, 0], self._past[:, newest, 1] = self.position, self.data.qvel[self._dof]
 
     def _seen(self, j: int) -> float:
         """Where joint j was as long ago as its sensor is late [rad]."""
         late = self._sensor[j, LATE]
         if late == 0.0:
             return float(self.position[j])
-        first = self._step_count + 1 - len(self._past)  # the step that the oldest entry belongs to
-        place = self._step_count - late / self._dt - first
-        if place <= 0.0:
-            return float(self._past[0][0][j])
-        step = min(int(place), len(self._past) - 2)
-        (q0, v0), (q1, v1) = self._past[step], self._past[step + 1]
-        return float(hermite(q0[j], v0[j], q1[j], v1[j], self._dt, place - step))
+        return float(recall(self._past[j], self._step_count, late / self._dt, self._dt))
 
     def _measure(self) -> None:
         self._stamp = self._step_count * self._dt

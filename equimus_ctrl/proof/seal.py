@@ -39,6 +39,11 @@ def seal(line: str) -> str:
     return hashlib.sha256(line.encode()).hexdigest()
 
 
+def seal_of_all(seals: Sequence[str]) -> str:
+    """SHA-256 over seals in order, a line each: what ``cat seals/*.txt | sha256sum`` gives."""
+    return hashlib.sha256("".join(f"{one}\n" for one in seals).encode()).hexdigest()
+
+
 def digest(recordings: Sequence[Recording]) -> str:
     """SHA-256 of what recordings say, which binds them to the truth that holds it."""
     found = hashlib.sha256()

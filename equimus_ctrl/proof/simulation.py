@@ -13,8 +13,6 @@ import casadi as ca
 import mujoco
 import numpy as np
 from mujoco import batch as mjbatch
-from scipy.integrate import solve_ivp
-from scipy.optimize import least_squares
 
 from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import changed_bodies
@@ -26,6 +24,7 @@ from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_forces import STICKING
 from equimus_ctrl.engines.mujoco_trials import MUJOCO_KINDS
+from equimus_ctrl.engines.rest import settle
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.kinematics import Kinematics
@@ -38,10 +37,6 @@ from equimus_ctrl.types import Array, Recording
 
 RATE = 1920.0
 """Physics steps a second."""
-AT_REST = 1e-9
-"""Torque that is none [N·m]."""
-SINKING = 200.0
-"""How long a leg sinks at 1 rad/s for each N·m; its softest mode has some 0.3 N·m/rad [s]."""
 HALVES = ("middle", "lower")
 """The two drives of a 3-2-1 element."""
 
@@ -111,15 +106,13 @@ def settled(kinematics: Kinematics, pushes: _Pushes | None, pressure: Array, bia
         bias: (nj + na,) share of its dry friction that holds each joint and actuator.
 
     Raises:
-        SimulationDiverged: where there is no such place.
+        ModelError: where there is no such place.
     """
-    q0 = kinematics.equilibrium(pressure)
     if pushes is None:
-        return q0
-    nj = len(q0)
+        return kinematics.equilibrium(pressure)
+    nj = len(kinematics.morphology.joints)
 
-    def torque(q: Array) -> Array:
-        jacobian = kinematics.jacobian(q)
+    def pushed(q: Array) -> tuple[Array, Array]:
         found = pushes.push(q, np.zeros(nj), pushes.rest(q), pressure, 0.0)
         joint, force, _, bound = (np.array(part).ravel() for part in found)
         for (kind, i), size in zip(pushes.rubbing, bound, strict=True):
@@ -127,20 +120,9 @@ def settled(kinematics: Kinematics, pushes: _Pushes | None, pressure: Array, bia
                 joint[i] += bias[i] * size
             else:
                 force[i] += bias[nj + i] * size
-        return np.asarray(kinematics.rest_torque(q, pressure)[0] + joint + jacobian.T @ force)
+        return joint, force
 
-    def rests(q: Array, slope: Array) -> bool:
-        stable = np.linalg.eigvalsh(-(slope + slope.T) / 2).min() > 0
-        return bool(stable and np.abs(torque(q)).max() < AT_REST)
-
-    found = least_squares(torque, q0, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    if not rests(found.x, found.jac):
-        # Where there are several poses without torque, the leg sinks into one that is stable.
-        sunk = solve_ivp(lambda _, q: torque(q), (0.0, SINKING), q0, method="BDF", rtol=1e-6, atol=1e-9).y[:, -1]
-        found = least_squares(torque, sunk, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        if not rests(found.x, found.jac):
-            raise SimulationDiverged(f"the leg finds no rest under {pressure.tolist()} Pa")
-    return np.asarray(found.x)
+    return settle(kinematics, pressure, pushed)
 
 
 def simulate(reality: Reality, rate: float = RATE) -> list[Array]:
@@ -151,6 +133,7 @@ def simulate(reality: Reality, rate: float = RATE) -> list[Array]:
         rate: physics steps a second.
 
     Raises:
+        ModelError: where the leg finds no rest to begin from.
         SimulationDiverged: where the leg's numbers are none.
     """
     model, dt = reality.model, 1.0 / rate

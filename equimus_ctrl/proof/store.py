@@ -3,6 +3,8 @@
     <root>/recordings/case_0007/trial_00.csv …    all that a diagnosis may see
     <root>/seals/case_0007.txt                    SHA-256 of the truth
     <root>/truth/case_0007.json                   the truth, one line
+    <root>/reports/case_0007.json                 what the diagnosis says
+    <root>/baselines/case_0007.json               what simpler methods say
 
 A case is complete when its seal is there, for that is written last.
 """
@@ -10,6 +12,7 @@ A case is complete when its seal is there, for that is written last.
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -61,6 +64,14 @@ class Request:
     def truth(self, case: int) -> Path:
         """The file with the case's truth."""
         return self.root / "truth" / f"case_{case:04d}.json"
+
+    def report(self, case: int) -> Path:
+        """The file with what the diagnosis says of the case."""
+        return self.root / "reports" / f"case_{case:04d}.json"
+
+    def baselines(self, case: int) -> Path:
+        """The file with what simpler methods say of the case."""
+        return self.root / "baselines" / f"case_{case:04d}.json"
 
 
 @dataclass(frozen=True)
@@ -176,14 +187,18 @@ def _each(request: Request, cases: list[int], workers: int) -> Iterator[Made]:
     if workers <= 1:
         yield from (make_case(request, case) for case in cases)
         return
+    others = set(multiprocessing.active_children())
     # A fork would copy locks that threads of the numerical libraries may hold.
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, spawn, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
         tasks = [pool.submit(make_case, request, case) for case in cases]
         try:
             for task in as_completed(tasks):
                 yield task.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
             raise
 
 

@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.report import style
 from equimus_ctrl.tuning.autotune import TuningResult, unseen_problem
-from equimus_ctrl.tuning.objective import Evaluation
+from equimus_ctrl.tuning.objective import Evaluation, Problem
 
 STAGES = {
     "start": ("start", style.INK),
@@ -96,16 +97,15 @@ def response_figure(result: TuningResult) -> Figure:
         time = np.arange(len(task.reference)) * task.control_dt
         q_before, u_before, done_before = problem.simulate(result.start, 0, k)
         q_after, u_after, _ = problem.simulate(result.settings, 0, k)
-        others = [problem.simulate(result.settings, i, k)[0] for i in range(1, len(problem.members))]
+        others = [run.position for run in problem.simulate_all(_on_each(problem, result)[1:], k)]
+        wanted = np.degrees(problem.wanted(k))
         for j, joint in enumerate(joints):
             axes = grid[j, k]
             for other in others:
                 axes.plot(time, np.degrees(other[:, j]), color=AFTER, alpha=0.25, linewidth=0.8)
             axes.plot(time[:done_before], np.degrees(q_before[:done_before, j]), color=BEFORE, linewidth=1.5)
             axes.plot(time, np.degrees(q_after[:, j]), color=AFTER, linewidth=1.8)
-            axes.plot(
-                time, np.degrees(task.reference[:, j]), color=style.REFERENCE, linestyle=style.DASHES, linewidth=1.1
-            )
+            axes.plot(time, wanted[:, j], color=style.REFERENCE, linestyle=style.DASHES, linewidth=1.1)
             style.dress(axes, title=f"{task.name}: {joint}", y="angle [°]")
         _pressure_panel(grid[-1, k], result, time, u_before[:done_before], u_after)
     handles = [
@@ -120,6 +120,11 @@ def response_figure(result: TuningResult) -> Figure:
         )
     style.legend_below(figure, handles)
     return figure
+
+
+def _on_each(problem: Problem, result: TuningResult) -> list[tuple[PidSettings, int]]:
+    """The result on every leg of a problem."""
+    return [(result.settings, member) for member in range(len(problem.members))]
 
 
 def _pressure_panel(axes: Axes, result: TuningResult, time: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
@@ -187,12 +192,13 @@ def _unseen_panels(figure: Figure, spans: object, result: TuningResult) -> None:
     problem.warm_up()
     task = problem.tasks[0]
     time = np.arange(len(task.reference)) * task.control_dt
-    angles = np.array([problem.simulate(result.settings, i, 0)[0] for i in range(min(len(problem.members), MOST_LEGS))])
+    angles = np.array([run.position for run in problem.simulate_all(_on_each(problem, result)[:MOST_LEGS], 0)])
+    wanted = np.degrees(problem.wanted(0))
     for j, joint in enumerate(problem.model.morphology.joint_names):
         axes = figure.add_subplot(spans[j, 1])  # type: ignore[index]
         for leg in angles:
             axes.plot(time, np.degrees(leg[:, j]), color=AFTER, alpha=0.35, linewidth=0.9)
-        axes.plot(time, np.degrees(task.reference[:, j]), color=style.REFERENCE, linestyle=style.DASHES, linewidth=1.1)
+        axes.plot(time, wanted[:, j], color=style.REFERENCE, linestyle=style.DASHES, linewidth=1.1)
         last = j == len(problem.model.morphology.joints) - 1
         title = f"{task.name}: {joint}, on {len(angles)} legs never tuned on"
         style.dress(axes, title=title, y="angle [°]", x="time [s]" if last else "")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,9 +18,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.controllers.pid import PidController, PidSettings
-from equimus_ctrl.effects import AsymmetricLag, TransportDelay
+from equimus_ctrl.effects import AsymmetricLag, RateLimit, TransportDelay
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.effects.valves import DELAY, FILL, VENT
+from equimus_ctrl.effects.valves import DELAY, FILL, RATE, VENT
+from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
@@ -28,7 +31,7 @@ from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.ensemble import Member, make_ensemble
 from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
 from equimus_ctrl.tuning.search import Journal, Search, Trial
-from equimus_ctrl.tuning.stability import Margins, margins
+from equimus_ctrl.tuning.stability import Margins, least_margins, margins
 from equimus_ctrl.tuning.study import Study
 from equimus_ctrl.types import Array, Start
 
@@ -75,13 +78,23 @@ def unseen_problem(problem: Problem, study: Study) -> Problem:
 def study_key(study: Study, problem: Problem) -> str:
     """A fingerprint of everything an evaluation depends on; journals of another fingerprint are of no use."""
     kernel = getattr(problem.kernel(), "__name__", "")
-    text = json.dumps([asdict(study), model_to_dict(problem.model), versions(), kernel], sort_keys=True)
+    classes = {type(effect) for effect in problem.model.effects}
+    laws = sorted(_source(cls) for cls in classes if not cls.__module__.startswith("equimus_ctrl."))
+    text = json.dumps([asdict(study), model_to_dict(problem.model), versions(), kernel, laws], sort_keys=True)
     digest = hashlib.sha256(text.encode())
     for task in problem.tasks:
         digest.update(task.reference.tobytes() + task.noise.tobytes() + task.command_before.tobytes())
         start = None if task.position is None else task.position.tolist()
         digest.update(repr((task.name, task.weight, start, task.step_like, task.control_dt)).encode())
     return digest.hexdigest()
+
+
+def _source(cls: type) -> str:
+    """What a user's effect says; its name where that cannot be read."""
+    try:
+        return inspect.getsource(cls)
+    except (OSError, TypeError):
+        return cls.__qualname__
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +220,9 @@ def autotune(
     interrupted = False
     # Linear algebra keeps to one thread each: the cores are busy with candidates, and the bits stay the same on any
     # number of them.
-    with threadpool_limits(1), ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        search.evaluate = lambda batch: problem.evaluate([study.settings(v, channels) for v in batch], pool)
+    threads = workers or os.cpu_count() or 1
+    with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
+        search.evaluate = lambda batch: problem.evaluate([study.settings(v, channels) for v in batch], pool, threads)
         try:
             problem.warm_up()
             search.run()
@@ -226,9 +240,8 @@ def autotune(
         try:
             unseen = unseen_problem(problem, study)
             unseen.warm_up()
-            legs = _one_by_one(unseen)
-            on_unseen = [next(iter(one.evaluate([settings], pool))) for one in legs]
-            start_unseen = [next(iter(one.evaluate([start_settings], pool))) for one in legs]
+            on_unseen = _one_by_one(unseen, settings, pool, threads)
+            start_unseen = _one_by_one(unseen, start_settings, pool, threads)
             checks = [cross_check(problem, settings, k) for k in range(len(problem.tasks))]
         except KeyboardInterrupt:
             # The gains are found; what is missing is only how they do elsewhere.
@@ -281,16 +294,12 @@ def best_feasible(history: Sequence[Trial], verified: Callable[[Trial], bool] = 
     )
 
 
-def _one_by_one(problem: Problem) -> list[Problem]:
-    return [
-        replace(
-            problem,
-            members=[member],
-            _starts={(0, j): problem._starts[i, j] for j in range(len(problem.tasks))},
-            _legs={},
-        )
-        for i, member in enumerate(problem.members)
-    ]
+def _one_by_one(problem: Problem, settings: PidSettings, pool: ThreadPoolExecutor, workers: int) -> list[Evaluation]:
+    """What gains are worth on each leg of a problem alone."""
+    runs = [(settings, member) for member in range(len(problem.members))]
+    size = max(min(LANES, math.ceil(len(runs) / workers)), 1)
+    blocks = [runs[k : k + size] for k in range(0, len(runs), size)]
+    return [problem.judge([leg]) for legs in pool.map(problem.leg_outcomes, blocks) for leg in legs]
 
 
 def _margins_of(problem: Problem, settings: PidSettings, member: Member, pose: Array) -> list[Margins]:
@@ -299,35 +308,30 @@ def _margins_of(problem: Problem, settings: PidSettings, member: Member, pose: A
 
 
 def _least_margins(problem: Problem, settings: PidSettings) -> list[Margins]:
-    every = [_margins_of(problem, settings, member, pose) for member in problem.members for pose in problem.poses()]
-    least = []
-    for k, actuator in enumerate(problem.model.morphology.actuator_names):
-        own = [row[k] for row in every]
-        tightest = min(own, key=lambda m: m.delay)
-        least.append(
-            Margins(actuator, min(m.gain for m in own), min(m.phase for m in own), tightest.delay, tightest.crossover)
-        )
-    return least
+    return least_margins(
+        [_margins_of(problem, settings, member, pose) for member in problem.members for pose in problem.poses()]
+    )
 
 
-class _ShiftedNoise:
-    """A plant whose measurements carry a given noise, so that two engines can be compared sample by sample."""
+class _Watched:
+    """A plant whose measurements carry a given noise and whose true angles are kept, to compare two engines with."""
 
     def __init__(self, plant: MujocoPlant, noise: Array) -> None:
-        self._plant, self._noise, self._k = plant, noise, 0
+        self._plant, self._noise = plant, noise
         self.spec = plant.spec
         self.close = plant.close
+        self.position: list[Array] = []
 
     def reset(self, start: Start | None = None, seed: int | None = None) -> Any:
-        self._k = 0
+        self.position.clear()
         return self._noisy(self._plant.reset(start, seed))
 
     def step(self, command: Any) -> Any:
-        self._k += 1
         return self._noisy(self._plant.step(command))
 
     def _noisy(self, observation: Any) -> Any:
-        row = self._noise[min(self._k, len(self._noise) - 1)]
+        row = self._noise[min(len(self.position), len(self._noise) - 1)]
+        self.position.append(self._plant.position)
         return replace(observation, position=observation.position + row)
 
 
@@ -338,21 +342,26 @@ def cross_check(problem: Problem, settings: PidSettings, task: int) -> CrossChec
     for row, actuator in zip(leg.valve, model.morphology.actuator_names, strict=True):
         valves.append(TransportDelay(actuator, float(row[DELAY])))
         valves.append(AsymmetricLag(actuator, float(row[FILL]), float(row[VENT])))
+        if row[RATE] < math.inf:
+            valves.append(RateLimit(actuator, float(row[RATE])))
     rate = 1 / t.control_dt
-    plant = MujocoPlant(
-        Model(leg.morphology, tuple(valves), model.phase),
-        nominal=model.morphology,
-        rates=PlantRates(control=rate, sensor=rate, physics=rate * problem.steps),
+    plant = _Watched(
+        MujocoPlant(
+            Model(leg.morphology, (*valves, *leg.effects), model.phase),
+            nominal=model.morphology,
+            rates=PlantRates(control=rate, sensor=rate, physics=rate * problem.steps),
+        ),
+        t.noise,
     )
     times = np.asarray(np.arange(len(t.reference)) * t.control_dt, dtype=np.float64)
-    outcome = run(
-        _ShiftedNoise(plant, t.noise),
+    run(
+        plant,
         PidController(settings),
         SampledReference(times, t.reference),
         len(times) * t.control_dt,
         start=Start(command=t.command_before, position=t.position),
     )
-    true = outcome.position - t.noise
+    true = np.array(plant.position[: len(times)])
     compiled_q, _, _ = problem.simulate(settings, 0, task)
-    error = true - t.reference
+    error = true - problem.wanted(task)
     return CrossCheck(t.name, np.sqrt((error**2).mean(axis=0)), float(np.abs(true - compiled_q).max()))

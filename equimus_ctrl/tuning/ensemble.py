@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.effects.base import require_kinds
+from equimus_ctrl.effects.base import Effect, require_kinds
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.valves import ValveEffect, valve_settings
-from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.engines.batch import KNOWN_KINDS
+from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, pack
+from equimus_ctrl.models.morphology import Morphology, Phase, pack
 from equimus_ctrl.tuning.study import EnsembleSettings
 from equimus_ctrl.types import Array
 
@@ -25,16 +26,22 @@ class Member:
         morphology: its numbers.
         parameters: the same as a vector.
         valve: (na, 4), see ``effects.valves``.
+        effects: all others; what changes bodies stands in the morphology already.
     """
 
     name: str
     morphology: Morphology
     parameters: Array
     valve: Array
+    effects: tuple[Effect, ...] = ()
 
-    def rest(self, pressure: Array, phase: str) -> Array:
-        """(nj,) its equilibrium under constant pressures [rad]."""
-        return Kinematics(self.morphology, phase).equilibrium(pressure)  # type: ignore[arg-type]
+    def model(self, phase: Phase) -> Model:
+        """The leg with its effects, valves left out."""
+        return Model(self.morphology, self.effects, phase)
+
+    def rest(self, command: Array, phase: Phase) -> Array:
+        """(nj,) where it rests under constant commands [rad]."""
+        return rest_pose(self.model(phase), command)
 
 
 def latin_hypercube(count: int, dimensions: int, rng: np.random.Generator) -> Array:
@@ -67,9 +74,9 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
             keep stable: latest valves, most force, least stiffness, damping and mass.
 
     Raises:
-        ConfigError: where the model has effects that the tuning loop does not simulate.
+        ConfigError: where an effect is of no kind known here.
     """
-    require_kinds(model.effects, (ValveEffect, BodyEffect), f"{model.name}: the tuning loop")
+    require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the tuning loop")
     m = changed_bodies(model.effects, model.morphology)
     groups = _spread(model, settings)
     na = len(m.actuators)
@@ -83,6 +90,7 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     labels = ["model", "hardest"][: len(known)]
     own = valve_settings(model.effects, m.actuator_names)
     has_own = any(isinstance(effect, ValveEffect) for effect in model.effects)
+    others = tuple(effect for effect in model.effects if not isinstance(effect, (ValveEffect, BodyEffect)))
     nominal = m.parameters()
     members = []
     for k, row in enumerate(rows):
@@ -99,5 +107,5 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
             lag = settings.lag[0] + by_actuator[:, 1] * (settings.lag[1] - settings.lag[0])
             valve = np.stack([delay, lag, lag, np.full(na, np.inf)], axis=1)
         changed = m.with_parameters(values)
-        members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve))
+        members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve, others))
     return members

@@ -1,7 +1,8 @@
-"""The closed-loop kernel: the PID on a perturbed leg with valves and a sensor, as one compiled function.
+"""The closed-loop kernel: the PID on robots with all their effects, up to LANES of them side by side.
 
 It is ``simulate.run`` with a ``MujocoPlant`` and a ``PidController``, on the exact reduced model; a test holds the two
-together.
+together. As in the plant, pressures are held at their mean over a step, and what joint stops exert follows the state
+within it. What a lane does depends on no other.
 """
 
 from __future__ import annotations
@@ -10,111 +11,210 @@ import numpy as np
 from numba import njit
 
 from equimus_ctrl.controllers.pid_kernel import blend, pid_command, pid_start
-from equimus_ctrl.effects.command import advance_pressure
-from equimus_ctrl.engines.limits import MAX_SPEED
-from equimus_ctrl.engines.model_functions import (
-    N_ACTUATORS,
-    N_JOINTS,
-    actuator_areas,
-    actuator_tuple,
-    joint_tuple,
-    prepare,
-    rk4,
+from equimus_ctrl.effects.command import advance_pressure, shape_command
+from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, recall
+from equimus_ctrl.engines.lane_functions import (
+    LANES,
+    N_ROWS,
+    N_STATES,
+    ROW_GAPS,
+    ROW_PRESSED,
+    ROW_PRESSURE,
+    ROW_RATE,
+    ROW_START,
+    ROW_SUM,
+    ROW_X,
+    WORK_ROWS,
+    lane_motion,
+    lane_rest,
+    lane_stops,
+    prepare_lane,
 )
+from equimus_ctrl.engines.lane_kernel import NOTHING, copy_rows, correct_friction
+from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.model_functions import N_ACTUATORS, N_JOINTS
 from equimus_ctrl.types import Array
+
+N_STATE = 2 * N_JOINTS + N_STATES
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def start_lanes(parameters: Array, q0: Array, pressure: Array) -> Array:
+    """The work array of robots that have long been at rest; lanes without a robot of their own repeat the last.
+
+    Args:
+        parameters: (k, np) parameter vectors of structure and laws, k ≤ LANES.
+        q0: (k, nj) poses [rad].
+        pressure: (na,) [Pa].
+    """
+    w = np.zeros(WORK_ROWS * LANES)
+    for l in range(LANES):  # noqa: E741
+        own = min(l, len(parameters) - 1)
+        prepare_lane(parameters[own], w, l)
+        for j in range(N_JOINTS):
+            w[(ROW_X + j) * LANES + l] = q0[own, j]
+        for i in range(N_ACTUATORS):
+            w[(ROW_PRESSURE + i) * LANES + l] = pressure[i]
+    lane_rest(w)
+    return w
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def step_lanes(w: Array, dt: float, rubbing: Array) -> None:
+    """One Runge–Kutta step of all lanes under the pressures in the work array.
+
+    Args:
+        w: work array.
+        dt: [s].
+        rubbing: rows where any lane has dry friction.
+    """
+    copy_rows(w, ROW_X, ROW_START, N_STATE)
+    for i in range(N_STATE * LANES):
+        w[ROW_SUM * LANES + i] = 0.0
+    for stage in range(4):
+        lane_stops(w)
+        for i in range(2 * N_JOINTS * LANES):
+            w[ROW_PRESSED * LANES + i] = 1.0 if w[ROW_GAPS * LANES + i] > 0.0 else 0.0
+        copy_rows(w, ROW_X + N_JOINTS, ROW_RATE, N_JOINTS)
+        lane_motion(w)
+        weight = 1.0 if stage == 0 or stage == 3 else 2.0
+        h = 0.5 * dt if stage < 2 else dt
+        for i in range(N_STATE * LANES):
+            rate = w[ROW_RATE * LANES + i]
+            w[ROW_SUM * LANES + i] += weight * rate
+            w[ROW_X * LANES + i] = w[ROW_START * LANES + i] + h * rate
+    for i in range(N_STATE * LANES):
+        reached = w[ROW_START * LANES + i] + dt / 6.0 * w[ROW_SUM * LANES + i]
+        # Processors are many times slower with the denormal numbers that speeds at rest decay into.
+        w[ROW_X * LANES + i] = 0.0 if abs(reached) < NOTHING else reached
+    if N_ROWS > 0 and len(rubbing) > 0:
+        correct_friction(w, dt, rubbing)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run_loop(
-    plant: Array,
+    first: int,
+    last: int,
+    w: Array,
     nominal: Array,
     valve: Array,
+    sensor: Array,
+    shaping: Array,
     gains: Array,
     lengths: bool,
     feedforward: bool,
     start_time: float,
+    times: Array,
     reference: Array,
-    q0: Array,
-    v0: Array,
-    before: Array,
+    noise: Array,
+    command_before: Array,
+    reached_before: Array,
     low: Array,
     high: Array,
     control_dt: float,
     steps: int,
-    noise: Array,
+    rubbing: Array,
+    pressure: Array,
+    cursor: Array,
+    memory: Array,
+    offset: Array,
+    past: Array,
+    held: Array,
     out_q: Array,
     out_command: Array,
-) -> int:
-    """Track ``reference`` from rest.
+    reaches: Array,
+    sound: Array,
+) -> None:
+    """Take k robots from control instant ``first`` to just before ``last``, the motion after each instant left out.
+
+    Called with 0 and n + 1 it tracks the whole reference from rest. Called one instant at a time, it lets the caller
+    say in between what of the newest command reaches the valves.
 
     Args:
-        plant: parameter vector of the leg that is simulated.
-        nominal: parameter vector of the leg the controller computes with.
-        valve: (na, 4), see ``effects.command.advance_pressure``.
-        gains: (7, nz), see ``pid_start``.
+        first: control instant to begin with.
+        last: where to stop, at most n + 1; instant n only ends the motion.
+        w: work array, see ``start_lanes``.
+        nominal: constants of the robot that the controller computes with, see ``compiled.prepared``.
+        valve: (k, na, 4), see ``effects.command.advance_pressure``.
+        sensor: (k, nj, 4), see ``effects.sensors``.
+        shaping: (m, 3), see ``effects.command.shape_command``.
+        gains: (k, 7, nz), see ``pid_start``.
         lengths: whether channels are actuator lengths, else joint angles.
         feedforward: whether the controller adds the static pressures.
         start_time: of the bumpless blend [s].
-        reference: (n, nj) at each control instant [rad].
-        q0: (nj,) pose at the start [rad].
-        v0: (nj,) joint velocities there [rad/s].
-        before: (na,) command in force before the start [Pa].
+        times: (n,) control instants [s].
+        reference: (n, nj) at each of them [rad].
+        noise: (n, nj) added to each measurement [rad].
+        command_before: (na,) in force before the start [Pa].
+        reached_before: (na,) what of it reached the valves [Pa].
         low: (na,) lowest command [Pa].
         high: (na,) highest command [Pa].
         control_dt: control period, also the sensor's [s].
         steps: physics steps in each control period.
-        noise: (n, nj) added to each measurement [rad].
-        out_q: (n, nj) written: true angles at each control instant [rad].
-        out_command: (n, na) written: command from each control instant on [Pa].
-
-    Returns:
-        n where all is well, else the control step in which the simulation diverged.
+        rubbing: rows where any robot has dry friction.
+        pressure: (k, na) kept: behind the valves [Pa].
+        cursor: (k, na) kept: see ``effects.command.advance_pressure``.
+        memory: (k, 3, nz) kept: the controllers' state.
+        offset: (k, nj) kept: first measured pose minus first reference [rad].
+        past: (k, nj, b, 2) kept: see ``effects.sensors.recall``; b = 1 where no sensor remembers.
+        held: (k, nj) kept: what sensors with play show [rad].
+        out_q: (k, n, nj) written: true angles at each control instant [rad].
+        out_command: (k, n, na) written: command from each control instant on [Pa].
+        reaches: (k, na, n) written: what of it reaches the valves [Pa].
+        sound: (k,) kept: n where all is well, else the control step in which the simulation diverged.
     """
-    n = len(reference)
-    c = prepare(plant)
-    c_nominal = prepare(nominal)
-    area = actuator_areas(c)
+    k, n, back = len(valve), len(times), past.shape[2]
     dt = control_dt / steps
-    still = np.empty(N_JOINTS)
-    for j in range(N_JOINTS):
-        still[j] = 0.0
-    q = joint_tuple(q0)
-    v = joint_tuple(v0)
-    tau = joint_tuple(still)
-    pressure = np.empty(N_ACTUATORS)
-    force = np.empty(N_ACTUATORS)
-    cursor = np.empty(N_ACTUATORS, dtype=np.int64)
-    for i in range(N_ACTUATORS):
-        pressure[i] = before[i]
-        cursor[i] = -1
-    times = np.empty(n)
-    state = np.empty((3, gains.shape[1]))
-    y = np.empty(N_JOINTS)
-    r = np.empty(N_JOINTS)
-    offset = np.empty(N_JOINTS)
-    for k in range(n):
-        now = k * control_dt
-        for j in range(N_JOINTS):
-            out_q[k, j] = q[j]
-            y[j] = q[j] + noise[k, j]
-        if k == 0:
-            pid_start(y, before, gains, lengths, feedforward, c_nominal, state)
+    y, r = np.empty(N_JOINTS), np.empty(N_JOINTS)
+    arriving = np.empty(N_ACTUATORS)
+    for now in range(first, last):
+        for s in range(steps if now > 0 else 0):
+            at = times[now - 1] + s * dt
+            for l in range(k):  # noqa: E741
+                for i in range(N_ACTUATORS):
+                    pressure[l, i], mean, _, cursor[l, i] = advance_pressure(
+                        times[:now], reaches[l, i, :now], reached_before[i], cursor[l, i], at, dt, pressure[l, i],
+                        valve[l, i],
+                    )  # fmt: skip
+                    w[(ROW_PRESSURE + i) * LANES + l] = mean
+            step_lanes(w, dt, rubbing)
+            newest = (now - 1) * steps + s + 1
+            for l in range(k):  # noqa: E741
+                for j in range(N_JOINTS):
+                    q, v = w[(ROW_X + j) * LANES + l], w[(ROW_X + N_JOINTS + j) * LANES + l]
+                    if not abs(v) < MAX_SPEED:
+                        sound[l] = min(sound[l], now - 1)
+                    if back > 1:
+                        past[l, j, newest % back, 0], past[l, j, newest % back, 1] = q, v
+                        seen = recall(past[l, j], newest, sensor[l, j, LATE] / dt, dt)
+                        held[l, j] = follow(held[l, j], seen, sensor[l, j, PLAY])
+        if now == n:
+            break
+        weight = blend(times[now], start_time)
+        running = 0
+        for l in range(k):  # noqa: E741
+            if sound[l] < n:
+                continue
+            running += 1
             for j in range(N_JOINTS):
-                offset[j] = y[j] - reference[0, j]
-        weight = blend(now, start_time)
-        for j in range(N_JOINTS):
-            r[j] = reference[k, j] + weight * offset[j]
-        pid_command(r, y, gains, lengths, feedforward, low, high, control_dt, c_nominal, state, out_command[k])
-        times[k] = now
-        for s in range(steps):
-            t = now + s * dt
+                q = w[(ROW_X + j) * LANES + l]
+                out_q[l, now, j] = q
+                if sensor[l, j, PLAY] > 0.0:
+                    q = held[l, j]
+                elif sensor[l, j, LATE] > 0.0:
+                    q = recall(past[l, j], now * steps, sensor[l, j, LATE] / dt, dt)
+                y[j] = sensor[l, j, OFFSET] + sensor[l, j, SCALE] * q + noise[now, j]
+            if now == 0:
+                pid_start(y, command_before, gains[l], lengths, feedforward, nominal, memory[l])
+                for j in range(N_JOINTS):
+                    offset[l, j] = y[j] - reference[0, j]
+            for j in range(N_JOINTS):
+                r[j] = reference[now, j] + weight * offset[l, j]
+            pid_command(
+                r, y, gains[l], lengths, feedforward, low, high, control_dt, nominal, memory[l], out_command[l, now]
+            )
+            shape_command(shaping, out_command[l, now], arriving)
             for i in range(N_ACTUATORS):
-                pressure[i], mean, _, cursor[i] = advance_pressure(
-                    times[: k + 1], out_command[: k + 1, i], before[i], cursor[i], t, dt, pressure[i], valve[i]
-                )
-                force[i] = area[i] * mean
-            q, v = rk4(q, v, actuator_tuple(force), tau, dt, c)
-            for j in range(N_JOINTS):
-                if not abs(v[j]) < MAX_SPEED:
-                    return k
-    return n
+                reaches[l, i, now] = arriving[i]
+        if running == 0:
+            break

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -13,13 +15,14 @@ import numpy as np
 from equimus_ctrl.controllers import precompile
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import KD
-from equimus_ctrl.engines import compiled
+from equimus_ctrl.effects.sensors import OFFSET, SCALE, sensor_settings
+from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import pack
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.tuning import loop_kernel
+from equimus_ctrl.tuning import closed_loop
+from equimus_ctrl.tuning.closed_loop import Loop, Tracked, track
 from equimus_ctrl.tuning.ensemble import Member
-from equimus_ctrl.tuning.stability import SampledLeg, largest_modulus, linear_leg, sample
+from equimus_ctrl.tuning.stability import SampledLeg, largest_modulus, linear_legs, sample
 from equimus_ctrl.tuning.study import Limits, Weights
 from equimus_ctrl.types import Array
 
@@ -189,7 +192,7 @@ class Problem:
         """Compile, or load, the kernel and find every leg's rest pose."""
         other = precompile.start(self.model)
         try:
-            compiled.compile_motion(self.model.morphology, self.model.phase)
+            closed_loop.compile_motion(self.model.morphology, self.model.phase, self.model.effects)
         finally:
             precompile.finish(other)
         for i, member in enumerate(self.members):
@@ -208,24 +211,28 @@ class Problem:
             ]
         return found
 
-    def moduli(self, settings: PidSettings, member: int, along: int = 1) -> tuple[float, float]:
+    def moduli(self, settings: PidSettings, member: int, along: int = 1, raised: bool = True) -> tuple[float, float]:
         """The largest eigenvalue of a leg's linearised sampled loops: as they are, and with all gains raised.
 
-        While searching (``along`` = 1) the second is computed on the first two legs only, the model and the one that
-        is hardest to keep stable, and is 0 on the others; ``verified`` looks at all of them.
+        Args:
+            settings: the gains.
+            member: whose loops.
+            along: poses of each moving reference.
+            raised: whether the second is wanted; it is 0 otherwise.
         """
         m, phase, dt = self.model.morphology, self.model.phase, self.tasks[0].control_dt
         key = (settings.space, member, along)
         if key not in self._legs:
             self._legs[key] = [
-                sample(linear_leg(self.members[member], m, pose, settings.space, phase), dt)
+                sample(leg, dt)
                 for pose in self.poses(along)
+                for leg in linear_legs(self.members[member], m, pose, settings.space, phase)
             ]
         gains = settings.gain_matrix(settings.channels(m))
         modulus = largest_modulus(self._legs[key], gains)
         if modulus >= 1:
             return modulus, math.nan
-        if along == 1 and member > 1:
+        if not raised:
             return modulus, 0.0
         gains[: KD + 1] *= self.limits.gain_margin
         return modulus, largest_modulus(self._legs[key], gains)
@@ -241,49 +248,48 @@ class Problem:
 
     def kernel(self) -> Any:
         """The compiled closed loop."""
-        return compiled.load(self.model.morphology, self.model.phase, loop_kernel)
+        return closed_loop.kernel_of(self.model.morphology, self.model.phase, self.model.effects)
+
+    def simulate_all(self, runs: Sequence[tuple[PidSettings, int]], task: int) -> list[Tracked]:
+        """Closed-loop runs of one scenario on the reduced engine, side by side.
+
+        Args:
+            runs: settings and leg of each.
+            task: the scenario.
+        """
+        if any((member, task) not in self._starts for _, member in runs):
+            self.warm_up()
+        loops = [Loop(settings, self.members[i], np.array(self._starts[i, task])) for settings, i in runs]
+        return track(self.model.morphology, self.model.phase, self.tasks[task], loops, self.steps)
 
     def simulate(self, settings: PidSettings, member: int, task: int) -> tuple[Array, Array, int]:
         """(angles (n, nj), commands (n, na), steps that went well) of one closed-loop run on the reduced engine."""
-        m, t, leg = self.model.morphology, self.tasks[task], self.members[member]
-        n, nj = t.reference.shape
-        na = len(m.actuators)
-        if (member, task) not in self._starts:
-            self.warm_up()
-        q, u = np.empty((n, nj)), np.empty((n, na))
-        done = self.kernel().run_loop(
-            leg.parameters,
-            pack(m),
-            leg.valve,
-            settings.gain_matrix(settings.channels(m)),
-            settings.space == "length",
-            settings.feedforward,
-            settings.start_time,
-            t.reference,
-            np.array(self._starts[member, task]),
-            np.zeros(nj),
-            t.command_before,
-            np.full(na, m.command_low),
-            np.full(na, m.command_high),
-            t.control_dt,
-            self.steps,
-            t.noise,
-            q,
-            u,
-        )
-        return q, u, int(done)
+        (run,) = self.simulate_all([(settings, member)], task)
+        return run.position, run.command, run.sound
+
+    def outcomes(self, runs: Sequence[tuple[PidSettings, int]], task: int) -> list[Outcome]:
+        """Judge runs of one scenario, see ``simulate_all``."""
+        return [self._judged(run, task) for run in self.simulate_all(runs, task)]
 
     def outcome(self, settings: PidSettings, member: int, task: int) -> Outcome:
         """Judge one run."""
-        q, u, done = self.simulate(settings, member, task)
+        return self.outcomes([(settings, member)], task)[0]
+
+    def wanted(self, task: int) -> Array:
+        """(n, nj) the true angles that the sensors show as the reference [rad]: no gains undo a sensor's error."""
+        sensor = sensor_settings(self.model.effects, self.model.morphology.joint_names)
+        return np.asarray((self.tasks[task].reference - sensor[:, OFFSET]) / sensor[:, SCALE])
+
+    def _judged(self, run: Tracked, task: int) -> Outcome:
+        q, u, wanted = run.position, run.command, self.wanted(task)
         t, m = self.tasks[task], self.model.morphology
-        if done < len(q):
+        if run.sound < len(q):
             return Outcome(np.full(len(TERMS), math.inf), 1.0, math.inf, True)
         span = m.command_high - m.command_low
-        error = q - t.reference
+        error = q - wanted
         overshoot, settling, offset, restless = 0.0, 0.0, 0.0, 0.0
         if t.step_like:
-            step = t.reference[-1] - q[0]
+            step = wanted[-1] - q[0]
             size = np.maximum(np.abs(step), BAND)
             # A joint that is to stay about where it is overshoots in either direction.
             beyond = np.where(np.abs(step) > BAND, error * np.sign(step), np.abs(error))
@@ -306,12 +312,25 @@ class Problem:
         saturation = float(((u <= m.command_low) | (u >= m.command_high)).mean())
         return Outcome(terms, saturation, restless, False)
 
+    def leg_outcomes(self, runs: Sequence[tuple[PidSettings, int]], raised: bool = True) -> list[LegOutcome]:
+        """Judge legs: every scenario, and the linearised loop where the runs went well.
+
+        Args:
+            runs: settings and leg of each.
+            raised: whether the gain margin counts on every leg; else, as while searching, on the first two only: the
+                model, and the one that is hardest to keep stable. ``verified`` looks at all of them.
+        """
+        found = []
+        by_task = [self.outcomes(runs, task) for task in range(len(self.tasks))]
+        for (settings, member), *own in zip(runs, *by_task, strict=True):
+            calm = not any(run.diverged or run.restless > BAND for run in own)
+            moduli = self.moduli(settings, member, raised=raised or member <= 1) if calm else (math.nan, math.nan)
+            found.append(LegOutcome(own, *moduli))
+        return found
+
     def leg_outcome(self, settings: PidSettings, member: int) -> LegOutcome:
-        """Judge one leg: every scenario, and the linearised loop where the runs went well."""
-        runs = [self.outcome(settings, member, task) for task in range(len(self.tasks))]
-        calm = not any(run.diverged or run.restless > BAND for run in runs)
-        modulus, raised = self.moduli(settings, member) if calm else (math.nan, math.nan)
-        return LegOutcome(runs, modulus, raised)
+        """Judge one leg as while searching."""
+        return self.leg_outcomes([(settings, member)], raised=False)[0]
 
     def judge(self, legs: Sequence[LegOutcome]) -> Evaluation:
         """The cost of what happened on every leg.
@@ -359,22 +378,41 @@ class Problem:
             feasible,
         )
 
-    def evaluate(self, candidates: Sequence[PidSettings], pool: ThreadPoolExecutor) -> Iterator[Evaluation]:
-        """Judge candidates in their order, every leg of every candidate being a job of its own.
+    def evaluate(
+        self, candidates: Sequence[PidSettings], pool: ThreadPoolExecutor, workers: int | None = None
+    ) -> Iterator[Evaluation]:
+        """Judge candidates in their order, legs of several candidates running side by side.
 
         Candidates that fail on the leg that is hardest to keep stable are not tried on the others.
+
+        Args:
+            candidates: sets of gains.
+            pool: where the work is done.
+            workers: its threads; as many as there are cores by default. The result does not depend on it.
         """
-        n = len(self.members)
-        hardest = min(1, n - 1)
-        rest = [i for i in range(n) if i != hardest]
-        jobs = [{hardest: pool.submit(self.leg_outcome, settings, hardest)} for settings in candidates]
+        hardest = min(1, len(self.members) - 1)
+        rest = [i for i in range(len(self.members)) if i != hardest]
+        jobs: list[Future[list[LegOutcome]]] = []
+
+        def submit(runs: Sequence[tuple[PidSettings, int]]) -> list[Future[list[LegOutcome]]]:
+            # Few runs are shared out over all threads rather than put side by side.
+            size = max(min(LANES, math.ceil(len(runs) / (workers or os.cpu_count() or 1))), 1)
+            own = [pool.submit(self.leg_outcomes, runs[k : k + size], False) for k in range(0, len(runs), size)]
+            jobs.extend(own)
+            return own
+
         try:
-            for settings, job in zip(candidates, jobs, strict=True):
-                if job[hardest].result().calm:
-                    job.update({i: pool.submit(self.leg_outcome, settings, i) for i in rest})
-            for job in jobs:
-                yield self.judge([job[i].result() for i in sorted(job)])
+            begun, left = [], iter(candidates)
+            for job in submit([(settings, hardest) for settings in candidates]):
+                first = job.result()
+                calm = [settings for leg, settings in zip(first, left, strict=False) if leg.calm]
+                begun.append((first, submit([(settings, i) for settings in calm for i in rest])))
+            for first, later in begun:
+                others = chain.from_iterable(job.result() for job in later)
+                for leg in first:
+                    legs = list(islice(others, len(rest))) if leg.calm else []
+                    legs.insert(hardest, leg)
+                    yield self.judge(legs)
         finally:
             for job in jobs:
-                for future in job.values():
-                    future.cancel()
+                job.cancel()

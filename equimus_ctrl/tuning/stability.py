@@ -12,19 +12,28 @@ from scipy.linalg import expm
 
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP
-from equimus_ctrl.effects.valves import DELAY, FILL, VENT
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.sensors import LATE, OFFSET, SCALE, hermite, sensor_settings
+from equimus_ctrl.effects.valves import DELAY, FILL, VENT, ShapingEffect, shaped_commands
+from equimus_ctrl.engines.rest import pushes_at_rest
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.linear import state_matrices
-from equimus_ctrl.models.morphology import Morphology
-from equimus_ctrl.tuning.ensemble import Member
+from equimus_ctrl.models.morphology import Morphology, Phase
+from equimus_ctrl.tuning.ensemble import Member, latin_hypercube
 from equimus_ctrl.types import Array
+
+SLOPES = 64
+"""At how many commands the steepest slope of what shaping leaves of them is looked for."""
+TRIES = 50
+"""How often a command is corrected by what shaping takes from it."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearLeg:
-    """A leg about a pose, with its valves: d/dt x = A x + B u(t − delay), z = C x in channel coordinates.
+    """A leg about a pose, with its valves: d/dt x = A x + B S u(t − delay), z = C x in channel coordinates.
 
-    A valve of two time constants is taken at their mean.
+    A valve of two time constants is taken at their mean. What C and the pose gain see of the joint angles is ``late``.
 
     Attributes:
         a: (n, n) of joint angles, velocities and lagged pressures.
@@ -34,6 +43,8 @@ class LinearLeg:
         effort_map: (na, nz) pressures per channel effort, as the controller's nominal model has it.
         pose_gain: (na, n) pressures per change of pose that come from the map turning with the pose while an effort
             stands: none for lengths, and none where the nominal model is the leg's own.
+        shaping: (na, na) S, what reaches the valves per command; all of it where it is None.
+        late: (nj,) age of each measured joint angle [s]; none where it is None.
     """
 
     a: Array
@@ -42,13 +53,44 @@ class LinearLeg:
     delay: Array
     effort_map: Array
     pose_gain: Array
+    shaping: Array | None = None
+    late: Array | None = None
 
 
-def linear_leg(member: Member, nominal: Morphology, pose: Array, space: str, phase: str) -> LinearLeg:
-    """Linearise a member of an ensemble about a pose it holds with its own static pressures."""
-    own = Kinematics(member.morphology, phase)  # type: ignore[arg-type]
-    known = Kinematics(nominal, phase)  # type: ignore[arg-type]
-    a, b = state_matrices(member.morphology, pose, own.static_pressure(pose), own.phase)
+def linear_legs(member: Member, nominal: Morphology, pose: Array, space: str, phase: Phase) -> tuple[LinearLeg, ...]:
+    """A member of an ensemble about a pose; twice where effects have states of their own: for quick and slow motion."""
+    two = any(isinstance(effect, ForceEffect) and effect.n_states for effect in member.effects)
+    return tuple(
+        linear_leg(member, nominal, pose, space, phase, quick) for quick in ((True, False) if two else (True,))
+    )
+
+
+def linear_leg(
+    member: Member, nominal: Morphology, pose: Array, space: str, phase: Phase, quick: bool = True
+) -> LinearLeg:
+    """Linearise a member of an ensemble about a pose it holds with its own static pressures.
+
+    What is not linear counts as far as it can be: effects that push by their slopes, commands by the steepest slope
+    that shaping leaves of them. Dry friction, rate limits and play are left to simulation.
+
+    Args:
+        member: the leg.
+        nominal: what the controller computes with.
+        pose: (nj,) that the controller sees [rad].
+        space: of the channels.
+        phase: base fixed or foot pinned.
+        quick: see ``models.linear.state_matrices``.
+    """
+    own, known = Kinematics(member.morphology, phase), Kinematics(nominal, phase)
+    sensor = sensor_settings(member.effects, nominal.joint_names)
+    true = (pose - sensor[:, OFFSET]) / sensor[:, SCALE]
+    held = own.static_pressure(true)
+    pushed = pushes_at_rest(member.model(phase))
+    if pushed is not None:
+        torque, force = pushed(true)
+        moment = own.jacobian(true).T
+        held = held - np.linalg.pinv(moment * [x.area for x in member.morphology.actuators]) @ (torque + moment @ force)
+    a, b = state_matrices(member.morphology, true, held, phase, member.effects, quick)
     n, na = b.shape
     jacobian = known.jacobian(pose)
     area = np.array([x.area for x in nominal.actuators])
@@ -61,10 +103,11 @@ def linear_leg(member: Member, nominal: Morphology, pose: Array, space: str, pha
     effort_map = np.diag(1 / area) if space == "length" else pressures_of(pose)
     turning = np.zeros((na, nj))
     if space == "joint":
-        standing = (jacobian.T * area) @ (own.static_pressure(pose) - known.static_pressure(pose))
+        asked = _command_for(held, member.effects, nominal)
+        standing = (jacobian.T * area) @ (asked - known.static_pressure(pose))
         for j, step in enumerate(1e-6 * np.eye(nj)):
             turning[:, j] = (pressures_of(pose + step) - pressures_of(pose - step)) @ standing / 2e-6
-    c = np.hstack([channel, np.zeros_like(channel)])
+    c = np.hstack([channel * sensor[:, SCALE], np.zeros_like(channel)])
     lag = (member.valve[:, FILL] + member.valve[:, VENT]) / 2
     slow = np.flatnonzero(lag > 0)
     # Pressures behind a lag become states; the others act at once.
@@ -78,9 +121,43 @@ def linear_leg(member: Member, nominal: Morphology, pose: Array, space: str, pha
         full_a[n + k, n + k] = -1 / lag[i]
         full_b[n + k, i] = 1 / lag[i]
     pose_gain = np.zeros((na, len(full_a)))
-    pose_gain[:, :nj] = turning
+    pose_gain[:, :nj] = turning * sensor[:, SCALE]
     full_c = np.hstack([c, np.zeros((c.shape[0], len(slow)))])
-    return LinearLeg(full_a, full_b, full_c, member.valve[:, DELAY], effort_map, pose_gain)
+    return LinearLeg(
+        full_a,
+        full_b,
+        full_c,
+        member.valve[:, DELAY],
+        effort_map,
+        pose_gain,
+        _steepest(member.effects, nominal),
+        sensor[:, LATE] if np.any(sensor[:, LATE] > 0) else None,
+    )
+
+
+def _command_for(pressure: Array, effects: Sequence[Effect], robot: Morphology) -> Array:
+    """(na,) the command within the range of which shaping leaves a pressure, or comes near to it [Pa]."""
+    if not any(isinstance(effect, ShapingEffect) for effect in effects):
+        return pressure
+    command = pressure
+    for _ in range(TRIES):
+        missing = pressure - shaped_commands(effects, robot.actuator_names, command[None])[0]
+        command = np.clip(command + missing, robot.command_low, robot.command_high)
+    return command
+
+
+def _steepest(effects: Sequence[Effect], robot: Morphology) -> Array | None:
+    """(na, na) the largest slope anywhere in the command range of what reaches each valve by each command."""
+    if not any(isinstance(effect, ShapingEffect) for effect in effects):
+        return None
+    na, span = len(robot.actuators), robot.command_high - robot.command_low
+    tried = robot.command_low + span * latin_hypercube(SLOPES, na, np.random.default_rng(0))
+    found = np.zeros((na, na))
+    for j, step in enumerate(1e-6 * span * np.eye(na)):
+        up, down = (shaped_commands(effects, robot.actuator_names, tried + s * step) for s in (1, -1))
+        slopes = (up - down) / (2 * step[j])
+        found[:, j] = slopes[np.abs(slopes).argmax(axis=0), np.arange(na)]
+    return found
 
 
 def _held(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
@@ -137,17 +214,21 @@ def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
     n, na = leg.b.shape
     nz = leg.c.shape[0]
     depth = max(sampled.whole) + 1
-    # State: x, the last `depth` commands (newest first), integral, derivative, minus the previous measurement.
-    size = n + depth * na + 3 * nz
-    i_int, i_der, i_pre = (n + depth * na + k * nz for k in range(3))
-    z_row = np.zeros((nz, size))
-    z_row[:, :n] = leg.c
+    late = np.zeros(0) if leg.late is None else leg.late
+    kept = math.ceil(late.max(initial=0.0) / dt)
+    # State: x, the last `depth` commands (newest first), angles and velocities at the last `kept` instants where a
+    # sensor is late, integral, derivative, minus the previous measurement.
+    i_past = n + depth * na
+    size = i_past + kept * 2 * len(late) + 3 * nz
+    i_int, i_der, i_pre = (size - (3 - k) * nz for k in range(3))
     eye = np.eye(size)
+    seen = _seen(late / dt, dt, eye, n, i_past)
+    z_row = leg.c @ seen
     alpha = (dt / (gains[FILTER] + dt))[:, None]
     derivative = (1 - alpha) * eye[i_der : i_der + nz] + alpha * (-z_row - eye[i_pre : i_pre + nz]) / dt
     effort = -gains[KP][:, None] * z_row + eye[i_int : i_int + nz] + gains[KD][:, None] * derivative
-    command = leg.effort_map @ effort  # (na, size)
-    command[:, :n] += leg.pose_gain
+    command = leg.effort_map @ effort + leg.pose_gain @ seen  # (na, size)
+    command = command if leg.shaping is None else leg.shaping @ command
     out = np.zeros((size, size))
     out[:n, :n] = sampled.phi
     history = [command] + [eye[n + k * na : n + (k + 1) * na] for k in range(depth)]
@@ -155,10 +236,31 @@ def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
         out[:n] += sampled.newer[:, [i]] @ history[whole][[i]] + sampled.older[:, [i]] @ history[whole + 1][[i]]
     out[n : n + na] = command
     out[n + na : n + depth * na] = eye[n : n + (depth - 1) * na]
+    remembered = [*range(2 * len(late)), *range(i_past, i_int)][: i_int - i_past]
+    out[i_past:i_int] = eye[remembered]
     out[i_int : i_int + nz] = eye[i_int : i_int + nz] - dt * gains[KI][:, None] * z_row
     out[i_der : i_der + nz] = derivative
     out[i_pre : i_pre + nz] = -z_row
     return out
+
+
+def _seen(periods: Array, dt: float, eye: Array, n: int, first: int) -> Array:
+    """(n, size) rows of x as its sensors show it: angles that are late lie on the cubic between two instants.
+
+    Args:
+        periods: (nj,) how late each is, in control periods.
+        dt: control period [s].
+        eye: (size, size) rows of the loop's state.
+        n: size of x.
+        first: where angles and velocities of the last instants begin in the loop's state, newest first.
+    """
+    seen, nj = eye[:n].copy(), len(periods)
+    for j in np.flatnonzero(periods):
+        older = math.ceil(periods[j])
+        ends = [at if k == 0 else first + (k - 1) * 2 * nj + at for k in (older, older - 1) for at in (j, nj + j)]
+        weights = np.array([hermite(q0, v0, q1, v1, dt, older - periods[j]) for q0, v0, q1, v1 in np.eye(4)])
+        seen[j] = weights @ eye[ends]
+    return seen
 
 
 def largest_modulus(legs: Sequence[SampledLeg], gains: Array) -> float:
@@ -201,7 +303,10 @@ def loop_response(leg: LinearLeg, gains: Array, dt: float, omega: Array) -> Arra
     z = np.exp(s * dt)
     hold = (1 - 1 / z) / (s * dt)
     inputs = leg.b * np.exp(-s * leg.delay) * hold  # (n_omega, n, na)
+    inputs = inputs if leg.shaping is None else inputs @ leg.shaping
     states = np.linalg.solve(s * np.eye(len(leg.a)) - leg.a, inputs)  # (n_omega, n, na)
+    if leg.late is not None:
+        states[:, : len(leg.late)] *= np.exp(-s * leg.late[:, None])
     plant = leg.c @ states  # (n_omega, nz, na)
     alpha = (dt / (gains[FILTER] + dt))[:, None]
     derivative = alpha * (1 - 1 / z) / dt / (1 - (1 - alpha) / z)
@@ -210,21 +315,35 @@ def loop_response(leg: LinearLeg, gains: Array, dt: float, omega: Array) -> Arra
 
 
 def margins(
-    settings: PidSettings, member: Member, nominal: Morphology, pose: Array, dt: float, phase: str
+    settings: PidSettings, member: Member, nominal: Morphology, pose: Array, dt: float, phase: Phase
 ) -> list[Margins]:
     """Gain, phase and delay margin of each actuator's loop with the others closed (python-control).
 
     Only the feedback counts: the static feed-forward depends on the reference, not on what is measured.
     """
+    gains = settings.gain_matrix(settings.channels(nominal))
+    legs = linear_legs(member, nominal, pose, settings.space, phase)
+    return least_margins([_margins(leg, gains, nominal.actuator_names, dt) for leg in legs])
+
+
+def least_margins(found: Sequence[Sequence[Margins]]) -> list[Margins]:
+    """The least of several loops' margins, actuator by actuator; the crossover is of the loop with the least delay."""
+    least = []
+    for own in zip(*found, strict=True):
+        tightest = min(own, key=lambda m: m.delay)
+        gain, phase = min(m.gain for m in own), min(m.phase for m in own)
+        least.append(Margins(tightest.actuator, gain, phase, tightest.delay, tightest.crossover))
+    return least
+
+
+def _margins(leg: LinearLeg, gains: Array, actuators: Sequence[str], dt: float) -> list[Margins]:
     import control  # takes a second, and only this function needs it
 
-    gains = settings.gain_matrix(settings.channels(nominal))
-    leg = linear_leg(member, nominal, pose, settings.space, phase)
     omega = np.geomspace(1e-2, math.pi / dt * 0.999, 800)
     loop = loop_response(leg, gains, dt, omega)
     found = []
     na = loop.shape[1]
-    for i, actuator in enumerate(nominal.actuator_names):
+    for i, actuator in enumerate(actuators):
         others = [j for j in range(na) if j != i]
         broken = loop[:, i, i].copy()
         if others:

@@ -1,6 +1,7 @@
 """What the commands do, as functions of a library: load a model, run a scenario, score, tune, identify."""
 
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged
+from equimus_ctrl.workflow.diagnose import diagnose_recordings
 from equimus_ctrl.workflow.identify import (
     identify_files,
     identify_poses,
@@ -9,6 +10,7 @@ from equimus_ctrl.workflow.identify import (
     simulator_of,
 )
 from equimus_ctrl.workflow.plugins import load_effects
+from equimus_ctrl.workflow.prove import Proof, put_to_proof
 from equimus_ctrl.workflow.runs import (
     RecordingsScore,
     ScenarioRun,
@@ -19,6 +21,7 @@ from equimus_ctrl.workflow.runs import (
     load_model,
     load_scenario,
     recordings_of,
+    renamed,
     run_scenario,
     save_model,
     score_recordings,
@@ -30,10 +33,12 @@ __all__ = [
     "Identified",
     "IdentifiedPoses",
     "Judged",
+    "Proof",
     "RecordingsScore",
     "ScenarioRun",
     "TrialScore",
     "TunedPid",
+    "diagnose_recordings",
     "gather",
     "identify_files",
     "identify_poses",
@@ -42,7 +47,9 @@ __all__ = [
     "load_effects",
     "load_model",
     "load_scenario",
+    "put_to_proof",
     "recordings_of",
+    "renamed",
     "run_scenario",
     "save_model",
     "score_recordings",

@@ -14,7 +14,7 @@ import numpy as np
 
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
-from equimus_ctrl.engines.predict import Engine, check_columns
+from equimus_ctrl.engines.predict import Engine, behind_sensors, check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.crosscheck import cross_check
 from equimus_ctrl.identification.fit import FitSettings, Simulator, fit, reduced_simulator, residuals_of
@@ -57,7 +57,8 @@ def simulator_of(engine: str, dt: float | None = None, threads: int | None = Non
 
     def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> Any:
         trials = [s.trial for s in segments]
-        return simulate_mujoco(models, trials, starts=starts, settings=settings, threads=threads)
+        true = [behind_sensors(models, rows) for rows in starts]
+        return simulate_mujoco(models, trials, starts=true, settings=settings, threads=threads)
 
     return run
 

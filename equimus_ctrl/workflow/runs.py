@@ -41,6 +41,11 @@ def load_model(path: Path | str | None = None) -> Model:
     return model_from_dict(presets.read_toml(Path(path)), str(path))
 
 
+def renamed(model: Model, name: str) -> Model:
+    """The model under another name, such as its file's, so that a table shows which one it is of."""
+    return replace(model, morphology=replace(model.morphology, name=name))
+
+
 def save_model(path: Path | str, model: Model) -> None:
     """Write a model file, whole or not at all."""
     presets.write_text(Path(path), presets.toml_text(model_to_dict(model)))

@@ -1,0 +1,142 @@
+"""``equimus-ctrl prove``: the diagnosis on concealed realities, whose truths are sealed before it begins."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equimus_ctrl.cli.common import Json, people, print_json, shown_path
+from equimus_ctrl.errors import ConfigError, unknown_name
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from equimus_ctrl.workflow.prove import Proof
+
+MOST_ROWS = 60
+"""Of a table in a terminal; files have all."""
+KINDS = ("none", "single", "pair", "outside")
+
+
+def prove(
+    cases: Annotated[int, typer.Option(help="How many realities.")] = 100,
+    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    kind: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="none, single, pair or outside for all; by default a mixture is drawn."),
+    ] = None,
+    trials: Annotated[int, typer.Option(help="Recorded of each reality.")] = 8,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Of each trial.")] = 12.0,
+    workers: Annotated[int | None, typer.Option(help="Processes at a time; one a processor by default.")] = None,
+    baselines: Annotated[bool, typer.Option(help="Give simpler methods the same recordings.")] = True,
+    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="DIR", help="For everything that is made; proof/results/seed_… by default."
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Put the diagnosis to the proof: legs with concealed physics, answers judged against sealed truths.
+
+    Realities are simulated in MuJoCo with wrong numbers and perhaps something left out, and their truths sealed. Then
+    processes that know the recordings alone diagnose them. Last the seals are opened and the answers scored. Stopped at
+    any moment, the same command goes on. Exit code 3 says that a goal is missed; times are reported, not judged.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl prove --cases 8
+    equimus-ctrl prove --cases 40 --kind none --no-baselines
+    equimus-ctrl prove --cases 1000 --seed 7 --output proof_7 --json
+    """  # noqa: D301
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Left
+
+    from equimus_ctrl import presets
+
+    if kind is not None and kind not in KINDS:
+        raise ConfigError(unknown_name("kind of reality", kind, KINDS))
+    name = f"seed_{seed}" + (f"_{kind}" if kind else "")
+    folder = output or presets.workspace() / "proof" / "results" / name
+    presets.check_folder(folder)
+    console = people()
+    columns = (
+        TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("left"), Left(),
+    )  # fmt: skip
+    try:
+        with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+            from equimus_ctrl.workflow.prove import STAGES, put_to_proof
+
+            tasks = {stage: progress.add_task(stage, total=cases, start=False) for stage in STAGES}
+
+            def notify(stage: str, done: int, total: int) -> None:
+                if not progress.tasks[tasks[stage]].started:
+                    progress.start_task(tasks[stage])
+                progress.update(tasks[stage], completed=done)
+                if not console.is_terminal:
+                    console.print(f"{stage}: {done} of {total}")
+
+            found = put_to_proof(
+                folder,
+                cases=cases,
+                seed=seed,
+                kind=kind,  # type: ignore[arg-type]
+                trials=trials,
+                duration=duration,
+                workers=workers,
+                baselines=baselines,
+                progress=notify,
+                say=lambda sentence: console.print(sentence, markup=False, soft_wrap=True),
+            )
+    except KeyboardInterrupt:
+        console.print("stopped: the same command goes on from here", markup=False)
+        raise typer.Exit(130) from None
+    record, files = found.to_dict(), [folder / "score.json", folder / "score.md"]
+    presets.write_text(files[0], presets.json_text(record))
+    from equimus_ctrl.report.proof_tables import markdown
+
+    presets.write_text(files[1], markdown(_head(found), found.score))
+    if figures:
+        from equimus_ctrl.report.proof_figures import save_proof_figures
+
+        files += save_proof_figures(found.score, folder)
+    _tell(console, found)
+    for file in files:
+        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    if as_json:
+        print_json({**record, "files": [str(file) for file in files]})
+    if not found.score.accurate:
+        raise typer.Exit(3)
+
+
+def _head(found: Proof) -> dict[str, str]:
+    r = found.request
+    return {
+        "seed": str(r.seed),
+        "cases": f"{len(found.score.cases)}, {'drawn from all kinds' if r.kind is None else f'all of kind {r.kind}'}",
+        "recordings": f"{r.trials} trials of {r.duration:g} s each",
+        "SHA-256 of all seals": f"`{found.seal}`",
+        **({"note": "; ".join(found.notes)} if found.notes else {}),
+    }
+
+
+def _tell(console: Console, found: Proof) -> None:
+    from equimus_ctrl.report.proof_tables import goals_sheet, strength_sheet, wrong_sheet
+
+    for sheet in (goals_sheet(found.score), strength_sheet(found.score), wrong_sheet(found.score)):
+        if sheet.rows or sheet.note:
+            console.print(sheet.rich(MOST_ROWS))
+    for note in found.notes:
+        console.print(note, style="yellow", markup=False)
+    goals = found.score.goals
+    missed = [g for g in goals if g.state == "missed"]
+    for goal in missed:
+        judged = "" if goal.judged else " (not judged: it depends on the machine)"
+        console.print(f"missed: {goal.title}{judged}", style="yellow", markup=False)
+    unsure = sum(g.state == "open" for g in goals)
+    if not missed:
+        console.print("no goal is missed" + (f"; {unsure} are left open by so few cases" if unsure else ""))

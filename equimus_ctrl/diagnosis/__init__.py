@@ -1,0 +1,1 @@
+"""What a model leaves out of a robot: where, what, how much."""

@@ -1,0 +1,348 @@
+"""The whole diagnosis: refit, search, believe only what trials left out confirm, say what stays unexplained."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2
+from threadpoolctl import threadpool_limits
+
+from equimus_ctrl.diagnosis.candidates import Part, candidates
+from equimus_ctrl.diagnosis.experiment import Design, separating
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.remainder import Remainder, remainder
+from equimus_ctrl.diagnosis.results import (
+    STATES,
+    Detectable,
+    Diagnosis,
+    Estimate,
+    Evidence,
+    Finding,
+    Named,
+    Ranked,
+    Residuals,
+    Verdict,
+)
+from equimus_ctrl.diagnosis.screening import Screened
+from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
+from equimus_ctrl.diagnosis.split import Split
+from equimus_ctrl.diagnosis.where import excess_of, where_off
+from equimus_ctrl.identification.fit import Simulator, reduced_simulator, residuals_of
+from equimus_ctrl.identification.noise import Noise, log_likelihood
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.types import Array
+
+ALIKE = 10.0
+"""Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
+BLURRED = 0.05
+"""Where something stays unexplained, rivals within this share of a finding's gain cannot be told apart either."""
+CARRIES_OVER = 0.25
+"""Least gain on held-out trials for each sample, as a share of that on the trials fitted, of what is believed."""
+
+Progress = Callable[[str, float, str], None]
+"""Called with the stage, the share of the whole that is done, and the best hypothesis so far."""
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """How a diagnosis goes.
+
+    Attributes:
+        search: how sets of effects are searched.
+        threads: of the simulations; all cores by default.
+    """
+
+    search: SearchSettings = field(default_factory=SearchSettings)
+    threads: int | None = None
+
+
+def diagnose(
+    free: FreeParameters,
+    split: Split,
+    *,
+    settings: DiagnosisSettings | None = None,
+    simulator: Simulator | None = None,
+    designs: Sequence[Design] = (),
+    progress: Progress = lambda stage, share, best: None,
+) -> Diagnosis:
+    """Find what a model leaves out of recordings.
+
+    Args:
+        free: the model, and what may be wrong about its numbers.
+        split: trials to fit and trials to judge by.
+        settings: how it goes.
+        simulator: the engine; the reduced one by default.
+        designs: experiments to choose from where something cannot be told apart.
+        progress: see ``Progress``.
+
+    Raises:
+        SimulationDiverged: where the model diverges on every trial.
+    """
+    begun = time.perf_counter()
+    settings = settings or DiagnosisSettings()
+    with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
+        return _diagnose(
+            free, split, settings, simulator or reduced_simulator(threads=settings.threads), designs, progress, begun
+        )
+
+
+def _diagnose(
+    free: FreeParameters,
+    split: Split,
+    settings: DiagnosisSettings,
+    simulator: Simulator,
+    designs: Sequence[Design],
+    progress: Progress,
+    begun: float,
+) -> Diagnosis:
+    data = Data(free, split.train, simulator)
+    progress("refitting the model", 0.02, "")
+    base = data.base()
+    pool = candidates(free.model, split.train)
+    stages = iter(np.linspace(0.15, 0.8, 12))
+
+    def notify(stage: str, best: str) -> None:
+        progress(stage, float(next(stages, 0.8)), best)
+
+    search = Search(data, pool, settings.search, notify)
+    found = search.run(base)
+    progress("trials left out", 0.82, found.best.label)
+    found = _confirmed(search, found, split)
+    progress("what is left", 0.86, found.best.label)
+    rest = remainder(data, found.base, found.best)
+    doubtful: tuple[Named, ...] = ()
+    if rest.superfluous:
+        doubtful = tuple(_named(found.best.hypothesis[k]) for k in rest.superfluous)
+        kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in rest.superfluous)
+        best = search.refit(found.best, kept) if kept else found.base
+        found = _again(search, found, best)
+        rest = remainder(data, found.base, found.best)
+    progress("evidence", 0.94, found.best.label)
+    judge = _Judge(data, split, found)
+    findings = tuple(_finding(search, found, judge, k, bool(rest.leftovers)) for k in range(len(found.best.hypothesis)))
+    findings = tuple(sorted(findings, key=lambda f: -f.evidence.gain))
+    verdict = _verdict(findings, rest)
+    experiment = None
+    if designs:
+        experiment = separating(data, found, findings, designs)
+    residuals = {
+        state: Residuals(train, tuple(judge.heldout(model)))
+        for state, model, train in zip(
+            STATES,
+            (free.model, found.base.fit.model, found.best.fit.model),
+            (tuple(judge.nominal()), found.base.fit.residuals, found.best.fit.residuals),
+            strict=True,
+        )
+    }
+    noise = found.best.noise
+    m = free.model.morphology
+    progress("done", 1.0, found.best.label)
+    return Diagnosis(
+        verdict,
+        free.model,
+        found.base.fit.model,
+        found.best.fit.model,
+        found.base,
+        found.best,
+        tuple(split.train),
+        tuple(split.heldout),
+        residuals,
+        where_off(m.joint_names, m.actuator_names, split.train, found.base.fit.residuals, noise),
+        findings,
+        rest.leftovers,
+        doubtful,
+        _ranking(found),
+        () if findings or rest.leftovers else _detectable(search, found),
+        experiment,
+        {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
+        tuple(_notes(found)),
+        time.perf_counter() - begun,
+    )
+
+
+def _named(part: Part) -> Named:
+    return Named(part.candidate.effect.name, part.candidate.locations)
+
+
+def _verdict(findings: Sequence[Finding], rest: Remainder) -> Verdict:
+    if rest.leftovers:
+        return "partly_explained" if findings else "unexplained"
+    return "explained" if findings else "consistent"
+
+
+def _again(search: Search, found: Searched, best: Fitted) -> Searched:
+    """The search's end moved to another hypothesis, with what it would be without each part."""
+    parts = best.hypothesis
+    without = tuple(search.refit(best, parts[:k] + parts[k + 1 :]) for k in range(len(parts)))
+    old = {part.candidate.label: rivals for part, rivals in zip(found.best.hypothesis, found.rivals, strict=True)}
+    rivals = tuple(old.get(part.candidate.label, ()) if len(parts) == 1 else () for part in parts)
+    return Searched(found.base, best, without, rivals, found.first, tuple(search.fitted))
+
+
+def _confirmed(search: Search, found: Searched, split: Split) -> Searched:
+    """The hypothesis less the parts that do not improve what was held out."""
+    if not split.heldout:
+        return found
+    while found.best.hypothesis:
+        judge = _Judge(search.data, split, found)
+        share = sum(s.measured.size for s in split.heldout) / search.data.n
+        worst, place = math.inf, -1
+        for k, without in enumerate(found.without):
+            expected = (without.deviance - found.best.deviance) * share
+            ratio = judge.gain(without, found.best) / max(expected, 1e-300)
+            if ratio < worst:
+                worst, place = ratio, k
+        if worst >= CARRIES_OVER:
+            return found
+        best = found.without[place]
+        found = _again(search, found, best)
+    return found
+
+
+class _Judge:
+    """Models judged on what was held out, and on what was fitted."""
+
+    def __init__(self, data: Data, split: Split, found: Searched) -> None:
+        self.data, self.split, self.found = data, split, found
+        self._known: dict[int, list[Array]] = {}
+
+    @property
+    def noise(self) -> Noise:
+        """That of the best hypothesis."""
+        return self.found.best.noise
+
+    def heldout(self, model: object) -> list[Array]:
+        """For each segment held out (m, nj) measured − predicted [rad]."""
+        key = id(model)
+        if key not in self._known:
+            self._known[key] = residuals_of(model, self.split.heldout, self.data.simulator)  # type: ignore[arg-type]
+        return self._known[key]
+
+    def nominal(self) -> list[Array]:
+        """For each segment fitted, of the model as it came."""
+        return residuals_of(self.data.free.model, self.split.train, self.data.simulator)
+
+    def gain(self, simple: Fitted, rich: Fitted) -> float:
+        """Fall of the deviance of what was held out, under one noise; nan where nothing was."""
+        if not self.split.heldout:
+            return math.nan
+        times = [s.trial.sample_times for s in self.split.heldout]
+        before, after = (log_likelihood(self.noise, times, self.heldout(f.fit.model)) for f in (simple, rich))
+        return 2.0 * (after - before)
+
+    def share(self, simple: Sequence[Array], rich: Sequence[Array], base: Sequence[Array]) -> float:
+        """Of the excess error of ``base`` that ``rich`` has less than ``simple``."""
+        if not simple:
+            return math.nan
+        before, after, whole = (float(excess_of(r, self.noise).mean()) for r in (simple, rich, base))
+        return float(np.clip((before - after) / whole, -1.0, 1.0)) if whole > 0 else 0.0
+
+
+def _finding(search: Search, found: Searched, judge: _Judge, k: int, left: bool) -> Finding:
+    best, without = found.best, found.without[k]
+    part = best.hypothesis[k]
+    gain = without.deviance - best.deviance
+    count = part.candidate.n_parameters
+    chance = (float(chi2.logsf(gain, count)) + math.log(max(len(search.pool), 1))) / math.log(10)
+    evidence = Evidence(
+        gain,
+        search.threshold(count),
+        min(chance, 0.0),
+        judge.gain(without, best),
+        judge.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
+        judge.share(*(judge.heldout(f.fit.model) for f in (without, best, found.base))),
+    )
+    return Finding(
+        part,
+        _estimates(search.data, best, k),
+        evidence,
+        _equivalent(search, found, k, max(ALIKE, BLURRED * gain) if left else ALIKE),
+    )
+
+
+def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
+    first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
+    found = {}
+    for i, key in enumerate(best.hypothesis[k].values):
+        free = best.fit.parameters.free[first + i]
+        value, width = float(best.fit.theta[first + i]), float(best.fit.uncertainty.half_width[first + i])
+        low, high = value - width, value + width
+        inside = math.isfinite(width)
+        found[key] = Estimate(
+            value, max(low, free.low) if inside else -math.inf, min(high, free.high) if inside else math.inf, free.unit
+        )
+    return found
+
+
+def _equivalent(search: Search, found: Searched, k: int, margin: float) -> tuple[Named, ...]:
+    """What could stand in the part's place as well; not what takes more numbers, which can imitate anything simpler."""
+    rest = {id(p.candidate) for p in found.without[k].hypothesis}
+    own = found.best.hypothesis[k].candidate.label
+    named: dict[str, Named] = {}
+    limit = search.score(found.best) + margin
+    for rival in sorted(found.rivals[k], key=search.score):
+        other = [p for p in rival.hypothesis if id(p.candidate) not in rest]
+        simple = rival.n_parameters <= found.best.n_parameters
+        if simple and search.score(rival) < limit and len(other) == 1 and other[0].candidate.label != own:
+            named.setdefault(other[0].candidate.label, _named(other[0]))
+    return tuple(named.values())
+
+
+def _ranking(found: Searched) -> tuple[Ranked, ...]:
+    alone: dict[str, float] = {}
+    for fitted in found.fitted:
+        if len(fitted.hypothesis) == 1:
+            label = fitted.label
+            alone[label] = max(alone.get(label, -math.inf), found.base.deviance - fitted.deviance)
+    ranked = [
+        Ranked(
+            Named(s.candidate.effect.name, s.candidate.locations), max(s.gains[1], 0.0), alone.get(s.candidate.label)
+        )
+        for s in found.first
+    ]
+    return tuple(sorted(ranked, key=lambda r: -max(r.fitted or 0.0, r.screened if r.fitted is None else 0.0)))
+
+
+def _detectable(search: Search, found: Searched) -> tuple[Detectable, ...]:
+    smallest = []
+    for s in found.first:
+        size = _smallest(s, search.threshold(s.candidate.n_parameters))
+        key = next(iter(s.candidate.effect.parameter_info()))
+        unit = s.candidate.effect.parameter_info()[key]["unit"]
+        turning, _, straight = unit.partition(" | ")
+        at_joint = s.candidate.locations[0] in search.data.free.model.morphology.joint_names
+        named = Named(s.candidate.effect.name, s.candidate.locations)
+        smallest.append(Detectable(named, key, size, turning if at_joint or not straight else straight))
+    return tuple(smallest)
+
+
+def _smallest(screened: Screened, threshold: float) -> float:
+    """The first parameter at which the change alone would be believed, from the guess that is nearest to that."""
+    key, nothing = next(iter(screened.candidate.effect.parameter_info())), screened.candidate.effect.grows_from()
+    values = np.array([guess[key] for guess in screened.tried])
+    strength = np.maximum(screened.strength, 1e-300)
+    if nothing is not None:
+        nearest = int(np.argmin(np.abs(np.log(strength / threshold))))
+        return float(abs(values[nearest] - nothing) * math.sqrt(threshold / strength[nearest]))
+    seen = strength >= threshold
+    if not seen.any():
+        return math.nan
+    return float(values[seen][np.argmin(strength[seen])])
+
+
+def _notes(found: Searched) -> list[str]:
+    notes = []
+    fit = found.best.fit
+    held = [f.name for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
+    if held:
+        notes.append(
+            f"{', '.join(held)} ended at a bound: what the model leaves out may have gone there, or the bounds are too "
+            "narrow."
+        )
+    if not fit.converged:
+        notes.append("The last fit was stopped before it had converged.")
+    return notes

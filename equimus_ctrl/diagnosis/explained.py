@@ -1,0 +1,92 @@
+"""How much of what is left over some columns explain, beyond nuisances, and on trials that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.types import Array
+
+CUT = 1e-6
+"""Directions of columns with less than this share of the strongest, nuisances not yet taken off, are none."""
+RIDGE = 1e-5
+"""Default price of the columns' coefficients, see ``explained``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What some columns explain of a residual.
+
+    Attributes:
+        total: ‖r‖² with the nuisances fitted.
+        gain: by how much the columns lower it.
+        held_out: by how much columns that were fitted without a fold lower the fold's own part of it, over all folds;
+            0 without folds. Columns that mean nothing come out below 0.
+        coefficients: (k,) of the columns.
+        rank: how many directions the columns have beyond the nuisances.
+    """
+
+    total: float
+    gain: float
+    held_out: float
+    coefficients: Array
+    rank: int
+
+    @property
+    def share(self) -> float:
+        """Of the total that is gained."""
+        return self.gain / self.total if self.total > 0 else 0.0
+
+
+def explained(
+    residual: Array,
+    projector: Array,
+    columns: Array,
+    ridge: float = RIDGE,
+    folds: Sequence[Sequence[slice]] = (),
+) -> Explained:
+    """Fit columns beside nuisances to a residual by least squares, with a price on the columns' coefficients.
+
+        min ‖r − Q b − C c‖² + ridge·s²·‖D c‖²,    D the norms of the columns, s the largest singular value of C D⁻¹
+
+    Held out, c is fitted without a fold's rows, but b with them. The nuisances are few and the same for all columns;
+    were they fitted anew, too, those that a fold tells best, such as its trials' starts, would be extrapolated, and
+    their errors would drown what the columns do. Having seen the fold they leave less to gain there, never more.
+
+    Args:
+        residual: (n,) white, of the same variance throughout.
+        projector: (n, p) orthonormal basis Q of what the nuisances can do.
+        columns: (n, k) C.
+        ridge: see above; 0 for none.
+        folds: each the rows that are held out together, those of some trials.
+
+    Raises:
+        ConfigError: where numbers of rows differ.
+    """
+    n = len(residual)
+    if len(projector) != n or len(columns) != n:
+        raise ConfigError(
+            f"residual, projector and columns have {n}, {len(projector)} and {len(columns)} rows, expected the same"
+        )
+    r = residual - projector @ (projector.T @ residual)
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
+    unit = columns / size
+    strongest = np.linalg.eigvalsh(unit.T @ unit).max(initial=0.0)
+    free = unit - projector @ (projector.T @ unit)
+    strength, turn = np.linalg.eigh(free.T @ free)
+    seen = strength > CUT**2 * strongest
+    turn = turn[:, seen] / np.sqrt(strength[seen])
+    basis, price = free @ turn, ridge * strongest / strength[seen]
+    found = basis.T @ r / (1 + price)
+    held_out = 0.0
+    grams = [sum(basis[rows].T @ basis[rows] for rows in fold) for fold in folds]
+    targets = [sum(basis[rows].T @ r[rows] for rows in fold) for fold in folds]
+    for gram, target in zip(grams, targets, strict=True):
+        c = np.linalg.lstsq(np.diag(1 + price) - gram, basis.T @ r - target, rcond=CUT)[0]
+        held_out += float(2 * c @ target - c @ gram @ c)
+    gain = float((1 + 2 * price) * found @ found)
+    return Explained(float(r @ r), gain, held_out, turn @ found / size, int(seen.sum()))

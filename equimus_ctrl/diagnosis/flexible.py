@@ -1,0 +1,432 @@
+"""Torques and forces that no effect of the catalogue makes, as sums of basis functions: what they may depend on.
+
+A group is one place, what the push there depends on, and the basis functions of that dependence, evaluated along a
+model's own motions. The functions are cubic B-splines unless said otherwise, with more knots where the motions are more
+often. What a group can do that other groups or the model's own parameters can do as well is not taken out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from equimus_ctrl.diagnosis.response import Linearised, along_actuator
+from equimus_ctrl.engines.motion import Inner, Motion
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Array, frozen_array
+
+FUNCTIONS, SPOTS, FINE, SURFACE = 8, 16, 40, 5
+"""Basis functions along one coordinate, with spots and with more detail than that, and along each of two."""
+DEGREE = 3
+SLOW = 1e-3
+"""Rate over which dry friction turns [rad/s]; the motions are a model's, without noise."""
+AT_ONCE = 128
+"""Columns that are carried along a motion together."""
+WIDTHS = np.geomspace(0.02, 0.7, 6)
+"""Ways after which elements slip, as shares of half the way there is."""
+MEMORIES = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Time constants of what is forgotten [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """Basis functions over one coordinate.
+
+    Attributes:
+        name: of the coordinate, such as ``pos.hip``.
+        unit: SI.
+        knots: (k + 4,) of its cubic B-splines, the ends repeated.
+    """
+
+    name: str
+    unit: str
+    knots: Array
+
+    @classmethod
+    def over(cls, name: str, unit: str, values: Sequence[Array], functions: int = FUNCTIONS) -> Axis:
+        """Knots half way between evenly spaced ones and such that there is as much data between any two."""
+        everything = np.concatenate(values)
+        shares = np.linspace(0, 1, functions - DEGREE + 1)
+        low, high = everything.min(), everything.max()
+        if not high > low:
+            high = low + 1.0
+        inner = (np.quantile(everything, shares) + low + shares * (high - low))[1:-1] / 2
+        ends = DEGREE + 1
+        return cls(name, unit, frozen_array(np.concatenate([[low] * ends, inner, [high] * ends])))
+
+    @property
+    def centres(self) -> Array:
+        """(k,) where each function has its middle (Greville)."""
+        t = self.knots
+        return np.array([t[i + 1 : i + 1 + DEGREE].mean() for i in range(len(t) - DEGREE - 1)])
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The least and the greatest value there are data for."""
+        return float(self.knots[0]), float(self.knots[-1])
+
+    def basis(self, x: Array) -> Array:
+        """(n, k) the functions at x (n,), beyond the range as at its end."""
+        inside = np.clip(x, *self.range)
+        return np.asarray(BSpline.design_matrix(inside, self.knots, DEGREE).toarray())
+
+    def slopes(self, x: Array) -> Array:
+        """(n, k) their derivatives at x (n,)."""
+        functions = BSpline(self.knots, np.eye(len(self.knots) - DEGREE - 1), DEGREE)
+        return np.asarray(functions.derivative()(np.clip(x, *self.range)))
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """One place and what an unmodelled push there depends on.
+
+    Attributes:
+        location: the joint or actuator, or several joined by ``+``.
+        joints: on which it acts.
+        depends_on: coordinates, joined by ``·`` where it is a product or a surface of them.
+        factor: what the functions are multiplied by, "" for nothing.
+        axes: of the functions, one for a curve, two for a surface (the first one's functions vary slowest), none where
+            they are no functions of a coordinate.
+        pushes: for each place (kind, index) and each trial (m − 1, k) torque [N·m] or force [N], constant between
+            samples.
+        kind: the group's key in its table.
+    """
+
+    location: str
+    joints: tuple[str, ...]
+    depends_on: str
+    factor: str
+    axes: tuple[Axis, ...]
+    pushes: Mapping[tuple[str, int], tuple[Array, ...]]
+    kind: str = ""
+
+    @property
+    def size(self) -> int:
+        """Number of functions."""
+        return int(next(iter(self.pushes.values()))[0].shape[1])
+
+    def torques(self, motions: Sequence[Motion]) -> list[Array]:
+        """For each trial (m − 1, nj, k) the joint torques of the functions [N·m]."""
+        nj = motions[0].position.shape[1]
+        found = [np.zeros((len(m.between.time), nj, self.size)) for m in motions]
+        for (kind, index), columns in self.pushes.items():
+            for out, motion, push in zip(found, motions, columns, strict=True):
+                if kind == "joint":
+                    out[:, index] += push
+                else:
+                    out += along_actuator(motion, index, push)
+        return found
+
+    def curve(self, coefficients: Array, *x: Array) -> Array:
+        """(n,) the fitted function, without its factor, at points (n,) of each axis."""
+        rows = np.ones((len(x[0]), 1))
+        for axis, values in zip(self.axes, x, strict=True):
+            rows = _product(rows, axis.basis(values))
+        return np.asarray(rows @ coefficients)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A model and its motions, as the makers of groups see them."""
+
+    model: Model
+    motions: tuple[Motion, ...]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Their names."""
+        return self.model.morphology.joint_names
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Their names."""
+        return self.model.morphology.actuator_names
+
+    def since(self) -> list[Array]:
+        """For each trial (m − 1,) the time since its start [s]."""
+        return [m.between.time - m.start for m in self.motions]
+
+    def values(self, of: Callable[[Inner], Array]) -> list[Array]:
+        """For each trial (m − 1,) something of its motion."""
+        return [of(m.between) for m in self.motions]
+
+    def axis(self, coordinate: str, functions: int = FUNCTIONS) -> tuple[Axis, list[Array]]:
+        """A coordinate's axis and its values in each trial.
+
+        Args:
+            coordinate: ``time``, or ``pos.``, ``vel.`` and a joint, or ``cmd.``, ``len.``, ``rate.`` and an actuator.
+            functions: how many.
+        """
+        kind, _, name = coordinate.partition(".")
+        if kind == "time":
+            values, unit = self.since(), "s"
+        elif kind in ("pos", "vel"):
+            i = self.joints.index(name)
+            values = self.values(lambda m: (m.position if kind == "pos" else m.velocity)[:, i])
+            unit = "rad" if kind == "pos" else "rad/s"
+        else:
+            i = self.actuators.index(name)
+            part = {"cmd": "pressure", "len": "length", "rate": "rate"}[kind]
+            values = self.values(lambda m: getattr(m, part)[:, i])
+            unit = {"cmd": "Pa", "len": "m", "rate": "m/s"}[kind]
+        return Axis.over(coordinate, unit, values, functions), values
+
+    def acts_on(self, actuator: int) -> tuple[str, ...]:
+        """Joints on which an actuator has a lever arm anywhere."""
+        reach = np.max([np.abs(m.arm[:, actuator]).max(axis=0) for m in self.motions], axis=0)
+        return tuple(name for name, arm in zip(self.joints, reach, strict=True) if arm > 1e-6 * reach.max())
+
+    def group(
+        self,
+        place: tuple[str, int],
+        coordinates: Sequence[str],
+        factor: str = "",
+        by: Sequence[Array] | None = None,
+        functions: int | None = None,
+    ) -> Group:
+        """Functions of coordinates, times a factor, at one place.
+
+        Args:
+            place: (kind, index).
+            coordinates: see ``axis``.
+            factor: what the functions are multiplied by.
+            by: its values in each trial (m − 1,).
+            functions: how many along each coordinate.
+        """
+        count = functions or (FUNCTIONS if len(coordinates) == 1 else SURFACE)
+        axes = [self.axis(c, count) for c in coordinates]
+        columns = []
+        for trial in range(len(self.motions)):
+            rows = np.ones((len(self.motions[trial].between.time), 1)) if by is None else by[trial][:, None]
+            for axis, values in axes:
+                rows = _product(rows, axis.basis(values[trial]))
+            columns.append(rows)
+        kind, index = place
+        names = {"joint": self.joints, "actuator": self.actuators}[kind]
+        joints = (names[index],) if kind == "joint" else self.acts_on(index)
+        told = "·".join([*coordinates, *([factor] if factor else [])])
+        return Group(names[index], joints, told, factor, tuple(a for a, _ in axes), {place: tuple(columns)})
+
+
+Maker = Callable[[Scene, int], Iterator[Group]]
+
+
+def _product(a: Array, b: Array) -> Array:
+    """(n, ka·kb) all products of columns."""
+    return np.asarray((a[:, :, None] * b[:, None, :]).reshape(len(a), -1))
+
+
+def _own_angle(s: Scene, j: int) -> Iterator[Group]:
+    yield s.group(("joint", j), [f"pos.{s.joints[j]}"])
+
+
+def _fine_angle(s: Scene, j: int) -> Iterator[Group]:
+    yield s.group(("joint", j), [f"pos.{s.joints[j]}"], functions=FINE)
+
+
+def _own_speed(s: Scene, j: int) -> Iterator[Group]:
+    yield s.group(("joint", j), [f"vel.{s.joints[j]}"])
+
+
+def _other_angles(s: Scene, j: int) -> Iterator[Group]:
+    for other in s.joints:
+        if other != s.joints[j]:
+            yield s.group(("joint", j), [f"pos.{other}"])
+
+
+def _both_angles(s: Scene, j: int) -> Iterator[Group]:
+    for other in s.joints:
+        if other != s.joints[j]:
+            yield s.group(("joint", j), [f"pos.{s.joints[j]}", f"pos.{other}"])
+
+
+def _shared_energy(s: Scene, j: int) -> Iterator[Group]:
+    """Springs across two joints: −∂V/∂q at both, V a surface over their angles."""
+    for other in range(j + 1, len(s.joints)):
+        names = s.joints[j], s.joints[other]
+        (one, first), (two, second) = (s.axis(f"pos.{name}", SURFACE) for name in names)
+        pushes = {
+            ("joint", j): tuple(-_product(one.slopes(a), two.basis(b)) for a, b in zip(first, second, strict=True)),
+            ("joint", other): tuple(-_product(one.basis(a), two.slopes(b)) for a, b in zip(first, second, strict=True)),
+        }
+        yield Group("+".join(names), names, f"{one.name}·{two.name}", "", (one, two), pushes)
+
+
+def _angle_damping(s: Scene, j: int) -> Iterator[Group]:
+    name = s.joints[j]
+    yield s.group(("joint", j), [f"pos.{name}"], f"vel.{name}", s.axis(f"vel.{name}")[1])
+
+
+def _angle_friction(s: Scene, j: int) -> Iterator[Group]:
+    name = s.joints[j]
+    by = [np.tanh(v / SLOW) for v in s.axis(f"vel.{name}")[1]]
+    yield s.group(("joint", j), [f"pos.{name}"], f"sign(vel.{name})", by, SPOTS)
+
+
+def _joint_time(s: Scene, j: int) -> Iterator[Group]:
+    yield s.group(("joint", j), ["time"])
+
+
+def _own_pressure(s: Scene, a: int) -> Iterator[Group]:
+    yield s.group(("actuator", a), [f"cmd.{s.actuators[a]}"])
+
+
+def _own_length(s: Scene, a: int) -> Iterator[Group]:
+    yield s.group(("actuator", a), [f"len.{s.actuators[a]}"])
+
+
+def _own_rate(s: Scene, a: int) -> Iterator[Group]:
+    yield s.group(("actuator", a), [f"rate.{s.actuators[a]}"])
+
+
+def _pressure_damping(s: Scene, a: int) -> Iterator[Group]:
+    name = s.actuators[a]
+    yield s.group(("actuator", a), [f"cmd.{name}"], f"rate.{name}", s.axis(f"rate.{name}")[1])
+
+
+def _pressure_time(s: Scene, a: int) -> Iterator[Group]:
+    name = s.actuators[a]
+    yield s.group(("actuator", a), ["time"], f"cmd.{name}", s.axis(f"cmd.{name}")[1])
+
+
+def _stretch_time(s: Scene, a: int) -> Iterator[Group]:
+    name = s.actuators[a]
+    rest = s.model.morphology.actuators[a].rest_length
+    yield s.group(("actuator", a), ["time"], f"len.{name}", [x - rest for x in s.axis(f"len.{name}")[1]])
+
+
+def _other_pressures(s: Scene, a: int) -> Iterator[Group]:
+    for other in s.actuators:
+        if other != s.actuators[a]:
+            yield s.group(("actuator", a), [f"cmd.{other}"])
+
+
+def _exchange(s: Scene, a: int) -> Iterator[Group]:
+    """Pressure that one actuator loses to another, by their difference."""
+    for other in range(a + 1, len(s.actuators)):
+        names = s.actuators[a], s.actuators[other]
+        first, second = (s.axis(f"cmd.{name}")[1] for name in names)
+        differences = [x - y for x, y in zip(first, second, strict=True)]
+        axis = Axis.over(f"{'−'.join(f'cmd.{name}' for name in names)}", "Pa", differences)
+        columns = [axis.basis(x) for x in differences]
+        areas = [s.model.morphology.actuators[i].area for i in (a, other)]
+        pushes = {
+            ("actuator", a): tuple(-areas[0] * c for c in columns),
+            ("actuator", other): tuple(areas[1] * c for c in columns),
+        }
+        reached = {*s.acts_on(a), *s.acts_on(other)}
+        joints = tuple(name for name in s.joints if name in reached)
+        yield Group("+".join(names), joints, axis.name, "", (axis,), pushes)
+
+
+def _pressure_length(s: Scene, a: int) -> Iterator[Group]:
+    name = s.actuators[a]
+    yield s.group(("actuator", a), [f"len.{name}"], f"cmd.{name}", s.axis(f"cmd.{name}")[1])
+
+
+def _path(s: Scene, a: int) -> Iterator[Group]:
+    """Elements that slip after a way of their own (Prandtl and Ishlinskii): any hysteresis without rate."""
+    name = s.actuators[a]
+    _, lengths = s.axis(f"len.{name}")
+    way = max(np.ptp(x) for x in lengths) / 2
+    widths = way * WIDTHS
+    columns = []
+    for x in lengths:
+        rows = np.zeros((len(x), len(widths)))
+        for k in range(1, len(x)):
+            rows[k] = np.clip(rows[k - 1] + x[k] - x[k - 1], -widths, widths)
+        columns.append(rows / widths)
+    yield Group(name, s.acts_on(a), f"path.{name}", "", (), {("actuator", a): tuple(columns)})
+
+
+def _memory(s: Scene, a: int) -> Iterator[Group]:
+    """Springs that relax, each with a time constant of its own: any linear viscoelasticity."""
+    name = s.actuators[a]
+    _, lengths = s.axis(f"len.{name}")
+    columns = []
+    for x, motion in zip(lengths, s.motions, strict=True):
+        step = np.diff(motion.between.time, prepend=motion.between.time[0])
+        kept = np.exp(-step[:, None] / np.array(MEMORIES))
+        rows = np.zeros((len(x), len(MEMORIES)))
+        for k in range(1, len(x)):
+            rows[k] = kept[k] * (rows[k - 1] + x[k] - x[k - 1])
+        columns.append(rows)
+    yield Group(name, s.acts_on(a), f"past.{name}", "", (), {("actuator", a): tuple(columns)})
+
+
+AT_JOINTS: dict[str, Maker] = {
+    "own angle": _own_angle,
+    "own angle in detail": _fine_angle,
+    "own speed": _own_speed,
+    "other angles": _other_angles,
+    "both angles": _both_angles,
+    "energy of two angles": _shared_energy,
+    "damping by angle": _angle_damping,
+    "friction by angle": _angle_friction,
+    "time": _joint_time,
+}
+AT_ACTUATORS: dict[str, Maker] = {
+    "own pressure": _own_pressure,
+    "own length": _own_length,
+    "own rate": _own_rate,
+    "damping by pressure": _pressure_damping,
+    "pressure by time": _pressure_time,
+    "stretch by time": _stretch_time,
+    "other pressures": _other_pressures,
+    "pressure difference": _exchange,
+    "pressure by length": _pressure_length,
+    "path": _path,
+    "memory": _memory,
+}
+"""What groups there are: a new kind is one more function here."""
+
+
+def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
+    """All groups of both tables at every joint and actuator.
+
+    Args:
+        model: what moves.
+        motions: of this model, one for each trial.
+    """
+    scene = Scene(model, tuple(motions))
+    found: list[Group] = []
+    for count, table in ((len(scene.joints), AT_JOINTS), (len(scene.actuators), AT_ACTUATORS)):
+        for index in range(count):
+            for kind, make in table.items():
+                found += [replace(group, kind=kind) for group in make(scene, index)]
+    return found
+
+
+def responses(linearised: Linearised, groups: Sequence[Group]) -> list[list[Array]]:
+    """For each group and trial (m, nj, k) the change of the measured angles by each function [rad].
+
+    Many columns at once take hardly longer than a few.
+    """
+    found: list[list[Array]] = []
+    batch: list[Group] = []
+    for i, group in enumerate(groups):
+        batch.append(group)
+        if i + 1 < len(groups) and sum(g.size for g in batch) < AT_ONCE:
+            continue
+        parts = [g.torques(linearised.motions) for g in batch]
+        joined = [np.concatenate(trial, axis=2) for trial in zip(*parts, strict=True)]
+        edges = np.cumsum([g.size for g in batch])[:-1]
+        split = [np.split(answer, edges, axis=2) for answer in linearised.response(joined)]
+        found += [list(trials) for trials in zip(*split, strict=True)]
+        batch = []
+    return found
+
+
+def harmonics(model: Model, motions: Sequence[Motion], frequencies: Sequence[float]) -> list[Group]:
+    """At every joint and each frequency [Hz] a torque of sine and cosine of the time since a trial's start."""
+    scene = Scene(model, tuple(motions))
+    found = []
+    for j, name in enumerate(scene.joints):
+        for f in frequencies:
+            turns = [2 * np.pi * f * t for t in scene.since()]
+            columns = tuple(np.column_stack([np.sin(x), np.cos(x)]) for x in turns)
+            found.append(Group(name, (name,), f"time at {f:.4g} Hz", "", (), {("joint", j): columns}, "wave"))
+    return found

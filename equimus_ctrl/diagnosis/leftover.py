@@ -1,0 +1,130 @@
+"""What no hypothesis explains: flexible pushes along the motion, and whether they make a named effect superfluous."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.candidates import Hypothesis, model_of
+from equimus_ctrl.diagnosis.explained import Explained, explained
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.flexible import Group, groups, harmonics, responses
+from equimus_ctrl.diagnosis.response import linearise
+from equimus_ctrl.diagnosis.screening import Weighing, weigh
+from equimus_ctrl.engines.motion import Motion, motion
+from equimus_ctrl.engines.predict import behind_sensors
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.types import Array
+
+SLOWEST, FASTEST = 0.2, 4.0
+"""Frequencies of a disturbance in time that are looked for [Hz]."""
+FOLDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Flexible:
+    """A flexible push and what it explains.
+
+    Attributes:
+        group: where, and what it depends on.
+        found: what it explains beside the free parameters.
+    """
+
+    group: Group
+    found: Explained
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A fitted hypothesis to first order, with all flexible pushes, as one noise weighs them.
+
+    Attributes:
+        fitted: the hypothesis.
+        weighing: residual and derivatives.
+        groups: the pushes.
+        columns: for each the weighed changes (N, k) of what is measured.
+        folds: rows of trials that are held out together.
+        noise: that weighs.
+        motions: of the fitted model, trial by trial.
+    """
+
+    fitted: Fitted
+    weighing: Weighing
+    groups: list[Group]
+    columns: list[Array]
+    folds: list[list[slice]]
+    noise: Noise
+    motions: list[Motion]
+
+
+def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = 2e-3) -> Linear | None:
+    """The linear model about a fit; None where its motion cannot be followed."""
+    model = fitted.fit.model
+    weighing = weigh(data, fitted, noise)
+    motions = []
+    try:
+        for segment, start in zip(data.segments, fitted.fit.starts, strict=True):
+            motions.append(motion(model, segment.trial, behind_sensors([model], start[None, :])[0], dt))
+    except SimulationDiverged:
+        return None
+    linearised = linearise(model, motions)
+    longest = max(m.time[-1] - m.time[0] for m in motions)
+    top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
+    waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
+    pushes = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
+    answers = responses(linearised, pushes)
+    columns = [weighing.columns(data.times, trials) for trials in answers]
+    edges = np.cumsum([0, *[s.measured.size for s in data.segments]])
+    slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+    folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
+    return Linear(fitted, weighing, pushes, columns, folds if len(slices) > 1 else [], noise, motions)
+
+
+def nuisances(slopes: Array) -> Array:
+    """(N, p) orthonormal basis of what free parameters can do."""
+    basis, r = np.linalg.qr(slopes)
+    size = np.abs(np.diag(r))
+    return np.asarray(basis[:, size > 1e-9 * max(size.max(initial=0.0), 1e-300)])
+
+
+def flexible(at: Linear, extra: Array | None = None) -> list[Flexible]:
+    """What every flexible push explains beside the free parameters, the best on trials left out first.
+
+    Args:
+        at: the linear model.
+        extra: (N, k) columns that are free as well.
+    """
+    slopes = at.weighing.slopes if extra is None else np.column_stack([at.weighing.slopes, extra])
+    basis = nuisances(slopes)
+    found = [
+        Flexible(group, explained(at.weighing.residual, basis, columns, folds=at.folds))
+        for group, columns in zip(at.groups, at.columns, strict=True)
+    ]
+    return sorted(found, key=lambda f: -f.found.held_out)
+
+
+def change_of(data: Data, at: Linear, rest: Hypothesis) -> Array:
+    """(N,) by how much the parts of the fitted hypothesis that are not in ``rest`` change what is predicted."""
+    fitted = at.fitted
+    theta = dict(zip(fitted.fit.parameters.names[: len(data.free.free)], fitted.fit.theta.tolist(), strict=False))
+    model = model_of(data.free.model.with_parameters(theta), rest)
+    found = data.simulator([model], data.segments, [start[None, :] for start in fitted.fit.starts])
+    changes = []
+    for segment, residual, predicted in zip(data.segments, fitted.fit.residuals, found, strict=True):
+        before = segment.measured - residual
+        changes.append((before - np.nan_to_num(predicted.position[0], nan=0.0))[:, :, None])
+    return at.weighing.columns(data.times, changes)[:, 0]
+
+
+def owned(data: Data, hypothesis: Hypothesis, kept: Sequence[int]) -> list[int]:
+    """Columns of the derivatives that belong to the model itself and to some parts of a hypothesis."""
+    columns, first = list(range(len(data.free.free))), len(data.free.free)
+    for k, part in enumerate(hypothesis):
+        if k in kept:
+            columns += range(first, first + part.candidate.n_parameters)
+        first += part.candidate.n_parameters
+    return columns

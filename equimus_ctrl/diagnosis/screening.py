@@ -1,0 +1,309 @@
+"""Which candidates are worth a fit: what each would change, less what the free parameters could do as well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.candidates import Candidate, Hypothesis, Part, model_of, with_part
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.noise import Noise, white_noise, whiten
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Array
+
+ABSORBED = 20.0
+"""Where free parameters undo all but one part in so many of a change, what is left is more curvature than effect: it is
+looked at again with the parameters moved along."""
+LOOKS, STRONG = 3, 0.03
+"""How often, and the least share of the strongest direction's effect of those that are moved along."""
+LEAST, MOST = 0.3, 3.0
+"""Between these factors a change is taken to grow with its first parameter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """A candidate at its most promising guess.
+
+    Attributes:
+        candidate: what.
+        hypothesis: the one screened against, with the candidate added.
+        begin: parameters of the model (p,) that go with it, to first order.
+        gains: by how much χ² would fall, for each way to weigh the residuals.
+        tried: the guesses that could be added.
+        strength: for each of them what of its change no other parameter can undo, as χ² under the noise.
+    """
+
+    candidate: Candidate
+    hypothesis: Hypothesis
+    begin: Array
+    gains: tuple[float, ...]
+    tried: tuple[Mapping[str, float], ...]
+    strength: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """Residuals and derivatives as one noise weighs them, what starts can do taken out.
+
+    Attributes:
+        residual: (N,).
+        slopes: (N, p) in units of the parameters' scale.
+        starts: for each segment an orthonormal basis of what its start can do.
+    """
+
+    noise: Noise
+    residual: Array
+    slopes: Array
+    starts: list[Array]
+
+    def columns(self, times: Sequence[Array], changes: Sequence[Array]) -> Array:
+        """(N, k) changes (m, nj, k) of predictions, weighed."""
+        rows = []
+        for time, change, basis in zip(times, changes, self.starts, strict=True):
+            flat = whiten(self.noise, time, change).reshape(basis.shape[0], -1)
+            rows.append(flat - basis @ (basis.T @ flat))
+        return np.concatenate(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A guess.
+
+    Attributes:
+        index: its place among the entries.
+        factor: by which the change is best taken.
+        gains: of χ², for each weighing.
+        strength: χ² of what no parameter can undo, under the noise.
+        left: the same by the first weighing.
+        theta: values of the kept parameters that go with it.
+        kept: which parameters stay.
+    """
+
+    index: int
+    factor: float
+    gains: tuple[float, ...]
+    strength: float
+    left: float
+    theta: Array
+    kept: tuple[int, ...]
+
+
+def weigh(data: Data, fitted: Fitted, noise: Noise) -> Weighing:
+    """The residuals of a fit under a noise."""
+    scale = fitted.fit.parameters.scale
+    residuals, slopes, starts = [], [], []
+    rows = zip(data.times, fitted.fit.residuals, fitted.fit.jacobians, fitted.fit.start_jacobians, strict=True)
+    for time, r, j, s in rows:
+        count = r.size
+        basis = np.linalg.qr(whiten(noise, time, s).reshape(count, -1))[0]
+        both = whiten(noise, time, np.concatenate([r[:, :, None], j * scale], axis=2)).reshape(count, -1)
+        both = both - basis @ (basis.T @ both)
+        residuals.append(both[:, 0])
+        slopes.append(both[:, 1:])
+        starts.append(basis)
+    return Weighing(noise, np.concatenate(residuals), np.concatenate(slopes), starts)
+
+
+def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screened]:
+    """Every candidate of a pool added to a fitted hypothesis, where that is possible, to first order.
+
+    Args:
+        data: what was measured.
+        fitted: the hypothesis that they are added to.
+        pool: the candidates.
+
+    Returns:
+        One for each that can be added, in the pool's order.
+    """
+    entries: list[tuple[Candidate, Hypothesis]] = []
+    for candidate in pool:
+        for guess in candidate.guesses:
+            try:
+                entries.append((candidate, with_part(data.free.model, fitted.hypothesis, Part(candidate, guess))))
+            except ConfigError:  # the robot's own effects exclude it
+                continue
+    if not entries:
+        return []
+    changes = _changes(data, fitted, entries)
+    weighings = [weigh(data, fitted, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)]
+    columns = [w.columns(data.times, changes) for w in weighings]
+    owners = _owners(len(data.free.free), fitted.hypothesis)
+    found: dict[int, list[_Tried]] = {}
+    for kept in {_kept(owners, fitted.hypothesis, hypothesis) for _, hypothesis in entries}:
+        rows = [k for k, (_, h) in enumerate(entries) if _kept(owners, fitted.hypothesis, h) == kept]
+        results = [_gains(w, c[:, rows], np.array(kept)) for w, c in zip(weighings, columns, strict=True)]
+        for place, k in enumerate(rows):
+            theta = np.array(fitted.fit.theta)[list(kept)]
+            theta += results[0][3][:, place] * fitted.fit.parameters.scale[list(kept)]
+            tried_now = _Tried(
+                k,
+                float(results[0][1][place]),
+                tuple(float(gain[place]) for gain, *_ in results),
+                float(results[1][2][place]),
+                float(results[0][2][place]),
+                theta,
+                kept,
+            )
+            found.setdefault(id(entries[k][0]), []).append(tried_now)
+    _again(data, fitted, entries, weighings, columns, found)
+    screened = []
+    for candidate in pool:
+        tried = sorted(found.get(id(candidate), []), key=lambda t: t.index)
+        if not tried:
+            continue
+        best = max(tried, key=lambda t: max(t.gains))
+        hypothesis = entries[best.index][1]
+        part = hypothesis[-1]
+        first, nothing = next(iter(part.values)), candidate.effect.grows_from()
+        values = dict(part.values)
+        if nothing is not None:
+            values[first] = nothing + (values[first] - nothing) * best.factor
+        try:
+            scaled = (*hypothesis[:-1], Part(candidate, values))
+            model_of(data.free.model, scaled)
+        except ConfigError:
+            scaled, values = hypothesis, dict(part.values)
+        screened.append(
+            Screened(
+                candidate,
+                scaled,
+                np.concatenate([best.theta, list(values.values())]),
+                tuple(max(t.gains[w] for t in tried) for w in range(len(weighings))),
+                tuple(dict(entries[t.index][1][-1].values) for t in tried),
+                np.array([t.strength for t in tried]),
+            )
+        )
+    return screened
+
+
+def _again(
+    data: Data,
+    fitted: Fitted,
+    entries: Sequence[tuple[Candidate, Hypothesis]],
+    weighings: Sequence[Weighing],
+    columns: Sequence[Array],
+    found: dict[int, list[_Tried]],
+) -> None:
+    """Look again at guesses that free parameters all but undo, those moved along; what is better replaces ``found``."""
+    base = len(data.free.free)
+    size = (columns[0] ** 2).sum(axis=0)
+    scale = fitted.fit.parameters.scale[:base]
+    chosen = [
+        (tried, place)
+        for tried in found.values()
+        for place, t in enumerate(tried)
+        if len(t.kept) >= base and size[t.index] > ABSORBED * t.left
+    ]
+    if not chosen:
+        return
+    w = weighings[0]
+    # Weak directions would be bent far to fit the curvature.
+    strong = np.linalg.pinv(w.slopes[:, :base], rcond=STRONG)
+    bases = [[_orthonormal(v.slopes[:, list(tried[place].kept)]) for tried, place in chosen] for v in weighings]
+    totals = [[_outside(v.residual, q) for q in qs] for v, qs in zip(weighings, bases, strict=True)]
+    thetas = []
+    for tried, place in chosen:
+        change = strong @ (w.residual - columns[0][:, tried[place].index])
+        thetas.append(data.free.moved(fitted.fit.theta[:base], change * scale))
+    for _ in range(LOOKS):
+        changes = _changes(data, fitted, [entries[tried[place].index] for tried, place in chosen], thetas)
+        moved = [v.columns(data.times, changes) for v in weighings]
+        for k, (tried, place) in enumerate(chosen):
+            t = tried[place]
+            gains = tuple(
+                totals[way][k] - _outside(v.residual - moved[way][:, k], bases[way][k])
+                for way, v in enumerate(weighings)
+            )
+            theta = data.free.moved(thetas[k], strong @ (w.residual - moved[0][:, k]) * scale)
+            if gains[0] > t.gains[0]:
+                tried[place] = replace(t, factor=1.0, gains=gains, theta=np.concatenate([theta, t.theta[base:]]))
+            thetas[k] = theta
+
+
+def _orthonormal(slopes: Array) -> Array:
+    return np.asarray(np.linalg.qr(slopes)[0])
+
+
+def _outside(residual: Array, basis: Array) -> float:
+    """Sum of squares outside what a basis spans."""
+    return float((residual**2).sum() - ((basis.T @ residual) ** 2).sum())
+
+
+def _changes(
+    data: Data,
+    fitted: Fitted,
+    entries: Sequence[tuple[Candidate, Hypothesis]],
+    thetas: Sequence[Array] | None = None,
+) -> list[Array]:
+    """For each segment (m, nj, k) by how much each entry changes what is predicted [rad]; 0 where it diverges.
+
+    Args:
+        data: what was measured.
+        fitted: what is changed.
+        entries: what to.
+        thetas: for each entry the model's own free numbers, those of ``fitted`` by default.
+    """
+    names = data.free.names
+    own = fitted.fit.theta[: len(names)]
+    robots: dict[int, Model] = {}
+    models = []
+    for k, (_, hypothesis) in enumerate(entries):
+        theta = own if thetas is None else thetas[k]
+        if id(theta) not in robots:
+            robots[id(theta)] = data.free.model_at(theta)
+        models.append(model_of(robots[id(theta)], hypothesis))
+    # Dry friction anywhere makes the engine look for it everywhere.
+    rubs = [any(isinstance(e, ForceEffect) and e.rubs for e in model.effects) for model in models]
+    changes = [np.zeros((*s.measured.shape, len(entries))) for s in data.segments]
+    reference = [s.measured - r for s, r in zip(data.segments, fitted.fit.residuals, strict=True)]
+    for group in (True, False):
+        rows = [k for k, rub in enumerate(rubs) if rub == group]
+        if not rows:
+            continue
+        starts = [np.tile(start, (len(rows), 1)) for start in fitted.fit.starts]
+        found = data.simulator([models[k] for k in rows], data.segments, starts)
+        for change, predicted, before in zip(changes, found, reference, strict=True):
+            moved = np.moveaxis(predicted.position, 0, -1) - before[:, :, None]
+            moved[:, :, ~predicted.sound] = 0.0
+            change[:, :, rows] = moved
+    return changes
+
+
+def _owners(base: int, hypothesis: Hypothesis) -> list[int]:
+    """For each free parameter the part it belongs to; −1 for the model's own."""
+    owners = [-1] * base
+    for k, part in enumerate(hypothesis):
+        owners += [k] * part.candidate.n_parameters
+    return owners
+
+
+def _kept(owners: Sequence[int], old: Hypothesis, new: Hypothesis) -> tuple[int, ...]:
+    """Which parameters of the old hypothesis are there in the new one."""
+    left = {k for k, part in enumerate(old) if any(part is other for other in new)} | {-1}
+    return tuple(i for i, owner in enumerate(owners) if owner in left)
+
+
+def _gains(weighing: Weighing, columns: Array, kept: Array) -> tuple[Array, Array, Array, Array]:
+    """Gain of χ², best factor, χ² of the change itself, (p, k) change of the scaled parameters.
+
+    The column is taken at a factor between LEAST and MOST, the parameters moved along as is best.
+    """
+    q, r = np.linalg.qr(weighing.slopes[:, kept])
+    seen = np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(initial=0.0), 1e-300)
+    q = q[:, seen]
+    residual = weighing.residual - q @ (q.T @ weighing.residual)
+    along = q.T @ columns
+    left = columns - q @ along
+    strength = (left**2).sum(axis=0)
+    agreement = residual @ left
+    factor = np.clip(agreement / np.maximum(strength, 1e-300), LEAST, MOST)
+    gain = 2 * factor * agreement - factor**2 * strength
+    moved = np.zeros((len(kept), columns.shape[1]))
+    target = (q.T @ weighing.residual)[:, None] - along * factor
+    block = r[np.ix_(seen, seen)]
+    moved[seen] = np.linalg.lstsq(block, target, rcond=1e-8)[0]
+    return gain, factor, strength, moved

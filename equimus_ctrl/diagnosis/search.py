@@ -1,0 +1,264 @@
+"""Which set of effects: forward from the refitted model, backward where one is not needed, sideways where another fits.
+
+A hypothesis is judged by its deviance (−2 log likelihood, its own noise included) and the numbers it needs. A part
+is believed when the deviance falls by more than chance gives to the best of all candidates, and by more than two
+simulations of one leg differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from equimus_ctrl.diagnosis.candidates import Candidate, Part, model_of
+from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
+from equimus_ctrl.diagnosis.leftover import flexible, linear
+from equimus_ctrl.diagnosis.screening import Screened, screen
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.fit import Begin
+from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.types import Array
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How a search goes.
+
+    Attributes:
+        most_parts: largest number of effects in a hypothesis.
+        level: chance of believing in one effect where there is none.
+        least_share: of the noise's variance, which an effect has to take away to count at all; two simulations of one
+            leg differ by some of that.
+        tried: candidates fitted at each stage, for each way to weigh the residuals.
+        kept: of them, how many are fitted to the end.
+    """
+
+    most_parts: int = 3
+    level: float = 1e-3
+    least_share: float = 1.5e-3
+    tried: int = 5
+    kept: int = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """Where a search ended.
+
+    Attributes:
+        base: the model without any effect, refitted.
+        best: the hypothesis believed in.
+        without: for each of its parts the best fit that does without it.
+        rivals: for each of its parts the hypotheses with another in its place that were fitted to the end.
+        first: what every candidate would do to the refitted model, alone.
+        fitted: all hypotheses fitted on the way, to whatever end.
+    """
+
+    base: Fitted
+    best: Fitted
+    without: tuple[Fitted, ...]
+    rivals: tuple[tuple[Fitted, ...], ...]
+    first: tuple[Screened, ...]
+    fitted: tuple[Fitted, ...]
+
+
+Notify = Callable[[str, str], None]
+"""Called with the stage and the best hypothesis so far."""
+OUTDONE = 0.5
+"""Least share of what the best flexible push would explain that the next effect has to."""
+NEAR, CLOSE = 0.5, 50.0
+"""Share of the best gain of deviance, and deviance, that a hypothesis may lack to be fitted to the end."""
+ROUGH, LONG = 5, 15
+"""Steps of a first look, and of a search for the few that are best by then."""
+MOVES = 8
+"""How often parts are exchanged at most."""
+
+
+class Search:
+    """A search over sets of candidates.
+
+    Args:
+        data: what was measured.
+        pool: the candidates.
+        settings: how it goes.
+        notify: see ``Notify``.
+    """
+
+    def __init__(
+        self,
+        data: Data,
+        pool: Sequence[Candidate],
+        settings: SearchSettings | None = None,
+        notify: Notify = lambda stage, best: None,
+    ) -> None:
+        self.data = data
+        self.pool = list(pool)
+        self.settings = settings or SearchSettings()
+        self.notify = notify
+        self.fitted: list[Fitted] = []
+        self._first: tuple[Screened, ...] = ()
+
+    def score(self, fitted: Fitted) -> float:
+        """Deviance and what the hypothesis' numbers cost (Schwarz, 1978)."""
+        return fitted.deviance + fitted.n_parameters * float(np.log(self.data.n))
+
+    def believed(self, simple: Fitted, rich: Fitted) -> bool:
+        """Whether the richer hypothesis gains more than chance and other simulations' errors would."""
+        more = max(rich.n_parameters - simple.n_parameters, 1)
+        return simple.deviance - rich.deviance > self.threshold(more)
+
+    def threshold(self, parameters: int) -> float:
+        """Least gain of deviance for an effect with so many parameters."""
+        chance = float(chi2.isf(self.settings.level / max(len(self.pool), 1), parameters))
+        return max(chance, self.settings.least_share * self.data.n)
+
+    def run(self, base: Fitted) -> Searched:
+        """Search from a model without effects that was refitted."""
+        best = base
+        without: tuple[Fitted, ...] = ()
+        rivals: tuple[tuple[Fitted, ...], ...] = ()
+        for depth in range(2 * self.settings.most_parts):
+            self.notify(f"what could be missing, round {depth + 1}", best.label)
+            options = [o for o in self.challenge(best) if len(o.hypothesis) <= self.settings.most_parts]
+            if not options:
+                break
+            top = min(options, key=self.score)
+            if not (self.believed(best, top) and self.score(top) < self.score(best)):
+                break
+            if self._outdone(best, top):
+                break
+            others = tuple(o for o in options if o is not top)
+            before, best = best, top
+            without, rivals = (before,), (others,)
+            if len(best.hypothesis) > 1:
+                best, without, rivals = self._exchanged(best)
+            if not best.hypothesis:
+                break
+        return Searched(base, best, without, rivals, self._first, tuple(self.fitted))
+
+    def _outdone(self, best: Fitted, top: Fitted) -> bool:
+        """Whether a flexible push would explain far more than the next effect: then that is not what is missing."""
+        at = linear(self.data, best, best.noise)
+        if at is None:
+            return False
+        before, after = (
+            sum(float((w**2).sum()) for w in whitened(self.data, best.noise, f.fit.residuals)) for f in (best, top)
+        )
+        push = flexible(at)[0].found
+        return before - after < OUTDONE * (push.held_out if at.folds else push.gain)
+
+    def challenge(self, fitted: Fitted, pool: Sequence[Candidate] | None = None, tried: int = 0) -> list[Fitted]:
+        """Hypotheses with one more part, the most promising ones fitted to the end.
+
+        Args:
+            fitted: what they add to.
+            pool: candidates; all by default.
+            tried: how many for each weighing; as the settings say by default.
+        """
+        tried = tried or self.settings.tried
+        weights = white_noise(fitted.fit.residuals)
+        first = []
+        for hypothesis, begin in [*self._promising(fitted, self.pool if pool is None else pool, tried)]:
+            try:
+                first.append(self.data.rough(hypothesis, begin, weights, ROUGH))
+            except SimulationDiverged:  # so it cannot be what happened
+                continue
+        first.sort(key=self.score)
+        ends = []
+        for k, option in enumerate(first):
+            # Only what comes near the best is worth going on with.
+            near = first[0].deviance + NEAR * max(fitted.deviance - first[0].deviance, 0.0) + CLOSE
+            if k < self.settings.kept and option.deviance <= near:
+                longer = self.data.rough(option.hypothesis, [option.begin], white_noise(option.fit.residuals), LONG)
+                option = self.data.settle(min(option, longer, key=lambda f: f.deviance))
+            ends.append(option)
+            self.fitted.append(option)
+        return ends
+
+    def _promising(
+        self, fitted: Fitted, pool: Sequence[Candidate], tried: int
+    ) -> list[tuple[tuple[Part, ...], list[Begin]]]:
+        """Hypotheses with one more part, and where their fits can begin."""
+        base = len(self.data.free.free)
+        screened = screen(self.data, fitted, pool)
+        if not fitted.hypothesis and not self._first:
+            self._first = tuple(screened)
+        lists = [sorted(screened, key=_by_gain(way)) for way in range(2)]
+        if not fitted.hypothesis and self.data.strong(fitted):
+            # What is missing may have led the refitted model far astray.
+            lists.append(sorted(screen(self.data, self.given, pool), key=lambda s: -s.gains[0]))
+        chosen: dict[str, tuple[tuple[Part, ...], list[Begin]]] = {}
+        for ranked in lists:
+            for s in ranked[:tried]:
+                if max(s.gains) > 0:
+                    starts: list[Begin] = [(s.begin, fitted.fit.starts)]
+                    if not fitted.hypothesis:
+                        starts.append((np.concatenate([self.data.free.start, s.begin[base:]]), fitted.fit.starts))
+                    old = chosen.get(s.candidate.label)
+                    chosen[s.candidate.label] = (s.hypothesis, starts + (old[1] if old else []))
+        return [*chosen.values(), *((h, [b]) for h, b in self._splits(fitted))]
+
+    @cached_property
+    def given(self) -> Fitted:
+        """The model as it came."""
+        return self.data.as_it_came()
+
+    def _splits(self, fitted: Fitted) -> list[tuple[tuple[Part, ...], Begin]]:
+        """For each part that acts alike in several places the same with numbers of their own."""
+        found: list[tuple[tuple[Part, ...], Begin]] = []
+        base = len(self.data.free.free)
+        for k, part in enumerate(fitted.hypothesis):
+            sites = part.candidate.locations
+            if len(sites) < 2:
+                continue
+            parts = tuple(Part(replace(part.candidate, locations=(site,)), part.values) for site in sites)
+            hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
+            values = [v for p in hypothesis for v in p.values.values()]
+            theta: Array = np.concatenate([fitted.fit.theta[:base], values])
+            found.append((hypothesis, (theta, fitted.fit.starts)))
+        return found
+
+    def _exchanged(self, best: Fitted) -> tuple[Fitted, tuple[Fitted, ...], tuple[tuple[Fitted, ...], ...]]:
+        """Parts that are not needed dropped, parts for which others fit better exchanged."""
+        for _ in range(MOVES):
+            moved = False
+            withouts: list[Fitted] = []
+            all_rivals: list[tuple[Fitted, ...]] = []
+            for k, part in enumerate(best.hypothesis):
+                self.notify(f"without {part.candidate.label}", best.label)
+                rest = best.hypothesis[:k] + best.hypothesis[k + 1 :]
+                without = self.refit(best, rest)
+                if not self.believed(without, best):
+                    best, moved = without, True
+                    break
+                others = [c for c in self.pool if c.label != part.candidate.label]
+                rivals = self.challenge(without, others, 3)
+                withouts.append(without)
+                all_rivals.append(tuple(rivals))
+                same_size = [r for r in rivals if len(r.hypothesis) <= len(best.hypothesis)]
+                better = [r for r in same_size if self.score(r) < self.score(best) - 1.0]
+                if better:
+                    best, moved = min(better, key=self.score), True
+                    break
+            if not moved or not best.hypothesis:
+                return best, tuple(withouts), tuple(all_rivals)
+        found = [self.refit(best, best.hypothesis[:k] + best.hypothesis[k + 1 :]) for k in range(len(best.hypothesis))]
+        return best, tuple(found), tuple(() for _ in found)
+
+    def refit(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> Fitted:
+        """A part of a fitted hypothesis, fitted to the end from there."""
+        base = len(self.data.free.free)
+        values = [v for part in hypothesis for v in part.values.values()]
+        theta: Array = np.concatenate([fitted.fit.theta[:base], values])
+        model_of(self.data.free.model, hypothesis)
+        weights = white_noise(fitted.fit.residuals)
+        found = self.data.settle(self.data.rough(hypothesis, [(theta, fitted.fit.starts)], weights, LONG))
+        self.fitted.append(found)
+        return found
+
+
+def _by_gain(way: int) -> Callable[[Screened], float]:
+    return lambda s: -s.gains[way]

@@ -1,0 +1,171 @@
+"""Where a model is off: by joint, by phase of a trial, by region of angles, speeds and commands."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.diagnosis.results import Where
+from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.types import Array
+
+JUST = 0.5
+"""How long after a change of command counts as just after it [s]."""
+STILL = 0.05
+"""Share of a joint's usual speed below which it is at rest."""
+LEAST_SAMPLES = 0.03
+"""A phase or region with less than this share of the samples is not told."""
+REGIONS = 3
+SLOPE = 4
+"""Half the number of samples over which speeds are read off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Class:
+    """Samples that have something in common.
+
+    Attributes:
+        text: what.
+        chosen: for each segment (m,) whether a sample belongs to it.
+    """
+
+    text: str
+    chosen: tuple[NDArray[np.bool_], ...]
+
+
+def excess_of(residuals: Sequence[Array], noise: Noise) -> Array:
+    """(nj,) mean squared residual in excess of the noise, over the noise's variance, at least 0."""
+    sigma = np.array([own.sigma for own in noise])
+    return np.asarray(np.maximum((np.concatenate(residuals) ** 2).mean(axis=0) / sigma**2 - 1.0, 0.0))
+
+
+def where_off(
+    joints: Sequence[str], actuators: Sequence[str], segments: Sequence[Segment], residuals: Sequence[Array],
+    noise: Noise,
+) -> tuple[Where, ...]:  # fmt: skip
+    """Joints by their share of the excess error, each with the phase and the region where it is densest.
+
+    Args:
+        joints: names.
+        actuators: names.
+        segments: what was measured.
+        residuals: of the refitted model, for each segment (m, nj) [rad].
+        noise: of the joints.
+    """
+    sigma = np.array([own.sigma for own in noise])
+    per_joint = excess_of(residuals, noise)
+    whole = float(per_joint.sum())
+    found = []
+    for j in np.argsort(-per_joint):
+        squares = [np.maximum((r[:, j] / sigma[j]) ** 2 - 1.0, -1.0) for r in residuals]
+        when = _densest(_phases(actuators, segments, j), squares)
+        region = _densest(_regions(joints, actuators, segments, j), squares)
+        share = float(per_joint[j]) / whole if whole > 0 else 0.0
+        found.append(Where(joints[j], share, when, region))
+    return tuple(found)
+
+
+def _densest(classes: Sequence[Class], squares: Sequence[Array]) -> str:
+    """The class with most of the error for its size, told with both shares."""
+    everything = np.concatenate(squares)
+    total = float(everything.sum())
+    if total <= 0:
+        return "nowhere in particular"
+    best, told = 0.0, "nowhere in particular"
+    for c in classes:
+        chosen = np.concatenate(c.chosen)
+        samples = float(chosen.mean())
+        if not LEAST_SAMPLES <= samples <= 1 - LEAST_SAMPLES:
+            continue
+        part = float(everything[chosen].sum()) / total
+        density = part * np.log(max(part / samples, 1.0)) if part > 0 else 0.0
+        if density > best and part / samples > 1.2:
+            best = density
+            told = f"{c.text} ({min(part, 1.0):.0%} of the excess error in {samples:.0%} of the samples)"
+    return told
+
+
+def speeds(segment: Segment) -> Array:
+    """(m, nj) measured rates [rad/s]."""
+    t, q = segment.trial.sample_times, segment.measured
+    k = min(SLOPE, (len(t) - 1) // 2)
+    ahead, behind = np.minimum(np.arange(len(t)) + k, len(t) - 1), np.maximum(np.arange(len(t)) - k, 0)
+    return np.asarray((q[ahead] - q[behind]) / (t[ahead] - t[behind])[:, None])
+
+
+def commands(segment: Segment) -> tuple[Array, Array, Array]:
+    """(m, na) command in force [Pa], its last change [Pa] and the time since then [s], at each sample."""
+    trial = segment.trial
+    rows = np.vstack([trial.before, trial.commands])
+    at = np.searchsorted(trial.times, trial.sample_times, side="right")
+    since = np.full((len(at), rows.shape[1]), np.inf)
+    change = np.zeros_like(since)
+    for a in range(rows.shape[1]):
+        moved = np.flatnonzero(np.diff(rows[:, a]) != 0)
+        last = np.searchsorted(moved, at - 1, side="right") - 1
+        known = last >= 0
+        since[known, a] = trial.sample_times[known] - trial.times[moved[last[known]]]
+        change[known, a] = (rows[1:, a] - rows[:-1, a])[moved[last[known]]]
+    return rows[at], change, since
+
+
+def _classes(text: str, segments: Sequence[Segment], of: Callable[[Segment], NDArray[np.bool_]]) -> Class:
+    return Class(text, tuple(of(segment) for segment in segments))
+
+
+def _phases(actuators: Sequence[str], segments: Sequence[Segment], j: int) -> list[Class]:
+    usual = float(np.quantile(np.concatenate([np.abs(speeds(s)[:, j]) for s in segments]), 0.95))
+    found = [
+        _classes("at rest", segments, lambda s: np.abs(speeds(s)[:, j]) < STILL * usual),
+        _classes("moving up", segments, lambda s: speeds(s)[:, j] > STILL * usual),
+        _classes("moving down", segments, lambda s: speeds(s)[:, j] < -STILL * usual),
+        _classes("near a turn of the motion", segments, lambda s: _turning(speeds(s)[:, j], STILL * usual)),
+    ]
+    for a, name in enumerate(actuators):
+        for text, sign in (("filling", 1.0), ("venting", -1.0)):
+
+            def just(s: Segment, a: int = a, sign: float = sign) -> NDArray[np.bool_]:
+                _, change, since = commands(s)
+                return np.asarray((since[:, a] < JUST) & (sign * change[:, a] > 0))
+
+            found.append(_classes(f"within {JUST:g} s of {text} {name}", segments, just))
+    return found
+
+
+def _turning(speed: Array, least: float) -> NDArray[np.bool_]:
+    """Samples that lie within a few of a change of direction."""
+    sign = np.sign(np.where(np.abs(speed) < least, 0.0, speed))
+    near = np.zeros(len(speed), dtype=bool)
+    moving = np.flatnonzero(sign)
+    for before, after in itertools.pairwise(moving):
+        if sign[before] != sign[after]:
+            near[max(before - SLOPE, 0) : after + SLOPE] = True
+    return near
+
+
+def _regions(joints: Sequence[str], actuators: Sequence[str], segments: Sequence[Segment], j: int) -> list[Class]:
+    found = []
+    coordinates: list[tuple[str, str, float, Callable[[Segment], Array]]] = [
+        (f"{name} angles", "°", 180 / np.pi, lambda s, i=i: s.measured[:, i])  # type: ignore[misc]
+        for i, name in enumerate(joints)
+    ]
+    coordinates += [
+        (f"{joints[j]} speeds", "rad/s", 1.0, lambda s: np.abs(speeds(s)[:, j])),
+        *[
+            (f"commands of {name}", "kPa", 1e-3, lambda s, a=a: commands(s)[0][:, a])
+            for a, name in enumerate(actuators)
+        ],
+    ]
+    for text, unit, factor, of in coordinates:
+        values = [of(s) for s in segments]
+        edges = np.quantile(np.concatenate(values), np.linspace(0, 1, REGIONS + 1))
+        for low, high in itertools.pairwise(edges):
+            if high > low:
+                told = f"{text} of {low * factor:.3g} to {high * factor:.3g} {unit}"
+                found.append(Class(told, tuple((v >= low) & (v <= high) for v in values)))
+    return found

@@ -1,0 +1,179 @@
+"""What moves inside one model in one trial: what no sensor shows, at the true joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import cast
+
+import casadi as ca
+import numpy as np
+
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.force import force_laws
+from equimus_ctrl.effects.sensors import hermite
+from equimus_ctrl.effects.valves import shaped_commands
+from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines.batch import STEP, Trial, encode
+from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.morphology import Phase, pack, structure
+from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.types import Array
+
+hermite_arrays = cast("Callable[..., Array]", hermite.py_func)
+"""``effects.sensors.hermite`` over whole arrays."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inner:
+    """The motion at n instants.
+
+    Attributes:
+        time: (n,) [s].
+        position: (n, nj) of the true joints [rad].
+        velocity: (n, nj) [rad/s].
+        pressure: (n, na) behind the valves [Pa].
+        length: (n, na) of the actuators [m].
+        rate: (n, na) its derivative [m/s].
+        arm: (n, na, nj) ∂length/∂position [m/rad].
+        state: (n, nz) the effects' states, as ``augmented_model`` with all laws has them.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    pressure: Array
+    length: Array
+    rate: Array
+    arm: Array
+    state: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(Inner):
+    """The motion at the m sample times of a trial.
+
+    Attributes:
+        name: of the trial.
+        start: when the motion starts [s].
+        between: the motion in the middles of the m − 1 intervals between the samples, with the pressures' means over
+            them, so that what is made of them counts a command's change by when it comes.
+    """
+
+    name: str
+    start: float
+    between: Inner
+
+
+def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = STEP) -> Motion:
+    """Follow a model through a trial.
+
+    Args:
+        model: what moves.
+        trial: its commands, start and sample times.
+        start: (nj,) angles or (2 nj,) angles and velocities at the start, in place of the trial's [rad, rad/s].
+        dt: physics step [s].
+
+    Raises:
+        ConfigError: where ``dt`` is no step or the trial has fewer than two samples.
+        SimulationDiverged: where the simulation does.
+    """
+    if not 0 < dt < float("inf"):
+        raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
+    times = np.asarray(trial.sample_times)
+    if len(times) < 2:
+        raise ConfigError(f"{trial.name}: has {len(times)} samples, too few to tell a motion; expected at least 2")
+    coded, names = encode([model]), model.morphology.actuator_names
+    nj = len(model.morphology.joints)
+    given = np.asarray(trial.position if start is None else start, dtype=np.float64)
+    q0, v0 = given[:nj], np.zeros(nj) if trial.velocity is None else trial.velocity
+    v0 = given[nj:] if len(given) > nj else v0
+    steps = max(int(np.ceil((times[-1] - trial.start) / dt - 1e-9)), 1)
+    kernel = compiled.load_lanes(structure(model.morphology), model.phase, force_laws())
+    states, pressures = np.empty((steps + 1, 2 * nj + kernel.N_STATES)), np.empty((steps, 2, len(names)))
+    shaped = shaped_commands(model.effects, names, np.vstack([trial.before, trial.commands]))
+    kernel.run_inner(
+        coded.parameters,
+        trial.times,
+        shaped[None, 1:].copy(),
+        shaped[:1].copy(),
+        coded.valve,
+        q0[None, :].copy(),
+        np.array(v0)[None, :],
+        coded.rubbing,
+        trial.start,
+        dt,
+        states,
+        pressures,
+    )
+    if not np.all(np.abs(states[:, nj : 2 * nj]) < MAX_SPEED):
+        raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
+    grid = _Grid(model, trial.start, dt, states, pressures)
+    edges = grid.impulse(times)
+    middles = (times[1:] + times[:-1]) / 2
+    between = grid.at(middles, np.diff(edges, axis=0) / np.diff(times)[:, None])
+    at = grid.at(times, grid.pressure(times))
+    return Motion(**vars(at), name=trial.name, start=float(trial.start), between=between)
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """A motion on its physics steps.
+
+    Attributes:
+        model: what moved.
+        start: of the grid [s].
+        dt: of the grid [s].
+        states: (steps + 1, 2 nj + nz) angles, velocities and effect states.
+        pressures: (steps, 2, na) mean and slope over each step [Pa].
+    """
+
+    model: Model
+    start: float
+    dt: float
+    states: Array
+    pressures: Array
+
+    def _places(self, times: Array) -> tuple[Array, Array]:
+        """Which step each instant lies in, and how far in it as a share of the step."""
+        place = (times - self.start) / self.dt
+        step = np.clip(place.astype(int), 0, len(self.pressures) - 1)
+        return step, (place - step)[:, None]
+
+    def pressure(self, times: Array) -> Array:
+        """(n, na) [Pa]."""
+        step, share = self._places(times)
+        mean, slope = self.pressures[step, 0], self.pressures[step, 1]
+        return np.asarray(mean + (share - 0.5) * slope)
+
+    def impulse(self, times: Array) -> Array:
+        """(n, na) the pressures' integrals since the start [Pa·s]."""
+        step, share = self._places(times)
+        mean, slope = self.pressures[step, 0], self.pressures[step, 1]
+        before = np.vstack([np.zeros_like(mean[:1]), np.cumsum(self.pressures[:, 0], axis=0)])[step]
+        return np.asarray(self.dt * (before + share * (mean + (share - 1) / 2 * slope)))
+
+    def at(self, times: Array, pressure: Array) -> Inner:
+        """The motion at some instants (n,) [s], with pressures (n, na) [Pa]."""
+        robot = changed_bodies(self.model.effects, self.model.morphology)
+        nj = len(robot.joints)
+        step, share = self._places(times)
+        q, v, z = np.split(self.states, [nj, 2 * nj], axis=1)
+        position = hermite_arrays(q[step], v[step], q[step + 1], v[step + 1], self.dt, share)
+        velocity = v[step] + share * (v[step + 1] - v[step])
+        state = z[step] + share * (z[step + 1] - z[step])
+        geometry = _geometry(structure(robot), self.model.phase)
+        length, arm = (np.array(part) for part in geometry(position.T, pack(robot)))
+        arms = arm.reshape(len(arm), len(times), nj).transpose(1, 0, 2)
+        rate = np.einsum("naj,nj->na", arms, velocity)
+        return Inner(np.array(times), position, velocity, pressure, length.T, rate, arms, state)
+
+
+@lru_cache(maxsize=32)
+def _geometry(form: Structure, phase: Phase) -> ca.Function:
+    """(q, p) → lengths (na,) and moment arms (na, nj)."""
+    m = build(form, phase)
+    return ca.Function("geometry", [m.q, m.p], [m.lengths, m.jacobian])

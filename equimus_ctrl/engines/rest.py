@@ -1,0 +1,122 @@
+"""Where a robot rests under constant commands, all its effects included."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.valves import shaped_commands
+from equimus_ctrl.errors import ModelError
+from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.morphology import Phase, pack, structure
+from equimus_ctrl.models.symbolic import Structure
+from equimus_ctrl.types import Array
+
+AT_REST = 1e-9
+"""Torque that is none [N·m]."""
+SINKING = 200.0
+"""How long a robot sinks at 1 rad/s for each N·m; the leg's softest mode has some 0.3 N·m/rad [s]."""
+
+Pushed = Callable[[Array], tuple[Array, Array]]
+"""Pose (nj,) of a robot at rest [rad] → torque on its joints (nj,) [N·m] and force along its actuators (na,) [N]."""
+
+
+@lru_cache(maxsize=16)
+def _at_rest(form: Structure, phase: Phase, laws: Laws) -> ca.Function:
+    """(q, p) → torque on the joints and force along the actuators that effects exert after a long rest."""
+    m = augmented_model(form, phase, laws)
+    pushes = ca.substitute([m.torque, m.force], [m.v, m.z], [ca.SX.zeros(m.v.shape), m.rest_state])
+    return ca.Function("at_rest", [m.q, m.p], pushes)
+
+
+def pushes_at_rest(model: Model) -> Pushed | None:
+    """What the effects of a model exert at rest, dry friction left out; None where none of them pushes."""
+    laws = tuple(sorted({type(e) for e in model.effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+    if not laws:
+        return None
+    robot = changed_bodies(model.effects, model.morphology)
+    form = structure(robot)
+    slots = augmented_model(form, model.phase, laws).slots
+    numbers = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]
+    function = _at_rest(form, model.phase, laws)
+
+    def pushed(q: Array) -> tuple[Array, Array]:
+        torque, force = function(q, numbers)
+        return np.array(torque).ravel(), np.array(force).ravel()
+
+    return pushed
+
+
+def rest_pose(model: Model, command: ArrayLike) -> Array:
+    """(nj,) where a model rests under constant commands (na,) [Pa], nothing held by dry friction [rad].
+
+    Raises:
+        ModelError: where no such pose is found.
+    """
+    given = np.asarray(command, dtype=np.float64)
+    pressure = shaped_commands(model.effects, model.morphology.actuator_names, given[None])[0]
+    kinematics = Kinematics(changed_bodies(model.effects, model.morphology), model.phase)
+    pushed = pushes_at_rest(model)
+    if pushed is None:
+        return kinematics.equilibrium(pressure)
+    q0, rests = _unpushed(kinematics, pressure)
+    if rests and not any(np.any(push) for push in pushed(q0)):
+        return q0
+    return _settle(kinematics, pressure, pushed, q0)
+
+
+def settle(kinematics: Kinematics, pressure: Array, pushed: Pushed) -> Array:
+    """(nj,) where a robot rests under constant pressures while something pushes it [rad].
+
+    Args:
+        kinematics: of the robot.
+        pressure: (na,) [Pa].
+        pushed: what pushes.
+
+    Raises:
+        ModelError: where no such pose is found.
+    """
+    return _settle(kinematics, pressure, pushed, _unpushed(kinematics, pressure)[0])
+
+
+def _unpushed(kinematics: Kinematics, pressure: Array) -> tuple[Array, bool]:
+    """Where a robot rests while nothing pushes it, and True; where it does not, the middle of its joint ranges."""
+    try:
+        return kinematics.equilibrium(pressure), True
+    except ModelError:
+        low, high = (np.clip(side, -np.pi, np.pi) for side in kinematics.morphology.joint_range)
+        return np.asarray((low + high) / 2), False
+
+
+def _settle(kinematics: Kinematics, pressure: Array, pushed: Pushed, q0: Array) -> Array:
+    def torque(q: Array) -> Array:
+        jacobian = kinematics.jacobian(q)
+        joint, force = pushed(q)
+        return np.asarray(kinematics.rest_torque(q, pressure)[0] + joint + jacobian.T @ force)
+
+    def rests(q: Array, slope: Array) -> bool:
+        stable = np.linalg.eigvalsh(-(slope + slope.T) / 2).min() > 0
+        return bool(stable and np.abs(torque(q)).max() < AT_REST)
+
+    found = least_squares(torque, q0, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    if not rests(found.x, found.jac):
+        # Where there are several poses without torque, the robot sinks into one that is stable.
+        sunk = solve_ivp(lambda _, q: torque(q), (0.0, SINKING), q0, method="BDF", rtol=1e-6, atol=1e-9).y[:, -1]
+        found = least_squares(torque, sunk, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        if not rests(found.x, found.jac):
+            shown = ", ".join(f"{value / 1e3:g}" for value in pressure)
+            raise ModelError(
+                f"{kinematics.morphology.name}: no pose at rest was found under pressures of {shown} kPa and the "
+                "effects that push"
+            )
+    return np.asarray(found.x)

@@ -1,0 +1,199 @@
+"""Truths and answers made comparable: which effects at which places, and on which joints something pushes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.model import places
+from equimus_ctrl.models.morphology import Morphology
+
+STRONG = 0.3
+"""Excess from which on an effect is to be found."""
+EDGES = (0.03, 0.3, 3.0, 30.0)
+BINS = (
+    f"below {EDGES[0]:g}",
+    *(f"{low:g} to {high:g}" for low, high in itertools.pairwise(EDGES)),
+    f"above {EDGES[-1]:g}",
+)
+"""Names of ranges of the excess."""
+POSES = 5
+"""Along each joint, at which lever arms are looked at."""
+NO_ARM = 1e-9
+"""Lever arm that is none [m]."""
+
+Parts = Mapping[str, frozenset[str]]
+"""Effect → all places where it acts."""
+Method = str
+"""``diagnosis`` or the name of a baseline."""
+OURS = "diagnosis"
+
+
+def bin_of(excess: float) -> str:
+    """The range of ``BINS`` that an excess lies in."""
+    return BINS[int(np.searchsorted(EDGES, excess, side="right"))]
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """The places of a robot.
+
+    Attributes:
+        foot: the link whose tip is the foot.
+        joints: place → the joints on which a push there acts.
+    """
+
+    foot: str
+    joints: Mapping[str, frozenset[str]]
+
+    @classmethod
+    def of(cls, robot: Morphology) -> Places:
+        """Of a robot: an actuator acts on the joints on which it has a lever arm in any pose."""
+        names = robot.joint_names
+        ends = [np.clip(side, -np.pi, np.pi) for side in robot.joint_range]
+        axes = [np.linspace(low, high, POSES) for low, high in zip(*ends, strict=True)]
+        kinematics = Kinematics(robot)
+        arms = np.max([np.abs(kinematics.jacobian(np.array(q))) for q in itertools.product(*axes)], axis=0)
+        moved = {name: frozenset({name}) for name in names}
+        for actuator, own in zip(robot.actuator_names, arms, strict=True):
+            moved[actuator] = frozenset(name for name, arm in zip(names, own, strict=True) if arm > NO_ARM)
+        for kind in ("link", "foot", "base"):
+            moved |= {place: frozenset(names) for place in places(robot)[kind]}
+        return cls(robot.foot, moved)
+
+    def same(self, location: str) -> str:
+        """The one name of a place: the tip of the last link is the foot."""
+        return "foot" if location == self.foot else location
+
+    def moved(self, locations: Iterable[str]) -> frozenset[str]:
+        """The joints on which pushes at some places act."""
+        return frozenset().union(*(self.joints[location] for location in locations))
+
+    def parts(self, findings: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
+        """Which effects act where; one effect found in two places apart is the same as in both together."""
+        found: dict[str, frozenset[str]] = {}
+        for finding in findings:
+            effect, where = self._key(finding)
+            found[effect] = found.get(effect, frozenset()) | where
+        return found
+
+    def _key(self, named: Mapping[str, Any]) -> tuple[str, frozenset[str]]:
+        return named["effect"], frozenset(self.same(location) for location in named["locations"])
+
+    def in_group(self, wanted: Parts, findings: Sequence[Mapping[str, Any]]) -> bool:
+        """Whether findings are right, each by itself or by one that it cannot be told from."""
+        if self.parts(findings) == dict(wanted):
+            return True
+        options = [{self._key(f), *(self._key(e) for e in f.get("equivalent", ()))} for f in findings]
+        if len(options) != len(wanted):
+            return False
+        orders = itertools.permutations(wanted.items())
+        return any(all(key in own for key, own in zip(order, options, strict=True)) for order in orders)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What one method said of one case.
+
+    Attributes:
+        findings: as in a diagnosis report: effect, locations, parameters.
+        unexplained: as in a diagnosis report; no baseline has any.
+        failed: what went wrong, "" where nothing did.
+    """
+
+    findings: tuple[Mapping[str, Any], ...]
+    unexplained: tuple[Mapping[str, Any], ...] = ()
+    failed: str = ""
+
+    @property
+    def silent(self) -> bool:
+        """Whether it said that nothing is missing."""
+        return not (self.findings or self.unexplained or self.failed)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One case with its seal opened.
+
+    Attributes:
+        truth: see ``store.truth_of``.
+        report: of the diagnosis.
+        baselines: name → answer as JSON.
+        places: of the robot.
+    """
+
+    truth: Mapping[str, Any]
+    report: Mapping[str, Any]
+    baselines: Mapping[Method, Mapping[str, Any]]
+    places: Places
+
+    @property
+    def number(self) -> int:
+        """Of the case."""
+        return int(self.truth["case"])
+
+    @property
+    def kind(self) -> str:
+        """None, single, pair or outside."""
+        return str(self.truth["kind"])
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the noise is."""
+        return float(self.truth["noise_correlation_s"]) > 0
+
+    @property
+    def strength(self) -> float:
+        """The excess; in a pair that of the weaker one alone."""
+        alone = [float(f["alone"]) for f in self.truth["findings"]]
+        return min(alone) if alone else float(self.truth["excess"])
+
+    @property
+    def wanted(self) -> Parts:
+        """What ought to be found."""
+        return self.places.parts(self.truth["findings"])
+
+    @property
+    def methods(self) -> tuple[Method, ...]:
+        """Whose answers there are."""
+        return (OURS, *self.baselines)
+
+    def answer(self, method: Method) -> Answer:
+        """What a method said."""
+        if method == OURS:
+            failed = self.report["proof"].get("failed") or ""
+            return Answer(tuple(self.report.get("findings", ())), tuple(self.report.get("unexplained", ())), failed)
+        own = self.baselines[method]
+        return Answer(tuple(own.get("findings", ())), failed=own.get("failed") or "")
+
+    def named(self, method: Method) -> dict[str, frozenset[str]]:
+        """The effects that a method named, with their places."""
+        return self.places.parts(self.answer(method).findings)
+
+    def exact(self, method: Method) -> bool:
+        """Whether exactly what is there was named, in its places."""
+        return not self.answer(method).failed and self.named(method) == self.wanted
+
+    def in_group(self, method: Method) -> bool:
+        """The same, or what the method says cannot be told from it."""
+        answer = self.answer(method)
+        return not answer.failed and self.places.in_group(self.wanted, answer.findings)
+
+    def unexplained(self, method: Method) -> bool:
+        """Whether it was said that something is missing that has no name."""
+        answer = self.answer(method)
+        return bool(answer.unexplained) and not answer.findings
+
+    def placed(self, method: Method) -> bool:
+        """Whether the first thing left unexplained is put where the physics from outside acts."""
+        left = self.answer(method).unexplained
+        if not left:
+            return False
+        pushed = {location for e in self.truth["outside"] for location in e["locations"]}
+        joints = self.places.moved(pushed)
+        return left[0]["location"] in joints or bool(set(left[0].get("acts_at", ())) & (joints | pushed))

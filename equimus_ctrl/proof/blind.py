@@ -1,0 +1,108 @@
+"""One case diagnosed by a process that knows its recordings and the nominal leg, and nothing else of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
+from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.split import Split, split
+from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.identification.fit import reduced_simulator
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.models.model import nominal_model
+from equimus_ctrl.proof.baselines import baselines
+from equimus_ctrl.proof.fingerprint import BASELINES, PARTS, fingerprint
+from equimus_ctrl.recordings.folders import write_text
+from equimus_ctrl.recordings.sets import read_set
+
+SETTINGS = DiagnosisSettings(threads=1)
+
+
+def report_fingerprint() -> str:
+    """Of a report."""
+    return fingerprint(repr(SETTINGS))
+
+
+def baselines_fingerprint() -> str:
+    """Of the baselines' answers."""
+    return fingerprint(repr(SETTINGS), (*PARTS, *BASELINES))
+
+
+def answer(recordings: Path, report: Path | None, others: Path | None, label: str) -> None:
+    """Diagnose a folder of recordings and write what is found.
+
+    Args:
+        recordings: the folder; no other is read.
+        report: file for the diagnosis; None where there is one already.
+        others: file for the baselines' answers; None where they are not wanted.
+        label: written into both files.
+    """
+    begun = time.perf_counter()
+    free = uncertain(nominal_model())
+    data = split(free.model, read_set(recordings))
+    found: Diagnosis | None = None
+    if report is not None:
+        made = {"fingerprint": report_fingerprint(), "seal": label}
+        said, found = _diagnosed(free, data)
+        write_text(report, _text({**said, "proof": {**said["proof"], **made}}))
+    if others is not None:
+        made = {"fingerprint": baselines_fingerprint(), "seal": label}
+        with threadpool_limits(limits=1, user_api="blas"):
+            simulator = reduced_simulator(threads=1)
+            own = Data(free, data.train, simulator)
+            answers = baselines(own, data.heldout, found.base if found else None)
+        write_text(others, _text({"answers": answers, **made, "seconds": time.perf_counter() - begun}))
+
+
+def _diagnosed(free: FreeParameters, data: Split) -> tuple[dict[str, Any], Diagnosis | None]:
+    """The report, with what it took; one of a diagnosis that failed says so."""
+    clock, processor = time.perf_counter(), time.process_time()
+    said: dict[str, Any] = {}
+    found, failed = None, ""
+    try:
+        found = diagnose(free, data, settings=SETTINGS)
+        said = found.to_dict()
+    except Exception as error:  # a proof counts failures; it does not end with one
+        failed = str(error) if isinstance(error, EquimusError) else f"{type(error).__name__}: {error}"
+    spent = {
+        "failed": failed,
+        "seconds": time.perf_counter() - clock,
+        "cpu_seconds": time.process_time() - processor,
+        "peak_memory_byte": peak_memory(),
+    }
+    return {**said, "proof": spent}, found
+
+
+def peak_memory() -> int | None:
+    """The most that this process held so far [byte]; None where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(most if sys.platform == "darwin" else most * 1024)
+
+
+def _text(value: Mapping[str, Any]) -> str:
+    return json.dumps(_plain(value), indent=1, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,158 @@
+"""How right the numbers are: sizes of what was found, intervals, and the error that the corrected model takes away."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.models.leg import nominal_leg
+from equimus_ctrl.models.model import places
+from equimus_ctrl.proof.answers import OURS, STRONG, Case, Method
+from equimus_ctrl.proof.shares import Share
+from equimus_ctrl.proof.sizes import size_of
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number estimated and what it truly is.
+
+    Attributes:
+        case: where.
+        of: effect, or "" of the robot's own.
+        name: of the parameter.
+        main: whether it is the effect's first.
+        true: SI.
+        value: estimated.
+        low: end of the 95 % interval, −inf where it has none.
+        high: upper end.
+        scale: what the error is relative to [SI].
+        zero: where the effect does nothing; None where the number says but where something sits.
+    """
+
+    case: int
+    of: str
+    name: str
+    main: bool
+    true: float
+    value: float
+    low: float
+    high: float
+    scale: float
+    zero: float | None = 0.0
+
+    @property
+    def error(self) -> float:
+        """Relative to ``scale``."""
+        return abs(self.value - self.true) / self.scale
+
+    @property
+    def covered(self) -> bool:
+        """Whether the interval holds the truth."""
+        return self.low <= self.true <= self.high
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the interval has both ends."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For machines; null for ends that are not there."""
+        ends = {key: v if math.isfinite(v) else None for key, v in (("low", self.low), ("high", self.high))}
+        return {**asdict(self), **ends, "error": self.error, "covered": self.covered}
+
+
+def measure_of(effect: str, parameter: str, location: str, true: float) -> tuple[float, float | None]:
+    """(what an error is relative to, where the effect does nothing).
+
+    An error is relative to the distance from where the effect does nothing. Angles and lengths that say where something
+    sits (a spring's rest, a centre, a stop's angle) have no zero of their own; theirs are relative to the range that
+    the table of sizes draws them from.
+    """
+    info = REGISTRY[effect].parameter_info()
+    kind = next(kind for kind, names in places(nominal_leg()).items() if location in names)
+    row = size_of(effect, parameter, kind, location)
+    if row.law == "linear" and info[parameter]["unit"] in ("rad", "m"):
+        return row.high - row.low, None
+    zero = (REGISTRY[effect].grows_from() if parameter == next(iter(info)) else None) or 0.0
+    return abs(true - zero), zero
+
+
+def found_numbers(cases: Sequence[Case], method: Method = OURS, least: float = STRONG) -> list[Number]:
+    """All numbers of effects that were named right in their places and are strong alone."""
+    found: list[Number] = []
+    for case in cases:
+        named = case.named(method)
+        for truth in case.truth["findings"]:
+            ((effect, where),) = case.places.parts([truth]).items()
+            if truth["alone"] < least or named.get(effect) != where or case.answer(method).failed:
+                continue
+            for finding in case.answer(method).findings:
+                if finding["effect"] == effect:
+                    found += _numbers(case.number, truth, finding["parameters"])
+    return found
+
+
+def _numbers(case: int, truth: Mapping[str, Any], estimates: Mapping[str, Any]) -> Iterable[Number]:
+    for k, name in enumerate(REGISTRY[truth["effect"]].parameter_info()):
+        if name in estimates:
+            true, own = float(truth["parameters"][name]), estimates[name]
+            scale, zero = measure_of(truth["effect"], name, truth["locations"][0], true)
+            yield Number(case, truth["effect"], name, k == 0, true, float(own["value"]), *_ends(own), scale, zero)
+
+
+def own_numbers(cases: Sequence[Case]) -> list[Number]:
+    """The robot's own numbers where exactly what is missing was found: elsewhere they stand in for it."""
+    found = []
+    for case in cases:
+        if case.kind == "outside" or not case.exact(OURS):
+            continue
+        for name, true in case.truth["parameters"].items():
+            own = case.report["parameters"].get(name)
+            if own is not None:
+                found.append(Number(case.number, "", name, False, true, float(own["value"]), *_ends(own), abs(true)))
+    return found
+
+
+def _ends(estimate: Mapping[str, Any]) -> tuple[float, float]:
+    low, high = estimate.get("low"), estimate.get("high")
+    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
+
+
+def coverage(numbers: Sequence[Number]) -> Share:
+    """Intervals that hold the truth."""
+    return Share.among(n.covered for n in numbers)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What the corrected model takes away on trials that no fit saw.
+
+    Attributes:
+        case: where.
+        share: of the mean squared error in excess of the noise that the refitted model has.
+    """
+
+    case: int
+    share: float
+
+
+def held_out(cases: Sequence[Case]) -> list[HeldOut]:
+    """Of the strong cases where exactly what is missing was found."""
+    found = []
+    for case in cases:
+        if case.kind in ("single", "pair") and case.strength >= STRONG and case.exact(OURS):
+            before, after = (heldout_excess(case, state) for state in ("refitted", "corrected"))
+            if before > 0:
+                found.append(HeldOut(case.number, 1.0 - after / before))
+    return found
+
+
+def heldout_excess(case: Case, state: str) -> float:
+    """Mean over the joints of rmse²/noise² − 1 on held-out trials; nan where there are none."""
+    noise, rmse = case.truth["noise_rad"], case.report["rmse_rad"]["heldout"][state]
+    if any(rmse.get(joint) is None for joint in noise):
+        return math.nan
+    return float(sum((rmse[joint] / size) ** 2 - 1.0 for joint, size in noise.items())) / len(noise)

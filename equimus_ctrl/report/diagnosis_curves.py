@@ -1,0 +1,276 @@
+"""The curves of what was found: of effects that push, evaluated from their own laws, and of what has no name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import casadi as ca
+import numpy as np
+
+from equimus_ctrl.diagnosis.results import Finding, Leftover
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.sensors import SensorEffect
+from equimus_ctrl.identification.parameters import unit_of
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.report.diagnosis_panels import (
+    BEYOND,
+    Line,
+    Panel,
+    Scene,
+    band,
+    changes,
+    in_time,
+    name_of,
+    settled,
+    variants,
+)
+from equimus_ctrl.report.diagnosis_signals import command_panels, sensor_panels
+from equimus_ctrl.report.diagnosis_words import coordinate, number, quantity, reading
+from equimus_ctrl.types import Array
+
+POINTS, POSES = 240, 121
+CYCLES, CYCLE = 3, 2000
+"""A motion to and fro is repeated until the states follow it; steps in each."""
+RAMP, LONGEST, STEP = 0.05, 20.0, 1e-3
+"""A step's duration, what follows at most, and the integration step of both [s]."""
+FAST = 1.3
+"""A push is drawn up to so many times the speed that is seldom exceeded."""
+VISIBLE = 0.02
+"""Share of the largest push that a curve must vary by to be drawn."""
+CLIPPED = 1.6
+"""A modelled stop is drawn up to so many times the torque of the one found."""
+
+
+def panels(scene: Scene, finding: Finding) -> list[Panel]:
+    """The curves of a finding at the first of its places, the most telling one first.
+
+    Args:
+        scene: what was recorded.
+        finding: whose.
+    """
+    best, others = finding.part.effects, variants(finding)
+    if isinstance(best[0], ForceEffect):
+        return _force_panels(scene, best[0], [cast(ForceEffect, o[0]) for o in others])
+    if isinstance(best[0], BodyEffect):
+        return _body_panels(scene, best, others)
+    make = sensor_panels if isinstance(best[0], SensorEffect) else command_panels
+    return make(scene, best, others)
+
+
+def leftover_panel(scene: Scene, left: Leftover) -> Panel | None:
+    """The curve of something that has no name; None where it has no coordinate."""
+    if not left.axis or len(left.x) == 0:
+        return None
+    along = reading(left.axis_unit, float(np.abs(left.x).max()))
+    push = reading(left.unit, float(np.abs(left.push).max()))
+    x, y, half = left.x * along.factor, left.push * push.factor, left.band * push.factor
+    values = scene.values(left.axis)
+    return Panel(
+        f"at {' and '.join(left.places)}",
+        f"{coordinate(left.axis).removeprefix('the ')} {along.bracket}",
+        f"push {push.bracket}",
+        (Line(x, np.zeros(len(x)), "as modelled", True), Line(x, y, "push that is left")),
+        (x, y - half, y + half),
+        None if values is None else values * along.factor,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """An effect's own law as numbers.
+
+    Attributes:
+        effect: whose.
+        function: (x, rate, |rate|, z, p) → push, dry friction, dz/dt.
+        rest: (x, p) → z.
+        p: (np, 1) its parameters.
+    """
+
+    effect: ForceEffect
+    function: ca.Function
+    rest: ca.Function
+    p: Array
+
+    @classmethod
+    def of(cls, effect: ForceEffect) -> _Law:
+        x, rate, speed = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("speed")
+        z = ca.SX.sym("z", effect.n_states)
+        states = ca.vertsplit(z) if effect.n_states else []
+        p = {key: ca.SX.sym(key) for key in effect.parameter_info()}
+        names = ca.vertcat(*p.values())
+        parts = [
+            ca.SX(effect.force(x, rate, states, p)),
+            ca.SX(effect.dry_friction(x, speed, p)),
+            ca.vertcat(*effect.state_rate(x, rate, states, p)),
+        ]
+        function = ca.Function("law", [x, rate, speed, z, names], parts)
+        rest = ca.Function("rest", [x, names], [ca.vertcat(*effect.rest_state(x, p))])
+        return cls(effect, function, rest, np.array(list(effect.parameters().values()))[:, None])
+
+    def settled(self, x: Array) -> Array:
+        """(nz, n) states after a long rest at each x (n,)."""
+        found = self.rest(x[None, :], np.repeat(self.p, len(x), axis=1))
+        return np.array(found).reshape(self.effect.n_states, len(x))
+
+    def push(self, x: Array, rate: Array, z: Array) -> Array:
+        """(n,) what acts on the coordinate [N·m or N], dry friction against the rate."""
+        many = np.repeat(self.p, len(x), axis=1)
+        push, rub, _ = self.function(x[None, :], rate[None, :], np.abs(rate)[None, :], z, many)
+        return np.array(push).ravel() - np.sign(rate) * np.array(rub).ravel()
+
+    def along(self, x: Array, rate: Array, dt: float) -> Array:
+        """((n + 1)/2,) the push at every other instant of a motion (n,) given at half steps of ``dt``; Runge–Kutta."""
+        z = self.settled(x[:1])
+        if self.effect.n_states:
+            n = (len(x) - 1) // 2
+            s, u, p = ca.SX.sym("s", len(z)), ca.SX.sym("u", 6), ca.SX.sym("p", len(self.p))
+
+            def slope(at: ca.SX, k: int) -> ca.SX:
+                return self.function(u[k], u[3 + k], ca.fabs(u[3 + k]), at, p)[2]
+
+            k1 = slope(s, 0)
+            k2 = slope(s + dt / 2 * k1, 1)
+            k3 = slope(s + dt / 2 * k2, 1)
+            k4 = slope(s + dt * k3, 2)
+            step = ca.Function("step", [s, u, p], [s + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+            rows = [part[k : len(part) - 2 + k : 2] for part in (x, rate) for k in range(3)]
+            later = step.mapaccum("steps", n)(z, np.array(rows), np.repeat(self.p, n, axis=1))
+            z = np.hstack([z, np.array(later)])
+        else:
+            z = np.zeros((0, (len(x) + 1) // 2))
+        return self.push(x[::2], rate[::2], z)
+
+
+def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) -> list[Panel]:
+    """Push against the coordinate, against its rate, around a loop and after a step: those that say anything."""
+    place, seen = best.location, scene.seen[best.location]
+    joint = place in scene.model.morphology.joint_names
+    long, short = ("rad", "angle") if joint else ("m", "length")
+    law, rest = _Law.of(best), [_Law.of(o) for o in others]
+    middle, half = (seen.low + seen.high) / 2, seen.span / 2
+    x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
+    rate = np.concatenate(
+        [-np.geomspace(FAST * seen.speed, 1e-9, POINTS), np.geomspace(1e-9, FAST * seen.speed, POINTS)]
+    )
+    period = 2 * np.pi * half / seen.speed
+    turn = np.linspace(0, 2 * np.pi * CYCLES, 2 * CYCLES * CYCLE + 1)
+    to_and_fro = middle + half * np.sin(turn), seen.speed * np.cos(turn), period / CYCLE
+    after = np.arange(-round(4 * RAMP / STEP), round(2 * LONGEST / STEP) + 1) * STEP / 2
+    jump = middle + half * (np.clip(after / RAMP, 0, 1) - 0.5), np.where((after >= 0) & (after < RAMP), half / RAMP, 0)
+
+    def at_rest(own: _Law) -> Array:
+        return own.push(x, np.zeros(len(x)), own.settled(x))
+
+    def in_motion(own: _Law) -> Array:
+        at = np.full(len(rate), middle)
+        return own.push(at, rate, own.settled(at))
+
+    def around(own: _Law) -> Array:
+        return own.along(*to_and_fro)[-CYCLE - 1 :]
+
+    def relaxing(own: _Law) -> Array:
+        return own.along(*jump, STEP)
+
+    loop, still, moving = around(law), at_rest(law), in_motion(law)
+    size = max(float(np.abs(curve).max()) for curve in (loop, still, moving))
+    push = reading("N·m" if joint else "N", size)
+    label = f"{'torque' if joint else 'force'} {push.bracket}"
+    far, quick = reading(long, float(np.abs(x).max())), reading(f"{long}/s", seen.speed)
+    axis, data = f"{short} of {place} {far.bracket}", scene.position(place) * far.factor
+
+    def panel(title: str, x: str, along: Array, of: Callable[[_Law], Array], where: Array | None = None) -> Panel:
+        curve = of(law) * push.factor
+        ends = np.array([along.min(), along.max()])
+        lines = Line(ends, np.zeros(2), "without", True), Line(along, curve, name_of([best]))
+        return Panel(title, x, label, lines, band(along, curve, [of(o) * push.factor for o in rest]), where)
+
+    def varies(curve: Array) -> bool:
+        return float(np.ptp(curve)) > VISIBLE * size
+
+    found = []
+    sliding = law.push(x, np.full(len(x), seen.speed), law.settled(x))
+    if best.n_states or varies(sliding - still):
+        title = f"to and fro, once in {quantity(period, 's')}"
+        found.append(panel(title, axis, to_and_fro[0][::2][-CYCLE - 1 :] * far.factor, around, data))
+    if best.n_states and varies((relaxed := relaxing(law))[after[::2] > RAMP]):
+        instants = after[::2]
+        until = float(np.clip(1.4 * settled(instants[instants > RAMP], relaxed[instants > RAMP]), 4 * RAMP, LONGEST))
+        kept = instants <= until
+        shown, time = in_time(instants[kept])
+        wide = quantity(half, long)
+        found.append(panel(f"after a step of {wide}", time, shown, lambda own: relaxing(own)[kept]))
+    if varies(moving):
+        fast = scene.values(f"vel.{place}")
+        where = None if fast is None else fast * quick.factor
+        found.append(
+            panel("against the speed", f"speed of {place} {quick.bracket}", rate * quick.factor, in_motion, where)
+        )
+    if varies(still):
+        found.append(panel(f"against the {short}", axis, x * far.factor, at_rest, data))
+    return found
+
+
+def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:
+    """What another robot's weight, springs and stops do to the joints at rest, and which numbers it has."""
+    m = scene.model.morphology
+
+    def robot(effects: Sequence[Effect]) -> Morphology:
+        return changed_bodies((*scene.model.effects, *effects), m)
+
+    modelled, now, rest = robot(()), robot(best), [robot(o) for o in others]
+    pose = np.median(scene.angles, axis=0)
+    found = []
+    for what in ("stops", "gravity", "springs"):
+        for j, joint in enumerate(m.joint_names):
+            seen = scene.position(joint)
+            beyond = 0.03 * float(np.ptp(seen))
+            angles = np.linspace(seen.min() - beyond, seen.max() + beyond, POSES)
+            poses = np.tile(pose, (POSES, 1))
+            poses[:, j] = angles
+            plain, curve = (_torque(own, scene.model, what, poses)[:, j] for own in (modelled, now))
+            if not changes(curve, plain):
+                continue
+            size = float(np.abs(curve).max()) or float(np.abs(plain).max())
+            push = reading("N·m", size)
+            clipped = np.where(np.abs(plain) <= CLIPPED * size, plain, np.nan)
+            x = np.degrees(angles)
+            lines = (
+                Line(x, clipped * push.factor, "as modelled", True),
+                Line(x, curve * push.factor, name_of(best)),
+            )
+            curves = [_torque(own, scene.model, what, poses)[:, j] * push.factor for own in rest]
+            around = band(x, curve * push.factor, curves)
+            axes = f"angle of {joint} [°]", f"torque of {what} {push.bracket}"
+            found.append(Panel(f"{what} at the {joint}", *axes, lines, around, np.degrees(seen)))
+    return [*found, Panel("numbers of the robot", rows=_changed_numbers(scene.model, modelled, now))]
+
+
+def _torque(robot: Morphology, model: Model, what: str, poses: Array) -> Array:
+    """(n, nj) the part of the torque at rest that comes of weight, springs or stops [N·m]."""
+    free = replace(robot, joints=tuple(replace(j, lower=None, upper=None) for j in robot.joints))
+    loose = replace(free, actuators=tuple(replace(a, stiffness=0.0) for a in robot.actuators))
+    more, less = {"stops": (robot, free), "springs": (free, loose), "gravity": (loose, None)}[what]
+
+    def torque(of: Morphology) -> Array:
+        kinematics = Kinematics(of, model.phase)
+        return np.array([kinematics.rest_torque(q)[0] for q in poses])
+
+    return torque(more) - (torque(less) if less else 0.0)
+
+
+def _changed_numbers(model: Model, before: Morphology, after: Morphology) -> tuple[tuple[str, ...], ...]:
+    """(number, ``modelled → now``) of all that differ."""
+    old, new = before.parameters(), after.parameters()
+    rows = []
+    for name, value in new.items():
+        if old.get(name) != value:
+            told = reading(unit_of(model, name), max(abs(old.get(name, 0.0)), abs(value)))
+            first = number(old[name] * told.factor) if name in old else "none"
+            rows.append((name, f"{first} → {told(number(value * told.factor))}"))
+    return tuple(rows)

@@ -1,0 +1,213 @@
+"""Panels drawn, for a finding and for something without a name; and the ranking of all candidates."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from equimus_ctrl.diagnosis.results import Diagnosis, Finding, Leftover, Named
+from equimus_ctrl.report import style
+from equimus_ctrl.report.diagnosis_curves import leftover_panel, panels
+from equimus_ctrl.report.diagnosis_panels import Band, Panel, Scene
+from equimus_ctrl.report.diagnosis_words import coordinate, short
+from equimus_ctrl.types import Array
+
+WIDTH = 11.0
+WITH, WITHOUT = "#0072B2", "#6B6B6B"
+EQUIVALENT, OTHER = "#86BBD8", "#C4C4C4"
+MOST_CANDIDATES = 20
+DATA_HEIGHT = 0.1
+"""Share of the axes' height that is left to show where the recordings lie."""
+DATA_BINS = 48
+MOST_BAND = 1.0
+"""A band is drawn up to so many times the curves' height beyond them."""
+A_ROW, MOST_PANELS = 3, 6
+"""Panels side by side, and in a figure."""
+
+
+def finding_figure(scene: Scene, finding: Finding) -> Figure:
+    """The curves of a finding."""
+    shown = panels(scene, finding)[:MOST_PANELS]
+    places = finding.part.candidate.locations
+    alike = f", drawn at {places[0]}" if len(places) > 1 else ""
+    return _figure(f"{short(finding.named)[:1].upper()}{short(finding.named)[1:]}{alike}", shown, "interval")
+
+
+def leftover_figure(scene: Scene, left: Leftover) -> Figure | None:
+    """The curve of something without a name; None where it has none."""
+    panel = leftover_panel(scene, left)
+    if panel is None:
+        return None
+    title = f"Unexplained at {left.location}: a push that goes with {coordinate(left.depends_on)}"
+    return _figure(textwrap.fill(title, 58), [panel], "95 % interval")
+
+
+def _figure(title: str, shown: Sequence[Panel], interval: str) -> Figure:
+    columns = min(len(shown), A_ROW) if len(shown) != 4 else 2
+    rows = -(-len(shown) // columns)
+    figure = style.new_figure(WIDTH if columns > 1 else 7.0, 1.1 + 2.9 * rows, title)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes, panel in zip(grid.flat, shown, strict=False):
+        draw(axes, panel)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_axis_off()
+    style.legend_below(figure, handles_of(shown, interval))
+    return figure
+
+
+def draw(axes: Axes, panel: Panel) -> None:
+    """Draw a panel on axes."""
+    if panel.rows:
+        _draw_table(axes, panel)
+        return
+    for line in panel.lines:
+        if line.without:
+            axes.plot(line.x, line.y, color=WITHOUT, linewidth=1.5, linestyle=style.DASHES, zorder=2)
+        else:
+            axes.plot(line.x, line.y, color=WITH, linewidth=2.0, zorder=3)
+    if panel.band is not None:
+        for x, low, high in _one_way(panel.band):
+            axes.fill_between(x, low, high, color=WITH, alpha=0.22, linewidth=0, zorder=1)
+        axes.set_ylim(*_limits(panel))
+    left, right = min(line.x.min() for line in panel.lines), max(line.x.max() for line in panel.lines)
+    axes.set_xlim(left, right)
+    if panel.data is not None:
+        _draw_data(axes, panel.data, left, right)
+    style.dress(axes, title=textwrap.fill(panel.title, 44), x=panel.x, y=panel.y)
+
+
+def _one_way(band: Band) -> list[Band]:
+    """A band to and fro along x as pieces in each of which x goes one way."""
+    way = np.sign(np.diff(band[0]))
+    turns = np.flatnonzero(way[1:] * way[:-1] < 0) + 1
+    edges = [0, *turns.tolist(), len(band[0]) - 1]
+    return [(band[0][a : b + 1], band[1][a : b + 1], band[2][a : b + 1]) for a, b in pairwise(edges)]
+
+
+def _limits(panel: Panel) -> tuple[float, float]:
+    """Such that the curves can be read, however wide the band is."""
+    curves = np.concatenate([line.y[np.isfinite(line.y)] for line in panel.lines])
+    low, high = float(curves.min()), float(curves.max())
+    room = MOST_BAND * max(high - low, 1e-12)
+    if panel.band is not None:
+        low, high = max(float(panel.band[1].min()), low - room), min(float(panel.band[2].max()), high + room)
+    low, high = min(low, float(curves.min())), max(high, float(curves.max()))
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
+
+
+def _draw_data(axes: Axes, data: Array, low: float, high: float) -> None:
+    """Bars at the foot of the axes: where the recordings lie, the highest bar as high as the room that is made."""
+    count, edges = np.histogram(data, bins=DATA_BINS, range=(low, high))
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(bottom - 1.6 * DATA_HEIGHT * (top - bottom), top)
+    height = DATA_HEIGHT * count / max(int(count.max()), 1)
+    transform = axes.get_xaxis_transform()
+    axes.bar(
+        edges[:-1], height, np.diff(edges), align="edge", color=style.FAINT, alpha=0.55, linewidth=0,
+        transform=transform, zorder=1,
+    )  # fmt: skip
+
+
+def _draw_table(axes: Axes, panel: Panel) -> None:
+    axes.set_axis_off()
+    axes.set_title(panel.title, loc="left", fontsize=style.PANEL_SIZE, color=style.INK)
+    rows = [("", "modelled → now"), *panel.rows]
+    for k, row in enumerate(rows):
+        for x, text, side in zip((0.0, 1.0), row, ("left", "right"), strict=True):
+            axes.text(
+                x, 0.94 - 0.11 * k, text, ha=side, va="center", fontsize=style.SMALL_SIZE, color=style.INK,
+                fontweight="normal" if k else "bold", transform=axes.transAxes,
+            )  # fmt: skip
+
+
+def handles_of(shown: Sequence[Panel], interval: str) -> list[Artist]:
+    """What a legend says of panels."""
+    handles: list[Artist] = []
+    for line in {line.label: line for panel in shown for line in panel.lines}.values():
+        dashes = {"linestyle": style.DASHES, "linewidth": 1.5, "color": WITHOUT}
+        handles.append(Line2D([], [], label=line.label, **(dashes if line.without else {"color": WITH, "lw": 2.0})))  # type: ignore[arg-type]
+    if any(panel.band is not None for panel in shown):
+        handles.append(Patch(facecolor=WITH, alpha=0.22, label=interval))
+    if any(panel.data is not None for panel in shown):
+        handles.append(Patch(facecolor=style.FAINT, alpha=0.55, label="where the recordings lie"))
+    return handles
+
+
+def ranking_figure(diagnosis: Diagnosis) -> Figure:
+    """What every candidate would gain alone, the best of them and all that was found."""
+    findings = [f.named for f in diagnosis.findings]
+    equivalent = [other for f in diagnosis.findings for other in f.equivalent]
+    shown = list(diagnosis.ranking[:MOST_CANDIDATES])
+    shown += [r for r in diagnosis.ranking[MOST_CANDIDATES:] if r.named in (*findings, *equivalent)]
+    figure = style.new_figure(
+        WIDTH, 1.6 + 0.27 * len(shown), f"What each effect would gain alone ({len(diagnosis.ranking)} candidates)"
+    )
+    axes = figure.add_subplot()
+    thresholds = [f.evidence.threshold for f in diagnosis.findings]
+    largest = max(
+        [
+            10.0,
+            *thresholds,
+            *(f.evidence.gain for f in diagnosis.findings),
+            *(max(r.screened, r.fitted or 0.0) for r in shown),
+        ]
+    )
+    least = max(1.0, 1e-5 * largest)
+
+    def colour(named: Named) -> str:
+        return WITH if named in findings else EQUIVALENT if named in equivalent else OTHER
+
+    for row, ranked in enumerate(shown):
+        if ranked.fitted is not None:
+            axes.barh(row, max(ranked.fitted, least) - least, left=least, height=0.66, color=colour(ranked.named))
+        axes.plot(
+            max(ranked.screened, least),
+            row,
+            marker="o",
+            markersize=5.5,
+            markerfacecolor="white",
+            markeredgecolor=style.INK,
+            clip_on=False,
+        )
+    beside = {f.named: f.evidence.gain for f in diagnosis.findings} if len(findings) > 1 else {}
+    for row, ranked in enumerate(shown):
+        if ranked.named in beside:
+            at = max(beside[ranked.named], least)
+            axes.plot(at, row, marker="D", markersize=7, color=WITH, markeredgecolor="white")
+    if thresholds:
+        axes.axvline(min(thresholds), color=style.ALERT, linewidth=1.3, linestyle=style.DASHES)
+    axes.set_xscale("log")
+    axes.set_xlim(least, 2 * largest)
+    axes.set_yticks(np.arange(len(shown)), [short(r.named) for r in shown])
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    style.dress(axes, x="fall of −2 log likelihood")
+    axes.grid(False, axis="y")
+    for label, ranked in zip(axes.get_yticklabels(), shown, strict=True):
+        if ranked.named in findings:
+            label.set_fontweight("bold")
+    handles: list[Artist] = []
+    if findings:
+        handles.append(Patch(facecolor=WITH, label="found"))
+    if beside:
+        handles.append(Line2D([], [], marker="D", linestyle="", color=WITH, label="found, beside the others"))
+    if equivalent:
+        handles.append(Patch(facecolor=EQUIVALENT, label="not to be told apart from it"))
+    if any(r.fitted is not None and r.named not in (*findings, *equivalent) for r in shown):
+        handles.append(Patch(facecolor=OTHER, label="other, fitted"))
+    handles.append(
+        Line2D(
+            [], [], marker="o", linestyle="", color="white", markeredgecolor=style.INK, label="expected to first order"
+        )
+    )
+    if thresholds:
+        handles.append(Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="least that is believed"))
+    style.legend_below(figure, handles)
+    return figure

@@ -1,0 +1,305 @@
+"""Figures of a diagnosis: before and after, where the error lies, all candidates, and the curves of what was found."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from equimus_ctrl.diagnosis.results import STATES, Diagnosis
+from equimus_ctrl.diagnosis.where import commands, speeds
+from equimus_ctrl.identification.fit import DIVERGED
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.report import diagnosis_text as story
+from equimus_ctrl.report import style
+from equimus_ctrl.report.diagnosis_curves import leftover_panel, panels
+from equimus_ctrl.report.diagnosis_drawing import (
+    WIDTH,
+    draw,
+    finding_figure,
+    handles_of,
+    leftover_figure,
+    ranking_figure,
+)
+from equimus_ctrl.report.diagnosis_panels import Panel, Scene
+from equimus_ctrl.report.diagnosis_sentences import sentence
+from equimus_ctrl.report.diagnosis_words import listed, short
+from equimus_ctrl.types import Array
+
+COLOURS = {"nominal": "#B0A08A", "refitted": "#D55E00", "corrected": "#0072B2"}
+WORDS = {"nominal": "as it came", "refitted": "refitted", "corrected": "corrected"}
+MOST_TRIALS = 3
+LONG_NAME = 34
+BINS, LEAST_IN_BIN = 12, 5
+STEP_SHARE = 0.02
+"""Share of the largest command that a change must have to count as a step."""
+MRAD, KPA = 1e3, 1e-3
+
+
+def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
+    """Name → figure of everything that was found."""
+    scene = Scene.of(diagnosis)
+    figures = {
+        "summary": summary_figure(diagnosis, scene),
+        "before_after": before_after_figure(diagnosis),
+        "residuals": residuals_figure(diagnosis),
+    }
+    if diagnosis.ranking:
+        figures["ranking"] = ranking_figure(diagnosis)
+    for k, finding in enumerate(diagnosis.findings):
+        figures[f"finding_{k + 1}"] = finding_figure(scene, finding)
+    for k, left in enumerate(diagnosis.leftover):
+        if (figure := leftover_figure(scene, left)) is not None:
+            figures[f"unexplained_{k + 1}"] = figure
+    return figures
+
+
+# Trials: which are shown, and what was predicted of them.
+
+
+def _part(diagnosis: Diagnosis) -> tuple[str, Sequence[Segment]]:
+    return ("heldout", diagnosis.heldout) if diagnosis.heldout else ("train", diagnosis.train)
+
+
+def _residual(diagnosis: Diagnosis, state: str, k: int) -> Array:
+    """(m, nj) of a segment [rad]; nan where the model diverged."""
+    part, _ = _part(diagnosis)
+    values = np.array(getattr(diagnosis.residuals[state], part)[k])
+    values[np.abs(values) >= DIVERGED] = np.nan
+    return values
+
+
+def _sigma(diagnosis: Diagnosis) -> Array:
+    return np.array([own.sigma for own in diagnosis.best.noise])
+
+
+def _worst(diagnosis: Diagnosis) -> list[int]:
+    """The trials of which the refitted model is worst, worst first."""
+    part, segments = _part(diagnosis)
+    squares = [((r / _sigma(diagnosis)) ** 2).mean() for r in getattr(diagnosis.residuals["refitted"], part)]
+    return [int(k) for k in np.argsort(squares)[::-1][: min(MOST_TRIALS, len(segments))]]
+
+
+def _trial_name(diagnosis: Diagnosis, k: int) -> str:
+    part, segments = _part(diagnosis)
+    name = segments[k].trial.name
+    name = name if len(name) <= LONG_NAME else f"…{name[-LONG_NAME:]}"
+    return f"{name} ({'held out' if part == 'heldout' else 'fitted'})"
+
+
+def _draw_angles(axes: Axes, diagnosis: Diagnosis, k: int, j: int, states: Sequence[str]) -> None:
+    segment = _part(diagnosis)[1][k]
+    time, measured = segment.trial.sample_times, segment.measured[:, j]
+    axes.plot(time, np.degrees(measured), color=style.RECORDED, linewidth=2.2, alpha=0.45)
+    for state in states:
+        predicted = np.degrees(measured - _residual(diagnosis, state, k)[:, j])
+        axes.plot(time, predicted, color=COLOURS[state], linewidth=1.3)
+    axes.set_xlim(time[0], time[-1])
+
+
+def _draw_residuals(axes: Axes, diagnosis: Diagnosis, k: int, j: int) -> None:
+    time, sigma = _part(diagnosis)[1][k].trial.sample_times, _sigma(diagnosis)[j] * MRAD
+    axes.axhspan(-2 * sigma, 2 * sigma, color=style.SHADE, linewidth=0)
+    top = 3 * sigma
+    for state in story.states(diagnosis)[1:]:
+        values = _residual(diagnosis, state, k)[:, j] * MRAD
+        if np.isfinite(values).any():
+            top = max(top, float(np.nanquantile(np.abs(values), 0.995)) * 1.1)
+        axes.plot(time, values, color=COLOURS[state], linewidth=1.0, alpha=0.9)
+    axes.set_ylim(-top, top)
+    axes.set_xlim(time[0], time[-1])
+
+
+def _draw_commands(axes: Axes, segment: Segment) -> None:
+    values, _, _ = commands(segment)
+    for a in range(values.shape[1]):
+        axes.step(
+            segment.trial.sample_times, values[:, a] * KPA, where="post", color=style.actuator_colour(a), linewidth=1.1
+        )
+
+
+def _state_handles(states: Sequence[str]) -> list[Artist]:
+    handles: list[Artist] = [Line2D([], [], color=style.RECORDED, linewidth=2.2, alpha=0.45, label="measured")]
+    return handles + [Line2D([], [], color=COLOURS[s], linewidth=1.6, label=WORDS[s]) for s in states]
+
+
+def before_after_figure(diagnosis: Diagnosis) -> Figure:
+    """The trials of which the refitted model is worst: angles, residuals and commands."""
+    chosen, joints, states = _worst(diagnosis), diagnosis.joints, story.states(diagnosis)
+    title = f"Before and after (RMSE {' → '.join(WORDS[s] for s in states)})"
+    figure = style.new_figure(WIDTH, 0.9 + 3.9 * len(chosen), title)
+    blocks = figure.subfigures(len(chosen), 1, squeeze=False)[:, 0]
+    for block, k in zip(blocks, chosen, strict=True):
+        grid = block.subplots(3, len(joints), squeeze=False, sharex=True, height_ratios=[2.1, 1.5, 0.7])
+        segment = _part(diagnosis)[1][k]
+        for j, joint in enumerate(joints):
+            _draw_angles(grid[0, j], diagnosis, k, j, states)
+            _draw_residuals(grid[1, j], diagnosis, k, j)
+            _draw_commands(grid[2, j], segment)
+            errors = [float(np.sqrt(np.mean(_residual(diagnosis, s, k)[:, j] ** 2))) * MRAD for s in states]
+            title = f"{joint}: RMSE {' → '.join('diverged' if np.isnan(e) else f'{e:.1f}' for e in errors)} mrad"
+            if j == 0:
+                title = f"{_trial_name(diagnosis, k)}\n{title}"
+            style.dress(grid[0, j], title=title, y="angle [°]" if j == 0 else "")
+            style.dress(grid[1, j], y="error [mrad]" if j == 0 else "")
+            style.dress(grid[2, j], x="time [s]", y="[kPa]" if j == 0 else "")
+        block.align_ylabels()
+    handles = _state_handles(states)
+    handles.append(Patch(facecolor=style.SHADE, label="± 2 σ of the noise"))
+    for a, name in enumerate(diagnosis.model.morphology.actuator_names):
+        handles.append(Line2D([], [], color=style.actuator_colour(a), linewidth=1.4, label=f"command of {name}"))
+    style.legend_below(figure, handles)
+    return figure
+
+
+def residuals_figure(diagnosis: Diagnosis) -> Figure:
+    """Size and mean of the residuals against time since a step, the joint's angle and speed, and the commands."""
+    m = diagnosis.model.morphology
+    states = story.states(diagnosis)[1:]
+    segments = (*diagnosis.train, *diagnosis.heldout)
+    rows = {s: (*diagnosis.residuals[s].train, *diagnosis.residuals[s].heldout) for s in states}
+    residuals = {s: np.concatenate(r) * MRAD for s, r in rows.items()}
+    angles = np.degrees(np.concatenate([s.measured for s in segments]))
+    rates = np.degrees(np.concatenate([speeds(s) for s in segments]))
+    pressures = np.concatenate([commands(s)[0] for s in segments]) * KPA
+    since = np.concatenate([_since_step(s, float(pressures.max()) / KPA) for s in segments])
+    shared = [(f"command of {name} [kPa]", pressures[:, a]) for a, name in enumerate(m.actuator_names)]
+    figure = style.new_figure(WIDTH + 1, 0.9 + 3.3 * len(m.joints), "Where the error lies")
+    columns = 3 + len(shared)
+    grid = figure.subplots(
+        2 * len(m.joints), columns, squeeze=False, sharey="row", height_ratios=[1.3, 1] * len(m.joints)
+    )
+    for j, joint in enumerate(m.joint_names):
+        own = [
+            ("time since a step [s]", since),
+            (f"angle of {joint} [°]", angles[:, j]),
+            (f"speed of {joint} [°/s]", rates[:, j]),
+            *shared,
+        ]
+        sigma = _sigma(diagnosis)[j] * MRAD
+        for c, (label, values) in enumerate(own):
+            top, bottom = grid[2 * j, c], grid[2 * j + 1, c]
+            for state in states:
+                x, size, mean = _binned(values, residuals[state][:, j], even=c > 0)
+                top.plot(x, size, color=COLOURS[state], linewidth=1.4, marker="o", markersize=3.5)
+                bottom.plot(x, mean, color=COLOURS[state], linewidth=1.4, marker="o", markersize=3.5)
+            top.axhline(sigma, color=style.INK, linewidth=1.0, linestyle=":")
+            bottom.axhline(0.0, color=style.FAINT, linewidth=0.8)
+            top.tick_params(labelbottom=False)
+            if c == 0:
+                for axes in (top, bottom):
+                    axes.set_xscale("log")
+                    axes.xaxis.set_major_formatter("{x:g}")
+            title = f"{joint}: size of the error" if c == 0 else ""
+            style.dress(top, title=title, y="RMS [mrad]" if c == 0 else "")
+            style.dress(bottom, x=label, y="mean [mrad]" if c == 0 else "")
+            bottom.xaxis.label.set_size(style.SMALL_SIZE)
+        grid[2 * j, 0].set_ylim(bottom=0)
+    figure.align_ylabels()
+    handles: list[Artist] = [Line2D([], [], color=COLOURS[s], marker="o", label=WORDS[s]) for s in states]
+    handles.append(Line2D([], [], color=style.INK, linewidth=1.0, linestyle=":", label="noise"))
+    style.legend_below(figure, handles)
+    return figure
+
+
+def _since_step(segment: Segment, largest: float) -> Array:
+    """(m,) time since any command last changed by much at once, or since the start [s]."""
+    trial = segment.trial
+    rows = np.vstack([trial.before, trial.commands])
+    steps = trial.times[np.any(np.abs(np.diff(rows, axis=0)) > STEP_SHARE * largest, axis=1)]
+    instants = np.concatenate([[min(trial.start, trial.sample_times[0])], steps])
+    instants = np.sort(instants)
+    return np.asarray(trial.sample_times - instants[np.searchsorted(instants, trial.sample_times, side="right") - 1])
+
+
+def _binned(values: Array, residual: Array, even: bool) -> tuple[Array, Array, Array]:
+    """Median of the values, RMS and mean of the residuals in bins with as many samples each, or half way to as wide."""
+    edges = np.quantile(values, np.linspace(0, 1, BINS + 1))
+    if even:
+        edges = (edges + np.linspace(edges[0], edges[-1], BINS + 1)) / 2
+    edges = np.unique(edges)
+    edges[-1] = np.inf
+    found = []
+    for low, high in pairwise(edges):
+        own = residual[(values >= low) & (values < high)]
+        if len(own) >= LEAST_IN_BIN:
+            middle = np.median(values[(values >= low) & (values < high)])
+            found.append((middle, np.sqrt((own**2).mean()), own.mean()))
+    if not found:
+        found = [(np.median(values), np.sqrt((residual**2).mean()), residual.mean())]
+    x, size, mean = np.array(found).T
+    return x, size, mean
+
+
+def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
+    """One picture of it all: a trial before and after, and the curve of what was found first."""
+    figure = style.new_figure(8.4, 3.75)
+    told = "Refitted, the model leaves nothing but noise."
+    if diagnosis.findings:
+        first, *others = diagnosis.findings
+        also = f" Also: {listed([short(f.named) for f in others])}." if others else ""
+        told = sentence(first, diagnosis.model) + also
+    elif diagnosis.leftover:
+        told = f"Unexplained at {diagnosis.leftover[0].location}: none of the known effects does this."
+    figure.suptitle(
+        textwrap.fill(told, 96), x=0.012, ha="left", fontsize=style.PANEL_SIZE, fontweight="bold", color=style.INK
+    )
+    k, j = _most_improved(diagnosis)
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.45, 1.0], height_ratios=[2.2, 1.0])
+    top, bottom, right = (figure.add_subplot(g) for g in (grid[0, 0], grid[1, 0], grid[:, 1]))
+    states = story.states(diagnosis)[-2:]
+    _draw_angles(top, diagnosis, k, j, states)
+    _draw_residuals(bottom, diagnosis, k, j)
+    style.dress(top, title=f"{diagnosis.joints[j]}, {_trial_name(diagnosis, k)}", y="angle [°]")
+    style.dress(bottom, x="time [s]", y="error [mrad]")
+    top.tick_params(labelbottom=False)
+    panel = _first_panel(diagnosis, scene)
+    if panel is None:
+        _draw_against_noise(right, diagnosis)
+    else:
+        draw(right, panel)
+    style.legend_below(figure, [*_state_handles(states), *(handles_of([panel], "")[:2] if panel else [])])
+    return figure
+
+
+def _most_improved(diagnosis: Diagnosis) -> tuple[int, int]:
+    """Trial and joint whose error falls most, or is largest where nothing was found, in units of the noise."""
+    part, segments = _part(diagnosis)
+    worse, better = ("refitted", "corrected") if diagnosis.findings else ("nominal", "refitted")
+    sigma = _sigma(diagnosis)
+    falls = []
+    for k in range(len(segments)):
+        before, after = (getattr(diagnosis.residuals[s], part)[k] for s in (worse, better))
+        falls.append(((before**2).mean(axis=0) - (after**2).mean(axis=0)) / sigma**2)
+    best = np.unravel_index(int(np.argmax(falls)), np.shape(falls))
+    return int(best[0]), int(best[1])
+
+
+def _first_panel(diagnosis: Diagnosis, scene: Scene) -> Panel | None:
+    if diagnosis.findings:
+        first = diagnosis.findings[0]
+        return replace(panels(scene, first)[0], title=short(first.named))
+    return next((p for left in diagnosis.leftover if (p := leftover_panel(scene, left)) is not None), None)
+
+
+def _draw_against_noise(axes: Axes, diagnosis: Diagnosis) -> None:
+    """Error of every state of the model and the noise, joint by joint."""
+    part, _ = _part(diagnosis)
+    rows = np.arange(len(diagnosis.joints))
+    for s, state in enumerate(STATES[:2]):
+        errors = diagnosis.rmse(state, part) * MRAD  # type: ignore[arg-type]
+        axes.barh(rows + 0.36 * (s - 0.5), errors, height=0.34, color=COLOURS[state], label=WORDS[state])
+    for row, sigma in enumerate(_sigma(diagnosis) * MRAD):
+        axes.vlines(sigma, row - 0.4, row + 0.4, color=style.INK, linewidth=1.4, linestyle=":")
+    axes.set_yticks(rows, diagnosis.joints)
+    axes.invert_yaxis()
+    style.dress(axes, title="error, and the noise (dotted)", x="RMSE [mrad]")
+    axes.grid(False, axis="y")

@@ -1,0 +1,269 @@
+"""A diagnosis as one page: HTML that needs nothing else, its figures within."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Sequence
+from html import escape
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.identification.results import together
+from equimus_ctrl.report import diagnosis_text as story
+from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
+from equimus_ctrl.report.diagnosis_sentences import sentence
+from equimus_ctrl.report.diagnosis_words import (
+    coordinate,
+    interval_digits,
+    interval_text,
+    number,
+    percent,
+    power_of_ten,
+    reading,
+    short,
+)
+
+MRAD = 1e3
+CSS = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: #222; background: #fff;
+  max-width: 1040px; margin: 0 auto; padding: 24px 20px 60px; }
+h1 { font-size: 26px; margin: 0 0 4px; }
+h2 { font-size: 20px; margin: 40px 0 10px; padding-top: 10px; border-top: 1px solid #e3e3e3; }
+h3 { font-size: 16px; margin: 24px 0 6px; }
+p, ul, ol { margin: 8px 0; max-width: 80ch; overflow-wrap: anywhere; }
+.verdict { font-size: 18px; font-weight: 600; border-left: 5px solid #0072b2; padding: 6px 14px; background: #f4f8fb;
+  max-width: none; }
+.verdict.unexplained, .verdict.partly_explained { border-color: #d55e00; background: #fdf6f1; }
+.faint { color: #666; font-size: 14px; }
+nav { font-size: 14px; margin: 14px 0; }
+nav a { color: #0060a0; margin-right: 14px; white-space: nowrap; }
+figure { margin: 14px 0; }
+img { max-width: 100%; height: auto; display: block; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 14px; margin: 10px 0; }
+th, td { padding: 4px 14px 4px 0; text-align: right; border-bottom: 1px solid #ececec; vertical-align: top; }
+th { border-bottom: 1px solid #999; font-weight: 600; }
+th.text, td.text { text-align: left; }
+tr.strong td { font-weight: 600; background: #f4f8fb; }
+pre, code { font: 14px/1.45 ui-monospace, Menlo, Consolas, monospace; background: #f5f5f5; }
+pre { padding: 8px 12px; white-space: pre-wrap; overflow-wrap: anywhere; }
+@media print { body { max-width: none; padding: 0; font-size: 12px; } nav { display: none; }
+  figure, tr, .verdict { break-inside: avoid; } h2, h3 { break-after: avoid; } }
+"""
+METHOD = (
+    "All free numbers of the model are refitted first, by simulating every trial in full; everything is measured "
+    "against this refitted model, so that a wrong stiffness is not called friction.",
+    "The noise of each joint, white and coloured, is estimated from what is left; a gain is the fall of −2 log "
+    "likelihood under it.",
+    "Every effect of the catalogue at every place is screened by what it changes that no free number can undo; the "
+    "best are fitted in the loop together with all free numbers, in sets, forward, backward and exchanged.",
+    "An effect is named only where its gain exceeds what chance gives to the best of all candidates, where it improves "
+    "trials that took no part, and where no flexible push without a name does as well.",
+    "What then remains is searched for pushes that go with angles, speeds, lengths, pressures or time. Intervals are "
+    "of 95 %; nominal is the model as it came.",
+)
+
+
+def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
+    """The page as text.
+
+    Args:
+        diagnosis: what was found.
+        title: of the page.
+        command_line: with which it was made, "" where there was none.
+    """
+    figures = diagnosis_figures(diagnosis)
+    parts = [
+        ("size", "How large it is", _size(diagnosis)),
+        ("where", "Where it is", _where(diagnosis, figures)),
+        ("findings", "What the model leaves out", _findings(diagnosis, figures)),
+        ("trials", "Before and after", _before_after(diagnosis, figures)),
+        ("unexplained", "What remains unexplained", _unexplained(diagnosis, figures)),
+        ("apart", "What cannot be told apart", _apart(diagnosis)),
+        ("parameters", "The robot's own numbers", _parameters(diagnosis)),
+        ("candidates", "All candidates", _candidates(diagnosis, figures)),
+        ("detectable", "What would have shown", _detectable(diagnosis)),
+        ("method", "Method", f"<ol>{''.join(f'<li>{escape(line)}</li>' for line in METHOD)}</ol>"),
+        ("provenance", "Provenance", _provenance(diagnosis, command_line)),
+    ]
+    kept = [(key, head, body) for key, head, body in parts if body]
+    told = " ".join([story.verdict(diagnosis), *(sentence(f, diagnosis.model) for f in diagnosis.findings)])
+    links = "".join(f'<a href="#{key}">{escape(head)}</a>' for key, head, _ in kept)
+    notes = "".join(f"<p>Note: {escape(note)}</p>" for note in diagnosis.notes)
+    sections = "\n".join(
+        f'<section id="{key}">\n<h2>{escape(head)}</h2>\n{body}\n</section>' for key, head, body in kept
+    )
+    return (
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
+        f"<style>{CSS}</style>\n</head>\n<body>\n<header>\n<h1>{escape(title)}</h1>\n"
+        f'<p class="faint">{escape(story.trials(diagnosis))}</p>\n'
+        f'<p class="verdict {escape(diagnosis.verdict)}">{escape(story.verdict(diagnosis))}</p>\n{notes}\n'
+        f"<nav>{links}</nav>\n{_figure(figures['summary'], told)}\n</header>\n<main>\n{sections}\n"
+        f"</main>\n</body>\n</html>\n"
+    )
+
+
+def _figure(figure: Figure, alt: str) -> str:
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'<figure><img alt="{escape(alt)}" src="data:image/png;base64,{data}"></figure>'
+
+
+def _list(lines: Sequence[str]) -> str:
+    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>" if lines else ""
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: int = 1, strong: Sequence[int] = ()) -> str:
+    """A table whose first ``text`` columns are words."""
+
+    def line(cells: Sequence[str], tag: str) -> str:
+        kinds = (' class="text"' if k < text else "" for k in range(len(cells)))
+        return "".join(f"<{tag}{kind}>{escape(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
+
+    kinds = {True: '<tr class="strong">', False: "<tr>"}
+    body = "".join(f"{kinds[k in strong]}{line(row, 'td')}</tr>" for k, row in enumerate(rows))
+    return f'<div class="wide"><table><thead><tr>{line(head, "th")}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _size(diagnosis: Diagnosis) -> str:
+    told, *_ = story.against_noise(diagnosis)
+    rows = []
+    for part, words in (("train", "fitted"), ("heldout", "held out")):
+        if not getattr(diagnosis, part):
+            continue
+        for state in story.states(diagnosis):
+            values = diagnosis.rmse(state, part) * MRAD  # type: ignore[arg-type]
+            rows.append((f"{words}: {WORDS[state]}", *(number(v) for v in values), number(together(values))))
+    sigma = [own.sigma * MRAD for own in diagnosis.best.noise]
+    rows.append(("noise", *(number(v) for v in sigma), number(math.sqrt(sum(v**2 for v in sigma) / len(sigma)))))
+    colour = [
+        f"{joint}: {number(own.white * MRAD)} mrad white, {number(own.coloured * MRAD)} mrad correlated over "
+        f"{number(own.time * 1e3)} ms"
+        for joint, own in zip(diagnosis.joints, diagnosis.best.noise, strict=True)
+        if own.coloured > 0
+    ]
+    coloured = f"<p>The noise is coloured.</p>{_list(colour)}" if colour else ""
+    table = _table(("RMSE in mrad, trials", *diagnosis.joints, "all joints"), rows)
+    return f"<p>{escape(told)}</p>{table}{coloured}"
+
+
+def _where(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
+    lines = story.where(diagnosis) if diagnosis.verdict != "consistent" else []
+    alt = "Size and mean of the errors against time since a step, angle, speed and commands, joint by joint"
+    return _list(lines) + _figure(figures["residuals"], alt)
+
+
+def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
+    if not diagnosis.findings:
+        return ""
+    head = ("effect", "gain", "believed from", "chance", "gain held out", "share of the excess", "share held out")
+    rows = []
+    for finding in diagnosis.findings:
+        e = finding.evidence
+        gains = (number(e.gain), number(e.threshold), power_of_ten(e.log10_chance), number(e.heldout_gain))
+        rows.append((short(finding.named), *gains, percent(e.share), percent(e.heldout_share)))
+    told = [sentence(finding, diagnosis.model) for finding in diagnosis.findings]
+    shown = [
+        f"<h3>{escape(text)}</h3>{_figure(figures[f'finding_{k + 1}'], f'Curves of {short(finding.named)}: {text}')}"
+        for k, (finding, text) in enumerate(zip(diagnosis.findings, told, strict=True))
+    ]
+    improved = f"<p>{escape(story.heldout(diagnosis))}</p>"
+    explained = (
+        '<p class="faint">Gain: fall of −2 log likelihood with the effect, everything else free without it. Share: of '
+        "the mean squared error in excess of the noise.</p>"
+    )
+    return f"{_list(told)}{improved}{_table(head, rows)}{explained}{''.join(shown)}"
+
+
+def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
+    which = "that took no part" if diagnosis.heldout else "that were fitted"
+    text = f"<p>The trials {which} of which the refitted model is worst.</p>"
+    alt = "Measured and predicted angles, errors and commands of the trials of which the refitted model is worst"
+    return text + _figure(figures["before_after"], alt)
+
+
+def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
+    body = _list(story.remains(diagnosis))
+    for k, left in enumerate(diagnosis.leftover):
+        if figure := figures.get(f"unexplained_{k + 1}"):
+            alt = f"The push at {left.location} that nothing explains, against {coordinate(left.axis)}"
+            body += _figure(figure, alt)
+    return body
+
+
+def _apart(diagnosis: Diagnosis) -> str:
+    body = _list(story.apart(diagnosis))
+    if diagnosis.experiment is not None:
+        body += f"<p>{escape(story.separating(diagnosis.experiment))}</p>"
+        body += f"<pre>{escape(story.command(diagnosis.experiment))}</pre>"
+    return body
+
+
+def _parameters(diagnosis: Diagnosis) -> str:
+    base, fit = diagnosis.base.fit, diagnosis.best.fit
+    rows = []
+    for i, free in enumerate(base.parameters.free):
+        told = reading(free.unit, free.start)
+        value, width = float(fit.theta[i]), float(fit.uncertainty.half_width[i])
+        low, high = value - width, value + width
+        if math.isfinite(width):
+            low, high = max(low, free.low), min(high, free.high)
+        interval = value * told.factor, low * told.factor, high * told.factor
+        digits = interval_digits(*interval)
+        columns = [free.start, float(base.theta[i]), value][: len(story.states(diagnosis))]
+        before = (number(v * told.factor, digits) for v in columns)
+        held = {-1: "low", 0: "", 1: "high"}[int(fit.at_bound[i])]
+        rows.append((free.name, told.unit, *before, interval_text(*interval), held))
+    head = ("number", "unit", *(WORDS[s] for s in story.states(diagnosis)), "95 % interval", "at bound")
+    return _table(head, rows, 2)
+
+
+def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
+    if not diagnosis.ranking:
+        return ""
+    marks = dict.fromkeys(diagnosis.doubtful, "would fit best, not believed")
+    marks |= {other: f"not told from {short(f.named)}" for f in diagnosis.findings for other in f.equivalent}
+    marks |= {f.named: "found" for f in diagnosis.findings}
+    rows = [
+        (
+            str(k + 1),
+            short(r.named),
+            marks.get(r.named, ""),
+            number(r.screened),
+            "" if r.fitted is None else number(r.fitted),
+        )
+        for k, r in enumerate(diagnosis.ranking)
+    ]
+    strong = [k for k, r in enumerate(diagnosis.ranking) if marks.get(r.named) == "found"]
+    told = "<p>What each would gain were it the only effect: expected to first order, and fitted where promising.</p>"
+    picture = _figure(figures["ranking"], "Bars: gain of the best candidates, alone; the same numbers are in the table")
+    return told + picture + _table(("", "effect", "note", "first order", "fitted"), rows, 3, strong)
+
+
+def _detectable(diagnosis: Diagnosis) -> str:
+    rows = story.detectables(diagnosis)
+    if not rows:
+        return ""
+    told = "<p>Nothing was found. Effects of these sizes, others middling, would have been believed.</p>"
+    return told + _table(("effect", "smallest size"), rows, 2)
+
+
+def _provenance(diagnosis: Diagnosis, command_line: str) -> str:
+    rows = [("model", diagnosis.model.name), ("phase", diagnosis.model.phase)]
+    for words, segments in (("trials fitted", diagnosis.train), ("trials held out", diagnosis.heldout)):
+        names = dict.fromkeys(s.trial.name for s in segments)
+        rows.append((words, ", ".join(names) or "none"))
+    carried = [f"{e.name} at {e.location}" for e in diagnosis.model.effects]
+    if carried:
+        rows.append(("effects that the model came with", ", ".join(carried)))
+    rows.append(("samples fitted", str(sum(len(s.measured) for s in diagnosis.train))))
+    rows.append(("time taken", f"{diagnosis.seconds:.1f} s"))
+    shown = f"<p>Made with</p><pre>{escape(command_line)}</pre>" if command_line else ""
+    return _table(("", ""), rows, 2) + shown

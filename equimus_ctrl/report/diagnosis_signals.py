@@ -1,0 +1,163 @@
+"""Curves of effects on signals: between a command and the pressure, and between an angle and what is shown of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.command import pressure_history
+from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, sample, sensor_settings
+from equimus_ctrl.effects.valves import shaped_commands, valve_settings
+from equimus_ctrl.report.diagnosis_panels import Line, Panel, Scene, band, changes, in_time, name_of, settled
+from equimus_ctrl.report.diagnosis_words import quantity
+from equimus_ctrl.types import Array
+
+POINTS = 241
+STEP = 1e-3
+"""Of pressures and angles over time [s]."""
+SHORTEST, LONGEST = 0.1, 10.0
+"""Half of what is drawn of a response [s]."""
+KPA = 1e-3
+TYPICAL = (0.15, 0.85)
+"""Quantiles of the commands between which a step is typical."""
+TIMES_THE_PLAY = 8.0
+"""So many times as far as it is changed goes the motion by which a sensor is shown."""
+
+
+def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:
+    """Pressure against command where that is changed, and the pressure after a step up and one down.
+
+    Args:
+        scene: what was recorded.
+        best: the effects.
+        others: the same with other numbers.
+    """
+    names = scene.model.morphology.actuator_names
+    own = names.index(best[0].location)
+    commands = scene.commands
+    rest = [i for i in range(len(names)) if i != own]
+    grid = np.linspace(0.0, max(float(commands[:, own].max()), 1.0), POINTS)
+
+    def static(effects: Sequence[Effect], demand: float) -> Array:
+        asked = np.full((POINTS, len(names)), demand)
+        asked[:, own] = grid
+        return np.asarray(shaped_commands((*scene.model.effects, *effects), names, asked)[:, own] * KPA)
+
+    busy = float(np.quantile(commands[:, rest], 0.9)) if rest else 0.0
+    demand = busy if changes(static(best, busy), static(best, 0.0)) else 0.0
+    plain, curve = static((), demand), static(best, demand)
+    found = []
+    if changes(curve, plain):
+        told = f"while {quantity(demand, 'Pa')} are asked of the others" if demand else "once it has settled"
+        lines = (Line(grid * KPA, plain, "without", True), Line(grid * KPA, curve, name_of(best)))
+        around = band(grid * KPA, curve, [static(o, demand) for o in others])
+        axis = f"command of {names[own]} [kPa]"
+        found.append(Panel(told, axis, "pressure [kPa]", lines, around, commands[:, own] * KPA))
+    low, high = _typical_step(commands[:, own])
+    if changes(curve, plain) and np.allclose(np.interp([low, high], grid, curve - plain), 0.0):
+        low, high = 0.0, float(grid[-1])  # such as a level that a typical command does not reach
+
+    def response(effects: Sequence[Effect], half: float) -> Array:
+        """Pressures from a tenth of ``half`` before the step up to ``half`` after the one down, which comes then."""
+        asked = np.full((3, len(names)), demand)
+        asked[:, own] = low, high, low
+        whole = (*scene.model.effects, *effects)
+        shaped = shaped_commands(whole, names, asked)
+        out = np.empty((round(2.1 * half / STEP), 2, len(names)))
+        times = np.array([0.0, half])
+        pressure_history(times, shaped[1:], shaped[0], valve_settings(whole, names), -0.1 * half, STEP, out)
+        return np.asarray(out[:, 0, own] * KPA)
+
+    def clock(half: float) -> Array:
+        return np.asarray(np.arange(round(2.1 * half / STEP)) * STEP + STEP / 2 - 0.1 * half)
+
+    long, time = response(best, LONGEST), clock(LONGEST)
+    up, down = time < LONGEST, time >= LONGEST
+    lasts = max(settled(time[up], long[up]), settled(time[down], long[down]) - LONGEST)
+    half = float(np.clip(1.4 * lasts, SHORTEST, LONGEST))
+    shown, axis = in_time(clock(half))
+    moving = response(best, half)
+    lines = (Line(shown, response((), half), "without", True), Line(shown, moving, name_of(best)))
+    around = band(shown, moving, [response(o, half) for o in others])
+    title = f"a step to {quantity(high, 'Pa')} and back to {quantity(low, 'Pa')}"
+    return [*found, Panel(title, axis, f"pressure of {names[own]} [kPa]", lines, around)]
+
+
+def _typical_step(commands: Array) -> tuple[float, float]:
+    low, high = (float(v) for v in np.quantile(commands, TYPICAL))
+    return (low, high) if high - low > 0.1 * float(commands.max()) else (0.0, max(float(commands.max()), 1.0))
+
+
+def sensor_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:
+    """What is shown of an angle: at rest where that is changed, and in a motion to and fro where that is.
+
+    Args: as of ``command_panels``.
+    """
+    m = scene.model.morphology
+    joint = best[0].location
+    own = m.joint_names.index(joint)
+    seen = scene.seen[joint]
+
+    def sensor(effects: Sequence[Effect]) -> Array:
+        return np.asarray(sensor_settings((*scene.model.effects, *effects), m.joint_names)[own])
+
+    now, plain = sensor(best), sensor(())
+    found = []
+    true = np.linspace(seen.low, seen.high, POINTS)
+
+    def error(row: Array) -> Array:
+        return np.asarray(np.degrees(row[OFFSET] + (row[SCALE] - 1) * true))
+
+    x = np.degrees(true)
+    if changes(error(now), error(plain)):
+        data = np.degrees(scene.position(joint))
+        lines = (Line(x, error(plain), "without", True), Line(x, error(now), name_of(best)))
+        around = band(x, error(now), [error(sensor(o)) for o in others])
+        axis = f"true angle of {joint} [°]"
+        found.append(Panel("error of what is shown", axis, "shown − true [°]", lines, around, data))
+        lines = (Line(x, x + error(plain), "without", True), Line(x, x + error(now), name_of(best)))
+        around = band(x, x + error(now), [x + error(sensor(o)) for o in others])
+        found.append(Panel("what is shown", axis, "shown angle [°]", lines, around, data))
+    if any(now[key] != plain[key] for key in (LATE, PLAY)):
+        found += _to_and_fro(joint, seen.low, seen.high, seen.speed, (plain, now, [sensor(o) for o in others]), best)
+    return found
+
+
+def _to_and_fro(
+    joint: str,
+    low: float,
+    high: float,
+    speed: float,
+    sensors: tuple[Array, Array, list[Array]],
+    best: Sequence[Effect],
+) -> list[Panel]:
+    """A triangular motion about the middle, as wide as lets the effect be seen."""
+    plain, now, others = sensors
+    wide = min(high - low, TIMES_THE_PLAY * (now[PLAY] + now[LATE] * speed))
+    quarter = wide / 2 / speed
+    time = np.linspace(0.0, 8 * quarter, 8 * POINTS)
+    knots = np.arange(9) * quarter
+    true = (low + high) / 2 + wide / 2 * np.interp(time, knots, [0, 1, 0, -1, 0, 1, 0, -1, 0])
+    rate = np.gradient(true, time)
+    kept = time > 3 * quarter
+
+    def shown(row: Array) -> Array:
+        out = np.empty(len(time))
+        sample(true, rate, 0.0, float(time[1]), row, time, out)
+        return np.asarray(np.degrees(out[kept]))
+
+    clock, axis = in_time(time[kept] - time[kept][0])
+    with_it, without, rest = shown(now), shown(plain), [shown(row) for row in others]
+    angle = np.degrees(true[kept])
+    around = band(clock, with_it, rest)
+    lines = (Line(clock, without, "without", True), Line(clock, with_it, name_of(best)))
+    ends = np.degrees([true.min(), true.max()])
+    bare = Line(ends, np.degrees(plain[OFFSET]) + plain[SCALE] * ends, "without", True)
+    loops = bare, Line(angle, with_it, name_of(best))
+    title = f"to and fro at {quantity(speed, 'rad/s')}"
+    return [
+        Panel(title, axis, f"shown angle of {joint} [°]", lines, around),
+        Panel("the same against the true angle", f"true angle of {joint} [°]", "shown angle [°]", loops),
+    ]

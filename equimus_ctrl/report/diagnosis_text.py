@@ -1,0 +1,235 @@
+"""A diagnosis as a story for people: its sentences, and all of it for a terminal."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.results import STATES, Detectable, Diagnosis, Estimate, Experiment, Leftover
+from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.report.diagnosis_sentences import sentence
+from equimus_ctrl.report.diagnosis_words import (
+    coordinate,
+    estimate_text,
+    listed,
+    number,
+    percent,
+    power_of_ten,
+    quantity,
+    short,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["sentence", "tell"]
+
+MRAD = 1e3
+NOWHERE = "nowhere in particular"
+MOST_DETECTABLE = 24
+"""Smallest effects that a terminal shows."""
+COUNTS = ("no", "one", "two", "three", "four", "five")
+
+
+def verdict(diagnosis: Diagnosis) -> str:
+    """What was found, in one sentence."""
+    n = len(diagnosis.findings)
+    if diagnosis.verdict == "consistent":
+        return (
+            "Consistent: refitted, the model explains the recordings down to the noise; nothing is seen to be missing."
+        )
+    if diagnosis.verdict == "unexplained":
+        return "Unexplained: the model leaves something out, and it is none of the known effects."
+    what = listed([short(f.named) for f in diagnosis.findings])
+    found = f"{COUNTS[n] if n < len(COUNTS) else n} {'effect' if n == 1 else 'effects'} left out of the model: {what}"
+    if diagnosis.verdict == "explained":
+        return f"Explained: {found}."
+    return f"Partly explained: {found}; something more remains that is none of the known effects."
+
+
+def states(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Those of the model that differ: without a finding nothing was corrected."""
+    return STATES if diagnosis.findings else STATES[:2]
+
+
+def against_noise(diagnosis: Diagnosis) -> list[str]:
+    """How large the mismatch is, all joints together and one by one."""
+    sizes = {state: math.sqrt(1.0 + max(diagnosis.excess[state], 0.0)) for state in diagnosis.excess}
+    told = f"Refitted, the model is off by {_times(sizes['refitted'])} the noise on the trials fitted"
+    if diagnosis.findings:
+        told += f", with what was found by {_times(sizes['corrected'])}"
+    told += f"; as it came, by {_times(sizes['nominal'])}."
+    lines = [told]
+    for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.best.noise, strict=True)):
+        first, last = (diagnosis.rmse(state, "train")[j] * MRAD for state in states(diagnosis)[-2:])
+        lines.append(f"{joint}: RMSE {number(first)} → {number(last)} mrad, noise {number(own.sigma * MRAD)} mrad")
+    return lines
+
+
+def _times(size: float) -> str:
+    return f"{number(size)} times"
+
+
+def where(diagnosis: Diagnosis) -> list[str]:
+    """Where the refitted model is off."""
+    lines = []
+    for place in diagnosis.where:
+        told = [text for text in (place.when, place.region) if text != NOWHERE] or [NOWHERE]
+        lines.append(f"{place.location}: {percent(place.share)} of the excess error; {'; '.join(told)}")
+    return lines
+
+
+def heldout(diagnosis: Diagnosis) -> str:
+    """What the findings do on trials that took no part, or "" where there are none of either."""
+    if not (diagnosis.findings and diagnosis.heldout):
+        return ""
+    before, after = (diagnosis.rmse(state, "heldout") for state in ("refitted", "corrected"))
+    parts = [_fall(j, b, a) for j, b, a in zip(diagnosis.joints, before * MRAD, after * MRAD, strict=True)]
+    n = len({s.recording for s in diagnosis.heldout})
+    who = "On the trial held out" if n == 1 else f"On the {n} trials held out"
+    return f"{who} the error changes by {listed(parts)}."
+
+
+def _fall(joint: str, before: float, after: float) -> str:
+    change = (after - before) / before if before > 0 else 0.0
+    sign = "+" if change > 0 else "−" if change < 0 else ""
+    return f"{sign}{number(100 * abs(change), 0)} % at the {joint} ({number(before)} → {number(after)} mrad)"
+
+
+def evidence(diagnosis: Diagnosis, k: int) -> str:
+    """Why a finding is believed."""
+    e = diagnosis.findings[k].evidence
+    told = f"−2 log likelihood falls by {number(e.gain)} (believed from {number(e.threshold)}), chance "
+    told += power_of_ten(e.log10_chance)
+    if math.isfinite(e.heldout_gain):
+        told += f"; on held-out trials by {number(e.heldout_gain)}"
+    share = f"takes away {percent(e.share)} of the excess error"
+    return f"{told}; {share}{f' ({percent(e.heldout_share)} held out)' if math.isfinite(e.heldout_share) else ''}"
+
+
+def remains(diagnosis: Diagnosis) -> list[str]:
+    """What none of the findings explains, and effects that were not named because of it."""
+    lines = [_left(left) for left in diagnosis.leftover]
+    if diagnosis.doubtful:
+        named = listed([short(named) for named in diagnosis.doubtful])
+        lines.append(f"Of the known effects, {named} would fit best, but no better than a push without a name.")
+    return lines
+
+
+def _left(left: Leftover) -> str:
+    at = f" at {listed(left.places)}" if set(left.places) != {left.location} else ""
+    size = ""
+    if left.axis and len(left.push):
+        k = int(np.argmax(np.abs(left.push)))
+        largest, half = float(abs(left.push[k])), float(left.band[k])
+        size = f", up to {estimate_text(Estimate(largest, largest - half, largest + half, left.unit))}"
+    return (
+        f"At the {left.location}: a push{at} that goes with {coordinate(left.depends_on)}{size}; "
+        f"{percent(left.share)} of what remains, χ² falls by {number(left.gain)} (counts from {number(left.threshold)})"
+    )
+
+
+def apart(diagnosis: Diagnosis) -> list[str]:
+    """What these recordings cannot tell apart."""
+    found = [f for f in diagnosis.findings if f.equivalent]
+    return [f"{_upper(short(f.named))} or {listed([short(o) for o in f.equivalent], 'or')}." for f in found]
+
+
+def _upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def command(experiment: Experiment) -> str:
+    """The command line of an experiment."""
+    settings = "".join(f" --set {key}={value:g}" for key, value in experiment.settings.items())
+    return f"equimus-ctrl run {experiment.scenario}{settings}"
+
+
+def separating(experiment: Experiment) -> str:
+    """What an experiment would do."""
+    first, second = (short(named) for named in experiment.separates)
+    return (
+        f"An experiment would tell {first} from {second}: in the one below their predictions differ by "
+        f"{_times(experiment.distance)} the noise, refitted to one another."
+    )
+
+
+def smallest(detectable: Detectable) -> str:
+    """The size from which on an effect would have shown."""
+    if not math.isfinite(detectable.size):
+        return "no size that was tried"
+    cls = REGISTRY.get(detectable.named.effect)
+    nothing = cls.grows_from() if cls is not None else 0.0
+    away = "such as " if nothing is None else f"{nothing:g} ± " if nothing else ""
+    return f"{away}{quantity(detectable.size, detectable.unit, 2)}"
+
+
+def detectables(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """(effect and its parameter, sizes by place), each place alone: what acts alike in several shows no later."""
+    found: dict[str, list[str]] = {}
+    for d in diagnosis.detectable:
+        if len(d.named.locations) == 1:
+            who = f"{d.named.effect} ({d.parameter})".replace("_", " ")
+            found.setdefault(who, []).append(f"{smallest(d)} at {d.named.locations[0]}")
+    return [(who, ", ".join(sizes)) for who, sizes in sorted(found.items())]
+
+
+def trials(diagnosis: Diagnosis) -> str:
+    """How many there were, and what it took."""
+    fitted, judged = (len({s.recording for s in part}) for part in (diagnosis.train, diagnosis.heldout))
+    samples = sum(len(s.measured) for s in diagnosis.train)
+    return (
+        f"{diagnosis.model.name}: {fitted} trial{'s' * (fitted != 1)} fitted ({samples} samples), {judged} held out, "
+        f"{len(diagnosis.ranking)} candidates, {diagnosis.seconds:.0f} s"
+    )
+
+
+def tell(console: Console, diagnosis: Diagnosis) -> None:
+    """A diagnosis for a terminal."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    def say(text: str, indent: int = 0, style: str = "") -> None:
+        console.print(Padding(Text(text, style=style), (0, 0, 0, indent)))
+
+    def head(text: str) -> None:
+        say(text, style="bold")
+
+    say(trials(diagnosis), style="dim")
+    head(verdict(diagnosis))
+    first, *joints = against_noise(diagnosis)
+    say(first)
+    for line in joints:
+        say(line, 2)
+    if diagnosis.verdict != "consistent":
+        head("Where the refitted model is off")
+        for line in where(diagnosis):
+            say(line, 2)
+    if diagnosis.findings:
+        head("What the model leaves out")
+        for k, finding in enumerate(diagnosis.findings):
+            say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
+            say(evidence(diagnosis, k), 5, "dim")
+        if told := heldout(diagnosis):
+            say(told)
+    if lines := remains(diagnosis):
+        head("What remains unexplained")
+        for line in lines:
+            say(line, 2)
+    if lines := apart(diagnosis):
+        head("Not to be told apart by these recordings")
+        for line in lines:
+            say(line, 2)
+    if diagnosis.experiment is not None:
+        say(separating(diagnosis.experiment))
+        console.print(f"  {command(diagnosis.experiment)}", markup=False, soft_wrap=True, highlight=False)
+    if shown := detectables(diagnosis):
+        head("Would have shown from these sizes on")
+        for who, sizes in shown[:MOST_DETECTABLE]:
+            say(f"{who}: {sizes}", 2)
+        if len(shown) > MOST_DETECTABLE:
+            say(f"and {len(shown) - MOST_DETECTABLE} more", 2)
+    for note in diagnosis.notes:
+        say(note, style="yellow")

@@ -1,0 +1,170 @@
+"""Numbers and names for people: in units that they read, with as many digits as are known."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from equimus_ctrl.diagnosis.results import Estimate, Named
+
+DIGITS, MOST_DIGITS = 3, 5
+"""Significant digits of a number without an interval, and of any."""
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_DEGREES = 180.0 / math.pi
+
+# Below which SI size, the unit that a person reads, and how many of it one of the SI unit is.
+_READ: dict[str, tuple[tuple[float, str, float], ...]] = {
+    "Pa": ((math.inf, "kPa", 1e-3),),
+    "Pa/s": ((math.inf, "kPa/s", 1e-3),),
+    "s": ((1.0, "ms", 1e3), (math.inf, "s", 1.0)),
+    "kg": ((1.0, "g", 1e3), (math.inf, "kg", 1.0)),
+    "m": ((1.0, "mm", 1e3), (math.inf, "m", 1.0)),
+    "m/s": ((1.0, "mm/s", 1e3), (math.inf, "m/s", 1.0)),
+    "m²": ((0.01, "mm²", 1e6), (math.inf, "m²", 1.0)),
+    "kg·m²": ((0.1, "g·m²", 1e3), (math.inf, "kg·m²", 1.0)),
+    "rad": ((math.inf, "°", _DEGREES),),
+    "rad/s": ((math.inf, "°/s", _DEGREES),),
+    "1": ((math.inf, "", 1.0),),
+    "N/Pa": ((math.inf, "N/kPa", 1e3),),
+    **{unit: ((0.01, f"m{unit}", 1e3), (math.inf, unit, 1.0)) for unit in ("N", "N·m", "N·m/rad", "N·m·s/rad")},
+}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A unit that a person reads.
+
+    Attributes:
+        unit: its sign, "" for a pure number.
+        factor: how many of it one of the SI unit is.
+    """
+
+    unit: str
+    factor: float
+
+    def __call__(self, number: str) -> str:
+        """The number with its unit."""
+        return f"{number}{'' if self.unit[:1] in ('', '°') else ' '}{self.unit}"
+
+    @property
+    def bracket(self) -> str:
+        """For the label of an axis, such as ``[kPa]``."""
+        return f"[{self.unit}]" if self.unit else ""
+
+
+def reading(unit: str, size: float) -> Reading:
+    """The unit in which a person reads an SI number of about this size."""
+    for below, name, factor in _READ.get(unit, ()):
+        if abs(size) < below:
+            return Reading(name, factor)
+    return Reading(unit, 1.0)
+
+
+def number(value: float, decimals: int | None = None, digits: int = DIGITS) -> str:
+    """A number to so many decimals (below 0: tens, hundreds …), or where none are given to significant digits."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "−∞" if value < 0 else "∞"
+    if decimals is None and value == 0:
+        return "0"
+    places = digits - 1 - _order(value) if decimals is None else decimals
+    if value and (_order(value) >= 6 or places > 7):
+        kept = max(places + _order(value), 0)
+        mantissa, _, exponent = f"{value:.{kept}e}".partition("e")
+        return f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}".replace("-", "−")
+    text = f"{round(value, places) + 0.0:.{max(places, 0)}f}"
+    return text.replace("-", "−") if float(text) else text.lstrip("-")
+
+
+def _order(value: float) -> int:
+    return math.floor(math.log10(abs(value))) if value else 0
+
+
+def quantity(value: float, unit: str, digits: int = DIGITS) -> str:
+    """An SI number without an interval as a person reads it: ``2.80 kPa``."""
+    told = reading(unit, value)
+    return told(number(value * told.factor, digits=digits))
+
+
+def interval_digits(value: float, low: float, high: float) -> int:
+    """Decimals that an interval is worth: to half its half width, but never more than five digits of the number."""
+    ends = [abs(end - value) for end in (low, high) if math.isfinite(end) and end != value]
+    most = MOST_DIGITS - 1 - _order(value)
+    if not ends:
+        return min(DIGITS - 1 - _order(value), most)
+    worth = -_order(max(ends) / 2)
+    return min(max(worth, min(-_order(value), worth + 1)), most)
+
+
+def estimate_text(estimate: Estimate) -> str:
+    """Such as ``2.80 kPa (2.78 to 2.82)``."""
+    size = max(abs(v) for v in (estimate.value, estimate.low, estimate.high) if math.isfinite(v))
+    told = reading(estimate.unit, abs(estimate.value) or size)
+    value, low, high = (v * told.factor for v in (estimate.value, estimate.low, estimate.high))
+    return f"{told(number(value, interval_digits(value, low, high)))} ({interval_text(value, low, high)})"
+
+
+def interval_text(value: float, low: float, high: float) -> str:
+    """``2.78 to 2.82``, or in words where it has no ends or is too narrow to be shown."""
+    decimals = interval_digits(value, low, high)
+    first, last = number(low, decimals), number(high, decimals)
+    if not math.isfinite(low) and not math.isfinite(high):
+        return "not told by these recordings"
+    if not math.isfinite(low):
+        return f"at most {last}"
+    if not math.isfinite(high):
+        return f"at least {first}"
+    return "sure to all digits shown" if first == last else f"{first} to {last}"
+
+
+def percent(share: float) -> str:
+    """A share, to two digits below ten percent."""
+    return f"{number(100 * share, 1 if abs(share) < 0.0995 else 0)} %" if math.isfinite(share) else "–"
+
+
+def power_of_ten(exponent: float) -> str:
+    """10 to a power that need not be whole, such as ``2·10⁻⁴``; beyond 10⁻¹⁰ the power alone."""
+    if not math.isfinite(exponent):
+        return "below 10⁻³⁰⁰" if exponent < 0 else "–"
+    whole = math.floor(exponent)
+    if whole < -10:
+        return f"10{str(round(exponent)).translate(_SUPERSCRIPT)}"
+    if whole >= -2:
+        return number(10**exponent, 2 if exponent >= -1 else 3)
+    digit = round(10 ** (exponent - whole))
+    digit, whole = (1, whole + 1) if digit == 10 else (digit, whole)
+    return f"{digit}·10{str(whole).translate(_SUPERSCRIPT)}"
+
+
+def listed(items: Sequence[str], last: str = "and") -> str:
+    """``a, b and c``."""
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}" if items else ""
+
+
+def short(named: Named) -> str:
+    """Such as ``dead zone at baa``."""
+    return f"{named.effect.replace('_', ' ')} at {listed(named.locations)}"
+
+
+_COORDINATES = {
+    "pos": "the angle of {}",
+    "vel": "the speed of {}",
+    "cmd": "the pressure of {}",
+    "len": "the length of {}",
+    "rate": "the rate of length of {}",
+    "path": "the path that the length of {} has taken",
+    "past": "what the length of {} has been",
+}
+
+
+def coordinate(text: str) -> str:
+    """What a push depends on, in words: ``pos.hip·vel.hip`` → ``the angle of hip and the speed of hip``."""
+    text = re.sub(r"^time( at .*)?$|^time(?=·)", lambda m: f"the time since a trial's start{m[1] or ''}", text)
+    text = re.sub(r"sign\(vel\.([^()]+)\)", r"the direction in which \1 moves", text)
+    kinds = "|".join(_COORDINATES)
+    parts = []
+    for part in text.split("·"):
+        named = re.sub(rf"\b({kinds})\.([^−()+]+)", lambda m: _COORDINATES[m[1]].format(m[2]), part)
+        parts.append(named.replace("−the", " less the"))
+    return listed(parts)

@@ -1,0 +1,224 @@
+"""The tables of a proof, for a terminal and as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from equimus_ctrl.proof.answers import BINS, OURS, STRONG
+from equimus_ctrl.proof.baselines import TITLES
+from equimus_ctrl.proof.estimates import Number
+from equimus_ctrl.proof.scoring import Goal, Score
+from equimus_ctrl.proof.shares import Share
+from equimus_ctrl.proof.tally import CONSISTENT, Tally
+
+NOTHING = "–"
+METHODS = {OURS: "diagnosis", **TITLES}
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table.
+
+    Attributes:
+        title: over it.
+        columns: their heads.
+        rows: cells as text.
+        note: under it.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+    def rich(self, most: int | None = None) -> Table:
+        """For a terminal, of its rows so many at most."""
+        shown = self.rows[:most]
+        left = len(self.rows) - len(shown)
+        table = Table(
+            title=Text(self.title, style="bold"),
+            title_justify="left",
+            caption=" ".join(filter(None, [f"{left} more rows are in the files." if left else "", self.note])) or None,
+            caption_justify="left",
+            box=SIMPLE_HEAD,
+            padding=(0, 1, 0, 0),
+        )
+        for k, name in enumerate(self.columns):
+            table.add_column(name, justify="right" if k else "left")
+        for row in shown:
+            table.add_row(*map(Text, row), style="yellow" if row[-1] == "missed" else None)
+        return table
+
+    def markdown(self) -> str:
+        """For a file."""
+        lines = [f"## {self.title}", "", _line(self.columns), _line(["---", *["---:"] * (len(self.columns) - 1)])]
+        lines += [_line(row) for row in self.rows]
+        return "\n".join([*lines, "", *([self.note, ""] if self.note else [])])
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def sheets(score: Score) -> list[Sheet]:
+    """All tables, the goals first."""
+    return [goals_sheet(score), strength_sheet(score), effects_sheet(score), numbers_sheet(score), wrong_sheet(score)]
+
+
+def markdown(head: Mapping[str, Any], score: Score) -> str:
+    """All of it as one file.
+
+    Args:
+        head: what the proof was made from, line by line.
+        score: what it came to.
+    """
+    parts = ["# Concealed realities", "", *(f"- {key}: {value}" for key, value in head.items()), ""]
+    return "\n".join([*parts, *(sheet.markdown() for sheet in sheets(score))])
+
+
+def goals_sheet(score: Score) -> Sheet:
+    """Every figure against its goal, and what else there is to know in one line each."""
+    rows = [(g.title, _value(g), _interval(g), _wanted(g), g.state) for g in score.goals]
+    t, effort = score.ours, score.effort
+    more: list[tuple[str, str, str]] = [
+        ("false alarms, white noise", *_shown(t.false_alarms["white"])),
+        ("false alarms, coloured noise", *_shown(t.false_alarms["coloured"])),
+        ("effects of pairs named", *_shown(t.recall["strong"])),
+        ("names in pairs right", *_shown(t.precision)),
+        ("single: right, at wrong places", *_shown(t.misplaced)),
+        ("single: right, and leftovers", *_shown(t.unsettled)),
+        ("outside: unexplained", *_shown(t.unexplained)),
+        ("outside: of these placed", *_shown(t.placed)),
+        ("outside: given wrong names", *_shown(t.wrong["strong"])),
+        ("held-out error taken by 80 %", *_shown(Share.among(h.share >= 0.8 for h in score.heldout))),
+        ("median diagnosis, s", f"{median(effort.seconds):.1f}", ""),
+        ("median diagnosis, CPU s", f"{median(effort.cpu_seconds):.1f}", ""),
+        ("largest memory, MB", f"{effort.memory / 1e6:.0f}" if effort.memory else NOTHING, ""),
+    ]
+    return Sheet(
+        f"{len(score.cases)} cases: reached and wanted",
+        ("", "reached", "95 % interval", "goal", ""),
+        (*rows, *((title, value, interval, "", "") for title, value, interval in more)),
+        f"What is missing counts from an excess of {STRONG:g} on. Open: not reached, but so few cases cannot tell.",
+    )
+
+
+def _value(goal: Goal) -> str:
+    if math.isnan(goal.value):
+        return NOTHING
+    if goal.name == "seconds":
+        return f"{goal.value:.1f}"
+    return str(goal.share) if goal.value == goal.share.value else f"{100 * goal.value:.1f} % (n = {goal.share.of})"
+
+
+def _interval(goal: Goal) -> str:
+    counted = goal.value == goal.share.value and goal.name != "seconds"
+    return _ends(goal.share) if counted and goal.share.of else ""
+
+
+def _wanted(goal: Goal) -> str:
+    if goal.name == "seconds":
+        return f"≤ {goal.high:g}"
+    low, high = 100 * goal.low, 100 * goal.high
+    if goal.low > 0 and goal.high < 1:
+        return f"{low:g} to {high:g} %"
+    return f"≥ {low:g} %" if goal.low > 0 else f"≤ {high:g} %"
+
+
+def _ends(share: Share) -> str:
+    low, high = share.interval
+    return f"{100 * low:.3g} to {100 * high:.3g} %"
+
+
+def _shown(share: Share) -> tuple[str, str]:
+    return str(share), _ends(share) if share.of else ""
+
+
+def _short(share: Share) -> str:
+    return f"{100 * share.value:.0f} % ({share.count}/{share.of})" if share.of else NOTHING
+
+
+def strength_sheet(score: Score) -> Sheet:
+    """Every method over how much of the error the missing physics makes."""
+    kinds: tuple[tuple[str, Callable[[Tally], Mapping[str, Share]]], ...] = (
+        ("single", lambda t: t.single),
+        ("pair", lambda t: t.pair),
+        ("outside", lambda t: t.outside),
+        ("wrong names", lambda t: t.wrong),
+    )
+    rows = [("false alarms", "0", *(_short(t.false_alarms["all"]) for t in score.tallies.values()))]
+    for title, table in kinds:
+        for name in (*BINS, "all"):
+            shares = [table(t)[name] for t in score.tallies.values()]
+            if shares[0].of:
+                rows.append((title, name, *map(_short, shares)))
+    return Sheet(
+        "Right answers by excess",
+        ("", "excess", *score.tallies),
+        tuple(rows),
+        "Excess: mean squared error over the noise's variance when all but the missing physics is fitted; in a pair "
+        "with the weaker one alone missing. Wrong names: given to what is from outside. "
+        + "; ".join(f"{name}: {title}" for name, title in TITLES.items() if name in score.tallies)
+        + ".",
+    )
+
+
+def effects_sheet(score: Score) -> Sheet:
+    """Strong single effects, one by one."""
+    tables = [t.effects for t in score.tallies.values()]
+    rows = [(name, *(_short(table[name]) for table in tables)) for name in tables[0]]
+    return Sheet("Single effects named right", ("", *score.tallies), tuple(rows))
+
+
+def numbers_sheet(score: Score) -> Sheet:
+    """Errors and intervals of every parameter of the effects that were named right."""
+    numbers = score.numbers[OURS]
+    rows = []
+    for effect, name in sorted({(n.of, n.name) for n in numbers}):
+        own = [n for n in numbers if (n.of, n.name) == (effect, name)]
+        rows.append((f"{effect}.{name}", *_errors(own)))
+    rows.append(("all", *_errors(numbers)))
+    rows.append(("the robot's own", *_errors(score.own)))
+    return Sheet(
+        "Parameters of what was named right",
+        ("", "number", "median error", "intervals that hold"),
+        tuple(rows),
+        "Errors are relative to the distance from where the effect does nothing; those of a spring's rest, a centre "
+        "and a stop's angle to the range that they are drawn from.",
+    )
+
+
+def _errors(numbers: Sequence[Number]) -> tuple[str, str, str]:
+    error = f"{100 * median(n.error for n in numbers):.2g} %" if numbers else NOTHING
+    return str(len(numbers)), error, str(Share.among(n.covered for n in numbers))
+
+
+def wrong_sheet(score: Score) -> Sheet:
+    """Every case whose answer was not right, but for weak effects that were not seen."""
+    rows, unseen = [], 0
+    for line in score.lines:
+        if not line["right"]:
+            if line["kind"] != "none" and line["strength"] < STRONG and line["verdict"] == CONSISTENT:
+                unseen += 1
+                continue
+            said = _named(line["named"])
+            if line["unexplained"]:
+                said.append(f"unexplained at {', '.join(line['unexplained'])}")
+            said = said or [line.get("failed") or line["verdict"]]
+            truth = ", ".join(_named(line["truth"])) or "nothing"
+            rows.append((str(line["case"]), line["kind"], f"{line['strength']:.3g}", truth, ", ".join(said)))
+    note = f"Weak ones (excess below {STRONG:g}) of which nothing was said are left out: {unseen}."
+    columns = ("case", "kind", "excess", "truth", "said")
+    return Sheet("Answers that were not right", columns, tuple(rows), note if unseen else "")
+
+
+def _named(found: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [f"{f['effect']}:{'+'.join(f['locations'])}" for f in found]

@@ -1,0 +1,192 @@
+"""Closed loops on the reduced engine: the PID on robots with any effects, many of them side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import groupby
+from types import ModuleType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.controllers.pid import PidSettings
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.force import ForceEffect, force_laws
+from equimus_ctrl.effects.sensors import LATE, PLAY, sensor_settings
+from equimus_ctrl.effects.valves import shaped_commands, shaping_laws
+from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines.lane_functions import LANES
+from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
+from equimus_ctrl.models.morphology import Morphology, Phase, structure
+from equimus_ctrl.tuning import loop_kernel
+from equimus_ctrl.tuning.ensemble import Member
+from equimus_ctrl.types import Array
+
+
+class Course(Protocol):
+    """What robots are to follow, and how they are seen doing it."""
+
+    @property
+    def reference(self) -> Array:
+        """(n, nj) at each control instant [rad]."""
+        ...
+
+    @property
+    def noise(self) -> Array:
+        """(n, nj) of the measurements [rad]."""
+        ...
+
+    @property
+    def command_before(self) -> Array:
+        """(na,) in force before the start [Pa]."""
+        ...
+
+    @property
+    def control_dt(self) -> float:
+        """Control period [s]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One closed loop.
+
+    Attributes:
+        settings: of the PID.
+        robot: the leg.
+        position: (nj,) its pose at the start [rad].
+    """
+
+    settings: PidSettings
+    robot: Member
+    position: Array
+
+    def kind(self) -> tuple[object, ...]:
+        """What loops that run side by side have in common."""
+        return self.settings.space, self.settings.feedforward, self.settings.start_time, self.robot.effects
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """What became of a loop.
+
+    Attributes:
+        position: (n, nj) true angles at each control instant [rad].
+        command: (n, na) from each control instant on [Pa].
+        sound: n where all is well, else the control step in which the simulation diverged.
+    """
+
+    position: Array
+    command: Array
+    sound: int
+
+
+def laws_of(effects: Sequence[Effect]) -> Laws:
+    """The force laws that the kernel has: none where nothing pushes, else all, so that few kernels have to be made."""
+    return force_laws() if any(isinstance(effect, ForceEffect) for effect in effects) else ()
+
+
+def kernel_of(nominal: Morphology, phase: Phase, effects: Sequence[Effect]) -> ModuleType:
+    """The compiled closed loop of robots with these effects, see ``tuning.loop_kernel``."""
+    return compiled.load(nominal, phase, loop_kernel, laws_of(effects))
+
+
+def compile_motion(nominal: Morphology, phase: Phase, effects: Sequence[Effect]) -> None:
+    """Compile what moves robots with these effects, or load it from the cache."""
+    kernel = kernel_of(nominal, phase, effects)
+    kernel.step_lanes(np.zeros(kernel.WORK_ROWS * LANES), 1e-3, np.empty(0, dtype=np.int64))
+
+
+@lru_cache(maxsize=16)
+def _effect_numbers(
+    nominal: Morphology, phase: Phase, laws: Laws, effects: tuple[Effect, ...]
+) -> tuple[Array, NDArray[np.int64]]:
+    """What follows the robot's own numbers in its parameter vector, and the rows of dry friction in use."""
+    m = augmented_model(structure(nominal), phase, laws)
+    names = {"joint": nominal.joint_names, "actuator": nominal.actuator_names}
+    own = np.array(law_parameters(m.slots, effects, *names.values()), dtype=np.float64)
+    rubbed = {e.location for e in effects if isinstance(e, ForceEffect) and e.rubs}
+    rows = [r for r, (kind, i) in enumerate(m.rubbing) if names[kind][i] in rubbed]
+    return own, np.array(rows, dtype=np.int64)
+
+
+def track(nominal: Morphology, phase: Phase, course: Course, loops: Sequence[Loop], steps: int) -> list[Tracked]:
+    """Every loop along a course.
+
+    Args:
+        nominal: the robot that the controllers compute with.
+        phase: base fixed or foot pinned.
+        course: what is to be followed.
+        loops: any number; what one does depends on no other.
+        steps: physics steps in each control period.
+    """
+    found = []
+    for _, alike in groupby(loops, key=Loop.kind):
+        own = list(alike)
+        for first in range(0, len(own), LANES):
+            found += _track_block(nominal, phase, course, own[first : first + LANES], steps)
+    return found
+
+
+def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Sequence[Loop], steps: int) -> list[Tracked]:
+    settings, effects = loops[0].settings, loops[0].robot.effects
+    actuators, (n, nj), k = nominal.actuator_names, course.reference.shape, len(loops)
+    na = len(actuators)
+    kernel = kernel_of(nominal, phase, effects)
+    numbers, rubbing = _effect_numbers(nominal, phase, laws_of(effects), effects)
+    position = np.array([loop.position for loop in loops])
+    sensor = np.tile(sensor_settings(effects, nominal.joint_names), (k, 1, 1))
+    dt = course.control_dt / steps
+    remembers = bool(np.any(sensor[:, :, [LATE, PLAY]] > 0))
+    past = np.zeros((k, nj, int(np.ceil(sensor[:, :, LATE].max() / dt)) + 3 if remembers else 1, 2))
+    past[:, :, 0, 0] = position
+    before = np.array(course.command_before)
+    reached_before = shaped_commands(effects, actuators, before[None])[0]
+    shaping = shaping_laws(effects, actuators)
+    q, command, reaches = np.zeros((k, n, nj)), np.zeros((k, n, na)), np.zeros((k, na, n))
+    sound = np.full(k, n)
+    parameters = np.array([np.append(loop.robot.parameters, numbers) for loop in loops])
+    gains = np.array([loop.settings.gain_matrix(loop.settings.channels(nominal)) for loop in loops])
+    state = (
+        kernel.start_lanes(parameters, position, reached_before),
+        compiled.prepared(nominal, phase),
+        np.array([loop.robot.valve for loop in loops]),
+        sensor,
+        np.empty((0, 3)) if shaping is None else shaping,
+        gains,
+        settings.space == "length",
+        settings.feedforward,
+        float(settings.start_time),
+        np.arange(n) * course.control_dt,
+        course.reference,
+        course.noise,
+        before,
+        reached_before,
+        np.full(na, nominal.command_low),
+        np.full(na, nominal.command_high),
+        course.control_dt,
+        steps,
+        rubbing,
+        np.tile(reached_before, (k, 1)),
+        np.full((k, na), -1),
+        np.empty((k, 3, gains.shape[2])),
+        np.empty((k, nj)),
+        past,
+        position.copy(),
+        q,
+        command,
+        reaches,
+        sound,
+    )
+    if shaping is not None:
+        kernel.run_loop(0, n + 1, *state)
+    else:
+        # A law that is Python alone cannot be called from within.
+        for now in range(n + 1):
+            kernel.run_loop(now, now + 1, *state)
+            if now < n:
+                reaches[:, :, now] = shaped_commands(effects, actuators, command[:, now].copy())
+    return [Tracked(*ended) for ended in zip(q, command, map(int, sound), strict=True)]

@@ -1,0 +1,86 @@
+"""Diagnosis from recordings, for the command and for users of the library."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import product
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
+from equimus_ctrl.diagnosis.experiment import Design
+from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.search import SearchSettings
+from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.errors import ConfigError, EquimusError
+from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.workflow.identify import Some, choose
+from equimus_ctrl.workflow.runs import gather, load_scenario
+
+SWEEPS = {"mean": (10.0, 15.0, 20.0), "amplitude": (4.0, 9.0), "high": (0.5, 2.0, 6.0)}
+"""Settings of the scenario ``chirp`` among which an experiment is chosen [kPa, kPa, Hz]."""
+
+
+def diagnose_recordings(
+    recordings: Some,
+    model: Model | None = None,
+    *,
+    free: Sequence[str] | None = None,
+    fix: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    select: Sequence[str] | None = None,
+    heldout: Sequence[str] = (),
+    until: float | None = None,
+    window: tuple[float, float] | None = None,
+    most: int = 3,
+    threads: int | None = None,
+    progress: Progress = lambda stage, share, best: None,
+) -> Diagnosis:
+    """Find what a model leaves out of recordings: where, what, how much, and how sure.
+
+    Args:
+        recordings: files, folders or trials.
+        model: the nominal leg by default.
+        free: names or patterns of what may be wrong about its numbers; stiffness, area, rest length and damping by
+            default.
+        fix: names or patterns of what is right all the same.
+        bounds: (low, high) of some of them.
+        select: patterns of the names of the trials to use; all by default.
+        heldout: patterns of the names of trials that only judge; see ``diagnosis.split.split`` for the default.
+        until: of every trial only what comes before this time is fitted, and the rest judges too [s].
+        window: (from, to) of each trial that counts at all [s].
+        most: largest number of effects.
+        threads: all cores by default.
+        progress: called with the stage, the share done and the best hypothesis so far.
+
+    Raises:
+        EquimusError: where something given cannot be used.
+    """
+    model = model or nominal_model()
+    if not 1 <= most <= 6:
+        raise ConfigError(f"the largest number of effects is {most}, expected 1 to 6")
+    if until is not None and not math.isfinite(until):
+        raise ConfigError(f"the end of what is fitted is {until:g} s, expected a finite time")
+    trials = choose(gather(recordings), select)
+    parts = split(model, trials, heldout=heldout, until=until, window=window)
+    parameters = uncertain(model, free, bounds, fix)
+    settings = DiagnosisSettings(SearchSettings(most_parts=most), threads)
+    return diagnose(parameters, parts, settings=settings, designs=sweeps(model), progress=progress)
+
+
+def sweeps(model: Model) -> list[Design]:
+    """Experiments that ``equimus-ctrl run chirp`` can make with a robot."""
+    designs = []
+    for values in product(*SWEEPS.values()):
+        settings = dict(zip(SWEEPS, values, strict=True))
+        options = {key: f"{value:g}" for key, value in settings.items()}
+        try:
+            scenario = load_scenario("chirp", model.morphology, phase=model.phase, options=options, search=False)
+        except EquimusError:  # a robot that these pressures are not for
+            continue
+        if scenario.commands is not None:
+            times, commands = (np.array(part) for part in (scenario.commands.times, scenario.commands.values))
+            designs.append(Design("chirp", settings, times, commands))
+    return designs

@@ -1,0 +1,237 @@
+"""The proof: realities made and sealed, diagnosed by processes that know nothing of them, opened and scored."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from equimus_ctrl import presets
+from equimus_ctrl.errors import ConfigError, EquimusError
+from equimus_ctrl.models.leg import nominal_leg
+from equimus_ctrl.proof import blind
+from equimus_ctrl.proof.apart import each_apart
+from equimus_ctrl.proof.designs import DURATION, TRIALS
+from equimus_ctrl.proof.realities import Kind
+from equimus_ctrl.proof.scoring import Score, score
+from equimus_ctrl.proof.seal import seal_of_all
+from equimus_ctrl.proof.store import Request, make_cases, open_truth
+from equimus_ctrl.recordings.folders import read_text
+
+Progress = Callable[[str, int, int], None]
+"""Called with the stage, how many cases are done, and how many there are."""
+Say = Callable[[str], None]
+"""Called with a sentence for people."""
+LEAST_DURATION = 2.0
+"""Of a trial; a shorter one does not move the leg enough [s]."""
+STAGES = ("making realities", "diagnosing", "opening the seals")
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """A proof that was carried through.
+
+    Attributes:
+        request: what was asked for.
+        seal: of all seals.
+        score: what it came to.
+        notes: what else a person ought to know.
+        seconds: how long all of it took.
+    """
+
+    request: Request
+    seal: str
+    score: Score
+    notes: tuple[str, ...]
+    seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``prove --json`` prints."""
+        r = self.request
+        found = self.score.to_dict()
+        head = {"schema": found.pop("schema"), "seed": r.seed, "kind": r.kind, "trials": r.trials}
+        rest = {"duration_s": r.duration, "seal": self.seal, "notes": list(self.notes), "seconds": self.seconds}
+        return {**head, **rest, **found}
+
+
+def put_to_proof(
+    folder: Path,
+    *,
+    cases: int,
+    seed: int = 0,
+    kind: Kind | None = None,
+    trials: int = TRIALS,
+    duration: float = DURATION,
+    workers: int | None = None,
+    baselines: bool = True,
+    progress: Progress = lambda stage, done, total: None,
+    say: Say = lambda sentence: None,
+) -> Proof:
+    """Put the diagnosis to the proof. What is in the folder already is not done again.
+
+    Args:
+        folder: for everything that is made.
+        cases: how many.
+        seed: of everything random.
+        kind: of all cases; drawn for each by default.
+        trials: of each case.
+        duration: of each trial [s].
+        workers: processes at a time; as many as there are processors by default.
+        baselines: whether simpler methods are given the same cases.
+        progress: see ``Progress``.
+        say: see ``Say``; the seal of all seals is said before the first diagnosis begins.
+
+    Raises:
+        ConfigError: for numbers that make no proof, a folder that holds another one, or truths that were changed.
+        EquimusError: where a diagnosis' process ended without an answer.
+    """
+    begun = time.perf_counter()
+    _check(cases, seed, trials, duration, workers)
+    workers = workers or processors()
+    presets.check_folder(folder)
+    request = Request(folder, seed, kind, trials, duration)
+    _claim(request)
+    done = 0
+
+    def told(made: object) -> None:
+        nonlocal done
+        done += 1
+        progress(STAGES[0], done, cases)
+
+    progress(STAGES[0], 0, cases)
+    seals = [made.seal for made in make_cases(request, range(cases), min(workers, cases), told)]
+    whole = seal_of_all(seals)
+    lines = "".join(f"{one}  case_{case:04d}\n" for case, one in enumerate(seals))
+    presets.write_text(folder / "seals.txt", f"{whole}  all\n{lines}")
+    say(f"{cases} realities are sealed; SHA-256 of their seals: {whole}")
+    notes = _diagnose(request, seals, workers, baselines, progress, say)
+    progress(STAGES[2], 0, cases)
+    truths = []
+    for case in range(cases):
+        truths.append(open_truth(request, case))
+        progress(STAGES[2], case + 1, cases)
+    reports = [_read(request.report(case)) for case in range(cases)]
+    others = [_read(request.baselines(case))["answers"] if baselines else {} for case in range(cases)]
+    found = score(truths, reports, others, nominal_leg())
+    return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun)
+
+
+def processors() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check(cases: int, seed: int, trials: int, duration: float, workers: int | None) -> None:
+    for name, value, least in (("cases", cases, 1), ("seed", seed, 0), ("trials", trials, 1)):
+        if value < least:
+            raise ConfigError(f"{name} is {value}, expected at least {least}")
+    if workers is not None and workers < 1:
+        raise ConfigError(f"workers is {workers}, expected at least 1")
+    if not LEAST_DURATION <= duration < float("inf"):
+        raise ConfigError(f"duration is {duration:g} s, expected at least {LEAST_DURATION:g} s")
+
+
+def _claim(request: Request) -> None:
+    """Note in the folder what it is for, or raise ConfigError where it is for something else."""
+    path = request.root / "request.json"
+    wanted = {
+        "seed": request.seed,
+        "kind": request.kind,
+        "trials": request.trials,
+        "duration_s": request.duration,
+        "physics_hz": request.rate,
+    }
+    text = read_text(path)
+    if text is None:
+        presets.write_text(path, presets.json_text(wanted))
+        return
+    found = _parsed(text)
+    for key, value in wanted.items():
+        if found.get(key, value) != value:
+            raise ConfigError(
+                f"{request.root}: holds a proof with {key} {found[key]}, not {value}; choose another folder"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _Current:
+    """What makes an answer one of this version of the program, to this case.
+
+    Attributes:
+        seals: of all cases.
+        report: fingerprint that a report must have.
+        baselines: fingerprint that baselines' answers must have.
+    """
+
+    seals: Sequence[str]
+    report: str = field(default_factory=lambda: blind.report_fingerprint())
+    baselines: str = field(default_factory=lambda: blind.baselines_fingerprint())
+
+    def holds(self, path: Path, case: int, what: str) -> bool | None:
+        """Whether a file is of this version; None where there is none."""
+        text = read_text(path)
+        if text is None:
+            return None
+        found = _parsed(text)
+        own = found.get("proof", {}) if what == "report" else found
+        return bool(own.get("seal") == self.seals[case] and own.get("fingerprint") == getattr(self, what))
+
+
+def _diagnose(
+    request: Request, seals: Sequence[str], workers: int, baselines: bool, progress: Progress, say: Say
+) -> list[str]:
+    current, cases = _Current(seals), range(len(seals))
+    tasks: list[tuple[Path, Path | None, Path | None, str]] = []
+    stale = {"report": 0, "baselines": 0}
+    for case in cases:
+        paths = {"report": request.report(case), **({"baselines": request.baselines(case)} if baselines else {})}
+        states = {what: current.holds(path, case, what) for what, path in paths.items()}
+        for what, state in states.items():
+            stale[what] += state is False
+        needed = {what: None if state else paths[what] for what, state in states.items()}
+        if any(needed.values()):
+            tasks.append((request.recordings(case), needed["report"], needed.get("baselines"), seals[case]))
+    for what, count in stale.items():
+        if count:
+            kind = "reports" if what == "report" else "answers of the baselines"
+            say(f"{count} {kind} were made by another version of the program, or of other recordings: made again")
+    if len(tasks) < len(seals):
+        say(f"{len(seals) - len(tasks)} of {len(seals)} cases were diagnosed before")
+    finished, ended = len(seals) - len(tasks), {}
+    progress(STAGES[1], finished, len(seals))
+    for index, code in each_apart(blind.answer, tasks, workers):
+        finished += 1
+        if code != 0:
+            ended[tasks[index][0].name] = code
+        progress(STAGES[1], finished, len(seals))
+    if ended:
+        name, code = min(ended.items())
+        more = f" and {len(ended) - 1} more" if len(ended) > 1 else ""
+        raise EquimusError(
+            f"the process that diagnosed {name}{more} ended with exit code {code} before it had an answer; run it "
+            "again, with fewer workers where memory is short"
+        )
+    changed = _Current(seals)
+    mixed = sum(not changed.holds(request.report(case), case, "report") for case in cases)
+    return [f"the program changed while it ran: {mixed} reports are of another version"] if mixed else []
+
+
+def _read(path: Path) -> dict[str, Any]:
+    text = read_text(path)
+    found = _parsed(text or "")
+    if not found:
+        raise ConfigError(f"{path}: is no answer of a proof; remove it and run again")
+    return found
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """The JSON object in a text; empty where it is none."""
+    try:
+        found = json.loads(text)
+    except json.JSONDecodeError:
+        return {}
+    return dict(found) if isinstance(found, Mapping) else {}

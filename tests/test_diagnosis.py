@@ -1,0 +1,279 @@
+"""Diagnosis on small concealed realities: what is there is found, what is not there is not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from equimus_ctrl.diagnosis.candidates import Part, candidates, model_of, parameters_of, uncertain, with_part
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
+from equimus_ctrl.diagnosis.experiment import Design
+from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
+from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.diagnosis.where import where_off
+from equimus_ctrl.effects.base import REGISTRY, Effect, parse
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.noise import JointNoise
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.types import Array, Recording
+
+DURATION, RATE = 5.0, 100.0
+
+
+def recordings(effects: tuple[Effect, ...], *, count: int = 4, noise: float = 1e-3, seed: int = 0) -> list[Recording]:
+    """Trials of a leg with wrong numbers and effects, stepped by pressures, on the reduced engine."""
+    rng = np.random.default_rng(seed)
+    nominal = nominal_model()
+    names = [f"{a}.{key}" for a in ("maa", "baa") for key in ("stiffness", "area", "damping")]
+    wrong = {name: nominal.parameters()[name] * (1 + 0.1 * rng.uniform(-1, 1)) for name in names}
+    leg = Model(nominal.morphology.with_parameters(wrong), effects)
+    robot = changed_bodies(effects, leg.morphology)
+    found = []
+    for k in range(count):
+        time = np.arange(0, DURATION, 1 / RATE)
+        levels = rng.uniform((0.0, 0.0), (3e4, 2.2e4), (8, 2))
+        command = levels[np.minimum((time / 0.7).astype(int), 7)]
+        start = Kinematics(robot).equilibrium(command[0])
+        trial = Trial(f"trial_{k}", time, command, command[0], 0.0, start, time)
+        clean = simulate([leg], [trial], dt=1e-3, check=False)[0].position[0]
+        measured = clean + noise * rng.normal(size=clean.shape)
+        found.append(Recording(f"trial_{k}", time, command, measured, ("maa", "baa"), ("hip", "knee")))
+    return found
+
+
+def found_in(effects: tuple[Effect, ...], **options: object) -> Diagnosis:
+    model = nominal_model()
+    trials = recordings(effects, **options)  # type: ignore[arg-type]
+    return diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
+
+
+def test_wrong_numbers_and_noise_alone_are_consistent() -> None:
+    found = found_in(())
+    assert found.verdict == "consistent"
+    assert not found.findings and not found.leftover
+    assert found.excess["nominal"] > 1 and found.excess["corrected"] < 0.01
+    smallest = {str(d.named): d for d in found.detectable}
+    assert 0 < smallest["dead_zone at baa"].size < 500
+    assert smallest["dead_zone at baa"].unit == "Pa"
+    for joint, own in found.to_dict()["noise_rad"].items():
+        assert own == pytest.approx(1e-3, rel=0.1), joint
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "dead_zone:baa:threshold=1500",
+        "transport_delay:maa:delay=0.06",
+        "coulomb_friction:knee:friction=0.01",
+        "payload_mass:foot:mass=0.05",
+        "sensor_scale:knee:scale=1.05",
+    ],
+)
+def test_one_effect_is_named_sized_and_confirmed_by_trials_left_out(text: str) -> None:
+    effect = parse(text)
+    found = found_in((effect,))
+    assert found.verdict == "explained"
+    (finding,) = found.findings
+    assert (finding.named.effect, finding.named.locations) == (effect.name, (effect.location,))
+    for key, value in effect.parameters().items():
+        estimate = finding.parameters[key]
+        assert estimate.value == pytest.approx(value, rel=0.1)
+        assert estimate.low < estimate.value < estimate.high
+    evidence = finding.evidence
+    assert evidence.gain > evidence.threshold and evidence.heldout_gain > 0 and evidence.log10_chance < -3
+    assert evidence.share > 0.9 and evidence.heldout_share > 0.8
+    assert np.all(found.rmse("corrected", "heldout") < 1.2e-3)
+    assert found.corrected.effects[0].name == effect.name
+
+
+def test_two_effects_together() -> None:
+    effects = (parse("transport_delay:baa:delay=0.08"), parse("coulomb_friction:hip:friction=0.02"))
+    found = found_in(effects)
+    assert {(f.named.effect, f.named.locations) for f in found.findings} == {
+        ("transport_delay", ("baa",)),
+        ("coulomb_friction", ("hip",)),
+    }
+
+
+def test_alike_in_several_places_is_one_finding() -> None:
+    found = found_in((parse("first_order_lag:maa:time_constant=0.1"), parse("first_order_lag:baa:time_constant=0.1")))
+    (finding,) = found.findings
+    assert finding.named.locations == ("maa", "baa")
+    assert finding.parameters["time_constant"].value == pytest.approx(0.1, rel=0.05)
+
+
+def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    from equimus_ctrl.proof.outside import Cogging
+
+    # The reality knows an effect that the diagnosis does not.
+    monkeypatch.setitem(REGISTRY, "cogging", Cogging)
+    trials = recordings((Cogging("knee", size=0.03, pitch=0.3),))
+    monkeypatch.delitem(REGISTRY, "cogging")
+    model = nominal_model()
+    found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
+    assert found.verdict == "unexplained"
+    assert found.leftover[0].location == "knee"
+    assert found.leftover[0].depends_on == "pos.knee"
+    left = found.leftover[0]
+    assert left.unit == "N·m" and len(left.x) == len(left.push) == len(left.band) > 10
+    inside = (left.x > np.quantile(left.x, 0.2)) & (left.x < np.quantile(left.x, 0.8))
+    true = 0.03 * np.sin(2 * np.pi * left.x / 0.3)
+    assert np.corrcoef(left.push[inside], true[inside])[0, 1] > 0.8
+
+
+def test_the_same_recordings_give_the_same_bits_on_any_number_of_threads() -> None:
+    model = nominal_model()
+    trials = recordings((parse("dead_zone:maa:threshold=2000"),), count=3)
+    reports = []
+    for threads in (1, 2):
+        found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=threads))
+        record = found.to_dict()
+        del record["seconds"]
+        reports.append(json.dumps(record))
+    assert reports[0] == reports[1]
+
+
+def test_the_report_is_plain_data_of_the_schema() -> None:
+    record = found_in((parse("dead_zone:baa:threshold=1500"),)).to_dict()
+    assert record["schema"] == SCHEMA == "equimus-ctrl/diagnosis/1"
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    finding = record["findings"][0]
+    assert set(finding) == {"effect", "locations", "parameters", "evidence", "equivalent"}
+    assert finding["parameters"]["threshold"]["unit"] == "Pa"
+    assert set(record["rmse_rad"]) == {"train", "heldout"}
+    assert set(record["rmse_rad"]["heldout"]) == {"nominal", "refitted", "corrected"}
+    assert record["where"][0]["share"] >= record["where"][1]["share"]
+
+
+def test_a_users_own_effect_takes_part() -> None:
+    from equimus_ctrl.workflow.plugins import load_effects
+
+    load_effects([Path(__file__).parents[1] / "docs" / "examples" / "drag.py"])
+    effect = parse("quadratic_drag:knee:coefficient=0.05")
+    found = found_in((effect,))
+    (finding,) = found.findings
+    assert (finding.named.effect, finding.named.locations) == ("quadratic_drag", ("knee",))
+    assert next(iter(finding.parameters.values())).value == pytest.approx(0.05, rel=0.2)
+
+
+def test_candidates_cover_the_catalogue_and_leave_out_a_second_name_for_the_foot() -> None:
+    model = nominal_model()
+    parts = split(model, recordings((), count=2))
+    pool = candidates(model, parts.train)
+    assert {c.effect.name for c in pool} == set(REGISTRY)
+    labels = {c.label for c in pool}
+    assert "payload_mass:foot" in labels and "payload_mass:calf" not in labels
+    assert {"transport_delay:maa", "transport_delay:baa", "transport_delay:maa+baa"} <= labels
+    assert "joint_stop:hip+knee" not in labels
+    for c in pool:
+        for guess in c.guesses:
+            model_of(model, (Part(c, guess),))  # each can be attached
+
+
+def test_a_part_that_excludes_others_takes_their_place() -> None:
+    model = nominal_model()
+    parts = split(model, recordings((), count=2))
+    pool = {c.label: c for c in candidates(model, parts.train)}
+    lag, both, dead = (pool[k] for k in ("first_order_lag:maa", "asymmetric_lag:maa+baa", "dead_zone:maa"))
+    old = (Part(lag, lag.guesses[0]), Part(dead, dead.guesses[0]))
+    new = with_part(model, old, Part(both, both.guesses[0]))
+    assert [p.candidate.label for p in new] == ["dead_zone:maa", "asymmetric_lag:maa+baa"]
+    free = parameters_of(uncertain(model), new)
+    assert free.names[-2:] == ("maa.asymmetric_lag.fill", "maa.asymmetric_lag.vent")
+    assert free.free[-1].also == ("baa.asymmetric_lag.vent",)
+    moved = free.model_at(np.array([*free.start[:-2], 0.2, 0.3]))
+    assert [e.parameters() for e in moved.effects if e.name == "asymmetric_lag"] == [{"fill": 0.2, "vent": 0.3}] * 2
+
+
+def test_equivalents_come_with_the_experiment_that_tells_them_apart() -> None:
+    # MAA pulls at the hip alone: over a small range dry friction of either looks the same.
+    model = nominal_model()
+    trials = recordings((parse("coulomb_friction:maa:friction=0.06"),), noise=2e-3)
+    designs = []
+    for amplitude in (2e3, 9e3):
+        t = np.arange(0, 5, 0.01)
+        wave = 1.2e4 + amplitude * np.sin(4 * t)[:, None] * np.ones(2)
+        designs.append(Design("chirp", {"amplitude": amplitude / 1e3}, t, wave))
+    found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2), designs=designs)
+    (finding,) = found.findings
+    named = {(finding.named.effect, finding.named.locations)}
+    named |= {(e.effect, e.locations) for e in finding.equivalent}
+    assert {("coulomb_friction", ("maa",)), ("coulomb_friction", ("hip",))} <= named
+    assert found.experiment is not None and found.experiment.distance > 0
+    assert {str(n) for n in found.experiment.separates} == {"coulomb_friction at maa", "coulomb_friction at hip"}
+
+
+def test_which_trials_are_held_out() -> None:
+    model = nominal_model()
+    trials = recordings((), count=5)
+    usual = split(model, trials)
+    assert [s.trial.name for s in usual.heldout] == ["trial_3"]
+    chosen = split(model, trials, heldout=["trial_[01]"])
+    assert [s.trial.name for s in chosen.heldout] == ["trial_0", "trial_1"]
+    (train,), (heldout,) = (getattr(split(model, trials[:1]), key) for key in ("train", "heldout"))
+    assert train.trial.sample_times[-1] < heldout.trial.sample_times[0]
+    assert heldout.trial.start == 0.0  # the motion is followed from the beginning
+    late = split(model, trials, until=3.0)
+    assert len(late.train) == len(late.heldout) == 5
+    with pytest.raises(ConfigError, match=r"held out: there is no trial 'trial_9'; did you mean 'trial_4'"):
+        split(model, trials, heldout=["trial_9"])
+    with pytest.raises(ConfigError, match="every trial is held out"):
+        split(model, trials, heldout=["*"])
+
+
+def spoilt(change: str) -> list[Recording]:
+    good = recordings((), count=2)
+    first = good[0]
+    position, command = np.array(first.position), np.array(first.command)
+    if change == "nan":
+        position[7, 1] = np.nan
+        return [replace(first, position=position), good[1]]
+    if change == "degrees":
+        return [replace(r, position=np.rad2deg(r.position)) for r in good]
+    if change == "still command":
+        return [replace(r, command=np.full_like(command, 1e4), before=None) for r in good]
+    if change == "still joint":
+        return [replace(r, position=np.column_stack([np.full(len(r.time), 1.5), r.position[:, 1]])) for r in good]
+    if change == "short":
+        return [Recording("tiny", first.time[:20], command[:20], position[:20], first.actuators, first.joints)]
+    return [replace(r, joints=("shin", "toe")) for r in good]
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ("nan", "trial_0: holds numbers that are not finite"),
+        ("degrees", r"trial_0: hip reaches [0-9.]+ rad, more than two turns; are the angles in degrees"),
+        ("still command", "the commands never move"),
+        ("still joint", "joint hip never moves"),
+        ("short", "tiny: has 20 samples over 0.19 s, too short to diagnose"),
+        ("columns", "has joints shin, toe"),
+    ],
+)
+def test_recordings_that_cannot_tell_are_refused_in_one_sentence(change: str, sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        split(nominal_model(), spoilt(change))
+    with pytest.raises(ConfigError, match="no recording was given"):
+        split(nominal_model(), [])
+
+
+def test_where_says_which_joint_phase_and_region() -> None:
+    model = nominal_model()
+    parts = split(model, recordings((), count=2))
+    noise = (JointNoise(1e-3), JointNoise(1e-3))
+    residuals: list[Array] = []
+    for s in parts.train:
+        r = np.zeros_like(s.measured)
+        r[s.measured[:, 1] > np.quantile(s.measured[:, 1], 0.7), 1] = 0.02
+        residuals.append(r)
+    first, second = where_off(("hip", "knee"), ("maa", "baa"), parts.train, residuals, noise)
+    assert (first.location, second.location) == ("knee", "hip")
+    assert first.share > 0.99
+    assert "knee angles" in first.region

@@ -1,0 +1,420 @@
+"""What flexible torques can express, how a residual is divided among them, and whether concealed physics is found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from morphologies import random_morphology
+from threadpoolctl import threadpool_limits
+
+from equimus_ctrl.diagnosis.explained import explained
+from equimus_ctrl.diagnosis.flexible import (
+    AT_ACTUATORS,
+    AT_JOINTS,
+    MEMORIES,
+    Axis,
+    Group,
+    groups,
+    harmonics,
+    responses,
+)
+from equimus_ctrl.diagnosis.response import Linearised, along_actuator, linearise
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.motion import Motion, motion
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.fit import Fit, fit, reduced_simulator
+from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.leg import nominal_leg
+from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.proof.outside import (
+    Fade,
+    Leak,
+    PeriodicTorque,
+    PressureDamping,
+    PressureGrowth,
+    RoughSpot,
+    SquareDrag,
+    StiffnessDrift,
+)
+from equimus_ctrl.proof.realities import draw
+from equimus_ctrl.proof.simulation import recordings, simulate
+from equimus_ctrl.types import Array
+
+LEG = nominal_leg()
+NOISE = 1e-3
+
+
+@lru_cache(maxsize=1)
+def moved() -> tuple[Motion, ...]:
+    """Two trials of the nominal leg."""
+    rng = np.random.default_rng(2)
+    found = []
+    for k in range(2):
+        times = np.arange(300) / 100.0 + 0.3
+        levels = rng.uniform([5e3, 3e3], [25e3, 12e3], (6, 2))
+        held = levels[(times / 0.6).astype(int) % 6]
+        start = Kinematics(LEG).equilibrium(held[0])
+        found.append(motion(Model(LEG), Trial(f"t{k}", times, held, held[0], 0.3, start, times)))
+    return tuple(found)
+
+
+@lru_cache(maxsize=1)
+def along() -> Linearised:
+    return linearise(Model(LEG), moved())
+
+
+@lru_cache(maxsize=1)
+def everything() -> tuple[Group, ...]:
+    return tuple(groups(Model(LEG), moved()))
+
+
+def group(location: str, depends_on: str, size: int | None = None) -> Group:
+    (found,) = [
+        g for g in everything() if (g.location, g.depends_on) == (location, depends_on) and size in (None, g.size)
+    ]
+    return found
+
+
+# --- basis functions ---------------------------------------------------------------------------------------------
+
+
+def test_an_axis_has_smooth_functions_that_add_up_to_one() -> None:
+    rng = np.random.default_rng(0)
+    values = [rng.normal(size=300) ** 3, rng.normal(size=200)]
+    axis = Axis.over("pos.hip", "rad", values, 9)
+    x = np.linspace(*axis.range, 400)
+    basis = axis.basis(x)
+    assert basis.shape == (400, 9) and len(axis.centres) == 9
+    assert basis.sum(axis=1) == pytest.approx(np.ones(400)) and basis.min() >= 0
+    assert axis.range == (np.concatenate(values).min(), np.concatenate(values).max())
+    # Cubic polynomials are among them, and a straight line has the centres as its coefficients.
+    assert basis @ axis.centres == pytest.approx(x)
+    small = 1e-6 * np.ptp(x)
+    rise = (axis.basis(x[1:-1] + small) - axis.basis(x[1:-1] - small)) / (2 * small)
+    assert axis.slopes(x[1:-1]) == pytest.approx(rise, abs=1e-6)
+    assert np.array_equal(axis.basis(np.array([-1e9, 1e9])), axis.basis(np.array(axis.range)))
+
+
+def test_knots_are_where_the_data_are_and_nowhere_too_far_apart() -> None:
+    dense = np.concatenate([np.full(300, 2.0), np.linspace(-1, 9, 100)])
+    inner = np.unique(Axis.over("vel.hip", "rad/s", [dense], 11).knots)
+    assert len(inner) == 9
+    even = 10 / 8
+    assert np.diff(inner).min() > 0.49 * even
+    near = np.abs(inner - 2.0).argmin()
+    assert np.diff(inner)[near] < 0.6 * even < even < np.diff(inner)[-1]
+    still = Axis.over("cmd.maa", "Pa", [np.full(50, 2e4)])
+    assert np.all(np.isfinite(still.basis(np.full(3, 2e4))))
+
+
+# --- groups ------------------------------------------------------------------------------------------------------
+
+
+def unexplained(g: Group, torques: Sequence[Array]) -> float:
+    """What is left of joint torques (n, nj) when the group's own are fitted to them, as a share."""
+    nj = torques[0].shape[1]
+    columns = np.concatenate([t.reshape(-1, g.size) for t in g.torques(moved())])
+    wanted = np.concatenate([t.reshape(-1) for t in torques])
+    assert columns.shape == (len(wanted), g.size) and len(wanted) == nj * sum(len(m.between.time) for m in moved())
+    left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    return float(np.linalg.norm(left) / np.linalg.norm(wanted))
+
+
+def physics(kind: str) -> list[Array]:
+    """Joint torques of known physics along the motions."""
+    found = []
+    for m in moved():
+        b = m.between
+        q, v, p, length, rate, t = b.position, b.velocity, b.pressure, b.length, b.rate, b.time - m.start
+        joint: dict[str, Array] = {
+            "hip spring": np.column_stack([-(q[:, 0] - 1.2), 0 * t]),
+            "knee drag": np.column_stack([0 * t, -np.abs(v[:, 1]) * v[:, 1]]),
+            "hip by knee": np.column_stack([q[:, 1] ** 2, 0 * t]),
+            "knee by both": np.column_stack([0 * t, q[:, 0] ** 2 * q[:, 1]]),
+            "cross spring": -np.column_stack([q[:, 0] * q[:, 1] ** 2, q[:, 0] ** 2 * q[:, 1]]),
+            "hip damping by angle": np.column_stack([-((q[:, 0] - 1.4) ** 2) * v[:, 0], 0 * t]),
+            "knee rough spot": np.column_stack([0 * t, -np.tanh(v[:, 1] / 1e-3) * (1 + q[:, 1])]),
+            "hip drift": np.column_stack([t**2, 0 * t]),
+        }
+        actuator = {
+            "growth": (1, p[:, 1] ** 2),
+            "maa cubic": (0, (length[:, 0] - 0.2) ** 3),
+            "maa damper": (0, rate[:, 0] * (rate[:, 0] ** 2 + 1e-3)),
+            "baa damping by pressure": (1, p[:, 1] * rate[:, 1]),
+            "baa fade": (1, p[:, 1] * (3.0 - t) ** 2),
+            "maa stiffness drift": (0, (length[:, 0] - LEG.actuators[0].rest_length) * t),
+            "baa by maa": (1, p[:, 0]),
+            "baa area by length": (1, p[:, 1] * (length[:, 1] - 0.25) ** 2),
+        }
+        if kind in joint:
+            found.append(joint[kind])
+        elif kind == "leak":
+            moves = 0.02 * (p[:, 0] - p[:, 1])
+            areas = [a.area for a in LEG.actuators]
+            found.append(
+                along_actuator(m, 0, -areas[0] * moves[:, None])[:, :, 0]
+                + along_actuator(m, 1, areas[1] * moves[:, None])[:, :, 0]
+            )
+        else:
+            index, force = actuator[kind]
+            found.append(along_actuator(m, index, force[:, None])[:, :, 0])
+    return found
+
+
+@pytest.mark.parametrize(
+    ("kind", "location", "depends_on", "size", "most"),
+    [
+        ("hip spring", "hip", "pos.hip", 8, 1e-9),
+        ("hip spring", "hip", "pos.hip", 40, 1e-9),
+        ("knee drag", "knee", "vel.knee", 8, 0.1),
+        ("hip by knee", "hip", "pos.knee", 8, 1e-9),
+        ("knee by both", "knee", "pos.knee·pos.hip", 25, 1e-9),
+        ("cross spring", "hip+knee", "pos.hip·pos.knee", 25, 1e-9),
+        ("hip damping by angle", "hip", "pos.hip·vel.hip", 8, 1e-9),
+        ("knee rough spot", "knee", "pos.knee·sign(vel.knee)", 16, 1e-9),
+        ("hip drift", "hip", "time", 8, 1e-9),
+        ("growth", "baa", "cmd.baa", 8, 1e-9),
+        ("maa cubic", "maa", "len.maa", 8, 1e-9),
+        ("maa damper", "maa", "rate.maa", 8, 1e-9),
+        ("baa damping by pressure", "baa", "cmd.baa·rate.baa", 8, 1e-9),
+        ("baa fade", "baa", "time·cmd.baa", 8, 1e-9),
+        ("maa stiffness drift", "maa", "time·len.maa", 8, 1e-9),
+        ("baa by maa", "baa", "cmd.maa", 8, 1e-9),
+        ("leak", "maa+baa", "cmd.maa−cmd.baa", 8, 1e-9),
+        ("baa area by length", "baa", "len.baa·cmd.baa", 8, 1e-9),
+    ],
+)
+def test_each_group_can_express_its_physics(kind: str, location: str, depends_on: str, size: int, most: float) -> None:
+    own = unexplained(group(location, depends_on, size), physics(kind))
+    assert own < most
+    other = group("hip" if location == "knee" else "knee", "time")
+    assert unexplained(other, physics(kind)) > 0.1
+
+
+def test_groups_name_the_joints_they_act_on_and_each_is_there_once() -> None:
+    names = [(g.location, g.depends_on, g.size) for g in everything()]
+    assert len(set(names)) == len(names)
+    assert group("maa", "cmd.maa").joints == ("hip",)
+    assert group("baa", "cmd.baa").joints == ("hip", "knee")
+    assert group("hip+knee", "pos.hip·pos.knee").joints == ("hip", "knee")
+    for g in everything():
+        for torque in g.torques(moved()):
+            acted = [LEG.joint_names[j] for j in range(2) if torque[:, j].any()]
+            assert acted == list(g.joints)
+
+
+def test_a_curve_is_the_function_without_its_factor() -> None:
+    g = group("hip", "pos.hip·vel.hip")
+    wanted = (np.array(g.axes[0].centres) - 1.0) * 0.3
+    x = np.linspace(*g.axes[0].range, 30)
+    assert (g.factor, g.axes[0].name, g.axes[0].unit) == ("vel.hip", "pos.hip", "rad")
+    assert g.curve(wanted, x) == pytest.approx((x - 1.0) * 0.3)
+    both = group("knee", "pos.knee·pos.hip")
+    a, b = both.axes
+    assert (a.name, b.name) == ("pos.knee", "pos.hip")
+    coefficients = np.outer(a.centres, b.centres).ravel()
+    y = np.linspace(*b.range, 30)
+    x = np.linspace(*a.range, 30)
+    assert both.curve(coefficients, x, y) == pytest.approx(x * y)
+
+
+def test_a_path_follows_the_length_until_it_slips() -> None:
+    g = group("baa", "path.baa")
+    assert not g.axes
+    for columns, m in zip(g.pushes["actuator", 1], moved(), strict=True):
+        way = np.diff(m.between.length[:, 1])
+        change = np.diff(columns, axis=0)
+        assert not columns[0].any() and np.abs(columns).max() <= 1.0
+        assert np.all(change * way[:, None] >= 0)
+        slipped = []
+        for column, step in zip(columns.T, change.T, strict=True):
+            sticks = (np.abs(column[1:]) < 1) & (np.abs(column[:-1]) < 1)
+            each = (step[sticks] @ way[sticks]) / (way[sticks] @ way[sticks])
+            assert step[sticks] == pytest.approx(each * way[sticks])
+            slipped.append(1 - sticks.mean())
+        assert slipped == sorted(slipped, reverse=True) and slipped[0] > 1.5 * slipped[-1] > 0
+
+
+def test_a_memory_is_a_spring_that_relaxes() -> None:
+    g = group("baa", "past.baa")
+    for columns, m in zip(g.pushes["actuator", 1], moved(), strict=True):
+        length, time = m.between.length[:, 1], m.between.time
+        for column, constant in zip(columns.T, MEMORIES, strict=True):
+            relaxed = np.concatenate([[0.0], np.cumsum(np.diff(time) * (column[1:] + column[:-1]) / 2)]) / constant
+            assert column + relaxed == pytest.approx(length - length[0], abs=0.05 * np.ptp(length))
+
+
+def test_other_robots_have_groups_too() -> None:
+    robot = random_morphology("branched", 1)
+    times = np.arange(60) / 100.0
+    trial = Trial("t", times, np.full((60, 3), 5e3), np.zeros(3), 0.0, np.array([0.2, 0.1, 0.1]), times)
+    model = Model(robot)
+    one = motion(model, trial)
+    found = groups(model, [one])
+    assert {g.location for g in found} >= {*robot.joint_names, *robot.actuator_names}
+    assert all(np.all(np.isfinite(g.torques([one])[0])) for g in found)
+    assert len(AT_JOINTS) * 3 + len(AT_ACTUATORS) * 3 <= len(found)
+
+
+def test_answers_in_batches_are_those_one_by_one() -> None:
+    some = [*everything()[:9], *harmonics(Model(LEG), moved(), [0.5, 2.0])]
+    assert sum(g.size for g in some) > 128
+    found = responses(along(), some)
+    assert len(found) == len(some)
+    for g, answer in zip(some, found, strict=True):
+        for a, b in zip(answer, along().response(g.torques(moved())), strict=True):
+            assert a.shape[2] == g.size and a == pytest.approx(b, abs=1e-12)
+
+
+def test_harmonics_are_waves_from_the_trials_start() -> None:
+    found = harmonics(Model(LEG), moved(), [0.5, 2.0])
+    assert [(g.location, g.depends_on) for g in found] == [
+        (name, f"time at {f} Hz") for name in ("hip", "knee") for f in ("0.5", "2")
+    ]
+    m = moved()[0]
+    t = 2 * np.pi * 2.0 * (m.between.time - 0.3)
+    assert found[1].torques(moved())[0][:, 0] == pytest.approx(np.column_stack([np.sin(t), np.cos(t)]))
+
+
+# --- what is explained -------------------------------------------------------------------------------------------
+
+
+def problem(seed: int, k: int = 5, p: int = 6, n: int = 400) -> tuple[Array, Array, Array]:
+    rng = np.random.default_rng(seed)
+    q, _ = np.linalg.qr(rng.normal(size=(n, p)))
+    return rng.normal(size=n), q, rng.normal(size=(n, k)) * 10.0 ** rng.uniform(-6, 6, k)
+
+
+FOLDS = [[slice(0, 100)], [slice(100, 150), slice(350, 400)], [slice(150, 350)]]
+
+
+def test_the_gain_is_what_least_squares_gains() -> None:
+    r, q, c = problem(0)
+    found = explained(r, q, c, ridge=0.0)
+    alone = r - q @ (q.T @ r)
+    solution, left = np.linalg.lstsq(np.column_stack([q, c]), r, rcond=1e-20)[:2]
+    assert found.total == pytest.approx(alone @ alone)
+    assert found.total - found.gain == pytest.approx(left[0])
+    assert found.coefficients == pytest.approx(solution[6:])
+    assert found.rank == 5 and found.share == pytest.approx(found.gain / found.total)
+
+
+def test_columns_that_say_nothing_new_count_for_nothing() -> None:
+    r, q, c = problem(1)
+    whole = explained(r, q, c, 0.0, FOLDS)
+    doubled = explained(r, q, np.column_stack([c, 3 * c[:, :2], q[:, :3], np.zeros(400)]), 0.0, FOLDS)
+    assert doubled.rank == whole.rank == 5
+    assert doubled.gain == pytest.approx(whole.gain) and doubled.held_out == pytest.approx(whole.held_out)
+    inside = explained(r, q, q @ np.ones((6, 2)), 0.0, FOLDS)
+    assert (inside.rank, inside.gain, inside.held_out) == (0, 0.0, 0.0) and not inside.coefficients.any()
+    assert explained(r, q, np.zeros((400, 0))).gain == 0.0
+
+
+def test_held_out_is_the_error_on_rows_that_were_not_fitted() -> None:
+    r, q, c = problem(2)
+    r = r + c @ (np.array([0.5, 0, -0.5, 0, 0.2]) / np.linalg.norm(c, axis=0) * 20)
+    found = explained(r, q, c, 0.0, FOLDS)
+    rest, free = r - q @ (q.T @ r), c - q @ (q.T @ c)
+    gained = 0.0
+    for fold in FOLDS:
+        own = np.concatenate([np.arange(400)[rows] for rows in fold])
+        others = np.setdiff1d(np.arange(400), own)
+        fitted = np.linalg.lstsq(free[others], rest[others], rcond=1e-20)[0]
+        gained += (rest[own] ** 2).sum() - ((rest[own] - free[own] @ fitted) ** 2).sum()
+    assert found.held_out == pytest.approx(gained)
+    assert 0 < found.held_out < found.gain
+
+
+def test_noise_gains_a_little_and_nothing_that_is_held_out() -> None:
+    gains, held_out = [], []
+    for seed in range(40):
+        r, q, c = problem(seed)
+        found = explained(r, q, c, folds=FOLDS)
+        gains.append(found.gain)
+        held_out.append(found.held_out)
+    assert np.mean(gains) == pytest.approx(5.0, abs=1.5)  # as many as there are columns, each of variance 1
+    assert np.mean(held_out) < -2.0
+
+
+def test_a_price_holds_back_what_is_hardly_seen() -> None:
+    r, q, c = problem(3)
+    c[:, 4] = c[:, 3] + 1e-4 * np.linalg.norm(c[:, 3]) * c[:, 4] / np.linalg.norm(c[:, 4])
+    bare, priced = explained(r, q, c, 0.0), explained(r, q, c, 1e-3)
+    size = np.linalg.norm(c, axis=0)
+    assert np.abs(priced.coefficients * size).max() < 0.01 * np.abs(bare.coefficients * size).max()
+    assert priced.gain < bare.gain
+    left = r - q @ (q.T @ r) - (c - q @ (q.T @ c)) @ priced.coefficients
+    assert priced.total - priced.gain == pytest.approx(left @ left)
+
+
+def test_rows_must_agree() -> None:
+    r, q, c = problem(4)
+    with pytest.raises(ConfigError, match="have 400, 400 and 399 rows"):
+        explained(r, q, c[1:])
+
+
+# --- concealed physics -------------------------------------------------------------------------------------------
+
+
+def concealed(outside: Effect) -> tuple[Fit, list[Motion]]:
+    """The best that the nominal model can do on four short trials of a leg with something else about it."""
+    drawn = draw(8, 1, kind="none", trials=4, duration=6.0)
+    reality = replace(drawn, outside=(outside,), noise=(NOISE, NOISE), correlation=0.0)
+    model = nominal_model()
+    measured = recordings(reality, simulate(reality, 480.0))
+    segments = cut(model, measured, fit_start=True)
+    found = fit(free_parameters(model), segments, simulator=reduced_simulator(threads=1))
+    starts = zip(segments, found.starts, strict=True)
+    return found, [motion(found.model, segment.trial, start, 2e-3) for segment, start in starts]
+
+
+@pytest.mark.parametrize(
+    ("outside", "location", "depends_on"),
+    [
+        (RoughSpot("knee", 0.015, 0.5, 0.15), "knee", "pos.knee·sign(vel.knee)"),
+        (PeriodicTorque("hip", 0.02, 1.0), "hip", "time at 1 Hz"),
+        (PressureDamping("maa", 8.0), "maa", "cmd.maa·rate.maa"),
+        (Leak("maa", 0.02), "maa+baa", "cmd.maa−cmd.baa"),
+        (SquareDrag("knee", 0.04), "knee", "vel.knee"),
+        (StiffnessDrift("baa", 0.01), "baa", "time·len.baa"),
+        (PressureGrowth("baa", 3e-3), "baa", "cmd.baa"),
+        (Fade("maa", 0.1, 4.0), "maa", "time·cmd.maa"),
+    ],
+    ids=lambda value: value.name if isinstance(value, Effect) else "",
+)
+def test_concealed_physics_is_found_where_it_is(outside: Effect, location: str, depends_on: str) -> None:
+    with threadpool_limits(limits=1, user_api="blas"):  # the matrices are small
+        check_concealed(outside, location, depends_on)
+
+
+def check_concealed(outside: Effect, location: str, depends_on: str) -> None:
+    found, motions = concealed(outside)
+    residual = np.concatenate([r.ravel() for r in found.residuals]) / NOISE
+    edges = np.cumsum([0] + [r.size for r in found.residuals])
+    trials = [slice(a, b) for a, b in pairwise(edges)]
+    linear = linearise(found.model, motions)
+    nuisances = [np.concatenate([j.reshape(-1, j.shape[2]) for j in found.jacobians])]
+    for rows, start in zip(trials, linear.start_response(), strict=True):
+        own = np.zeros((len(residual), 2))
+        own[rows] = start[:, :, :2].reshape(-1, 2)
+        nuisances.append(own)
+    columns = np.hstack(nuisances)
+    basis, strength, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+    projector = basis[:, strength > 1e-6 * strength[0]]
+    candidates = [*groups(found.model, motions), *harmonics(found.model, motions, np.arange(0.25, 3.1, 0.25))]
+    scores = []
+    for g, answer in zip(candidates, responses(linear, candidates), strict=True):
+        flat = np.concatenate([a.reshape(-1, g.size) for a in answer]) / NOISE
+        scores.append(explained(residual, projector, flat, folds=[[rows] for rows in trials]))
+    best = max(range(len(scores)), key=lambda i: scores[i].held_out)
+    assert (candidates[best].location, candidates[best].depends_on) == (location, depends_on)
+    excess = scores[best].total - (len(residual) - projector.shape[1])
+    assert scores[best].total > 1.5 * len(residual) and scores[best].gain > 0.8 * excess

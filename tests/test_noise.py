@@ -1,0 +1,84 @@
+"""Noise of sensors: estimated, whitened, judged."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from equimus_ctrl.identification.noise import (
+    JointNoise,
+    estimate_noise,
+    log_likelihood,
+    rough_noise,
+    white_noise,
+    whiten,
+)
+from equimus_ctrl.types import Array
+
+
+def series(
+    white: float, coloured: float, time: float, seed: int = 0, count: int = 6
+) -> tuple[list[Array], list[Array]]:
+    """Jittered times [s] and noise (n, 2) [rad]."""
+    rng = np.random.default_rng(seed)
+    times, found = [], []
+    for _ in range(count):
+        t = np.cumsum(np.clip(rng.normal(1 / 120, 1e-3, 1200), 2e-3, None))
+        x = rng.normal(size=(len(t), 2))
+        kept = np.exp(-np.diff(t) / time)
+        for k, share in enumerate(kept, start=1):
+            x[k] = share * x[k - 1] + math.sqrt(1 - share**2) * x[k]
+        times.append(t)
+        found.append(coloured * x + white * rng.normal(size=x.shape))
+    return times, found
+
+
+@pytest.mark.parametrize(
+    ("white", "coloured", "time"), [(2e-3, 0.0, 0.01), (0.0, 3e-3, 0.08), (1e-3, 2e-3, 0.03), (0.0, 1e-3, 0.01)]
+)
+def test_size_and_colour_are_found_and_the_innovations_are_white(white: float, coloured: float, time: float) -> None:
+    times, residuals = series(white, coloured, time)
+    noise = estimate_noise(times, residuals)
+    for own in noise:
+        assert own.sigma == pytest.approx(math.hypot(white, coloured), rel=0.06)
+        if coloured > white:
+            assert own.time == pytest.approx(time, rel=0.2)
+        else:
+            assert own.coloured == 0.0
+    e = [whiten(noise, t, r) for t, r in zip(times, residuals, strict=True)]
+    stacked = np.concatenate(e)
+    assert stacked.std(axis=0) == pytest.approx(1.0, rel=0.02)
+    neighbours = np.concatenate([x[1:] * x[:-1] for x in e]).mean(axis=0)
+    assert np.all(np.abs(neighbours) < 5 / math.sqrt(len(stacked)))
+
+
+def test_the_likelihood_is_that_of_the_dense_covariance() -> None:
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.uniform(0.005, 0.02, 40))
+    y = rng.normal(size=(40, 1)) * 1e-3
+    own = JointNoise(7e-4, 1.3e-3, 0.02)
+    covariance = own.coloured**2 * np.exp(-np.abs(t[:, None] - t) / own.time) + own.white**2 * np.eye(40)
+    _, logdet = np.linalg.slogdet(covariance)
+    dense = -0.5 * (logdet + y[:, 0] @ np.linalg.solve(covariance, y[:, 0]))
+    assert log_likelihood((own,), [t], [y]) == pytest.approx(dense, rel=1e-10)
+
+
+def test_whitening_is_linear_and_keeps_shapes() -> None:
+    times, residuals = series(1e-3, 1e-3, 0.02, count=1)
+    noise = (JointNoise(1e-3, 2e-3, 0.03), JointNoise(1e-3))
+    values = np.random.default_rng(1).normal(size=(len(times[0]), 2, 3))
+    both = whiten(noise, times[0], values)
+    assert both.shape == values.shape
+    for k in range(3):
+        np.testing.assert_allclose(both[:, :, k], whiten(noise, times[0], values[:, :, k]), rtol=1e-12)
+    np.testing.assert_allclose(whiten(noise, times[0], 2 * residuals[0]), 2 * whiten(noise, times[0], residuals[0]))
+
+
+def test_rough_sizes_do_not_see_slow_motion() -> None:
+    times, residuals = series(2e-3, 0.0, 0.01, count=2)
+    moving = [0.2 * np.sin(t)[:, None] + r for t, r in zip(times, residuals, strict=True)]
+    for own in rough_noise(moving):
+        assert own.white == pytest.approx(2e-3, rel=0.1)
+    assert white_noise(residuals)[0].white == pytest.approx(2e-3, rel=0.05)
