@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -113,14 +113,14 @@ def _diagnose(
     progress("trials left out", 0.82, found.best.label)
     found = _confirmed(search, found, split)
     progress("what is left", 0.86, found.best.label)
-    rest = remainder(data, found.base, found.best)
+    rest = remainder(data, found.base, found.best, found.without)
     doubtful: tuple[Named, ...] = ()
     if rest.superfluous:
         doubtful = tuple(_named(found.best.hypothesis[k]) for k in rest.superfluous)
         kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in rest.superfluous)
         best = search.refit(found.best, kept) if kept else found.base
         found = _again(search, found, best)
-        rest = remainder(data, found.base, found.best)
+        rest = remainder(data, found.base, found.best, found.without)
     progress("evidence", 0.94, found.best.label)
     judge = _Judge(data, split, found)
     findings = tuple(_finding(search, found, judge, k, bool(rest.leftovers)) for k in range(len(found.best.hypothesis)))
@@ -184,22 +184,26 @@ def _again(search: Search, found: Searched, best: Fitted) -> Searched:
 
 
 def _confirmed(search: Search, found: Searched, split: Split) -> Searched:
-    """The hypothesis less the parts that do not improve what was held out."""
+    """The hypothesis less the parts that do not improve what was held out.
+
+    Where another part fits as well in such a part's place and does improve it, that one is believed instead.
+    """
     if not split.heldout:
         return found
     while found.best.hypothesis:
         judge = _Judge(search.data, split, found)
-        share = sum(s.measured.size for s in split.heldout) / search.data.n
-        worst, place = math.inf, -1
-        for k, without in enumerate(found.without):
-            expected = (without.deviance - found.best.deviance) * share
-            ratio = judge.gain(without, found.best) / max(expected, 1e-300)
-            if ratio < worst:
-                worst, place = ratio, k
-        if worst >= CARRIES_OVER:
+        ratios = [judge.carried_over(without, found.best) for without in found.without]
+        place = int(np.argmin(ratios))
+        if ratios[place] >= CARRIES_OVER:
             return found
-        best = found.without[place]
-        found = _again(search, found, best)
+        without, limit = found.without[place], search.score(found.best) + ALIKE
+        rivals = sorted((r for r in found.rivals[place] if search.score(r) < limit), key=search.score)
+        better = next((r for r in rivals if judge.carried_over(without, r) >= CARRIES_OVER), None)
+        if better is None or len(found.best.hypothesis) > 1:
+            found = _again(search, found, without)
+        else:
+            others = (found.best, *(r for r in found.rivals[place] if r is not better))
+            return replace(found, best=better, rivals=(others,))
     return found
 
 
@@ -233,6 +237,11 @@ class _Judge:
         times = [s.trial.sample_times for s in self.split.heldout]
         before, after = (log_likelihood(self.noise, times, self.heldout(f.fit.model)) for f in (simple, rich))
         return 2.0 * (after - before)
+
+    def carried_over(self, simple: Fitted, rich: Fitted) -> float:
+        """The fall of the deviance of what was held out, over that of what was fitted for as many samples."""
+        share = sum(s.measured.size for s in self.split.heldout) / self.data.n
+        return self.gain(simple, rich) / max((simple.deviance - rich.deviance) * share, 1e-300)
 
     def share(self, simple: Sequence[Array], rich: Sequence[Array], base: Sequence[Array]) -> float:
         """Of the excess error of ``base`` that ``rich`` has less than ``simple``."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Hypothesis, model_of
 from equimus_ctrl.diagnosis.explained import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group, groups, harmonics, responses
@@ -105,26 +103,3 @@ def flexible(at: Linear, extra: Array | None = None) -> list[Flexible]:
         for group, columns in zip(at.groups, at.columns, strict=True)
     ]
     return sorted(found, key=lambda f: -f.found.held_out)
-
-
-def change_of(data: Data, at: Linear, rest: Hypothesis) -> Array:
-    """(N,) by how much the parts of the fitted hypothesis that are not in ``rest`` change what is predicted."""
-    fitted = at.fitted
-    theta = dict(zip(fitted.fit.parameters.names[: len(data.free.free)], fitted.fit.theta.tolist(), strict=False))
-    model = model_of(data.free.model.with_parameters(theta), rest)
-    found = data.simulator([model], data.segments, [start[None, :] for start in fitted.fit.starts])
-    changes = []
-    for segment, residual, predicted in zip(data.segments, fitted.fit.residuals, found, strict=True):
-        before = segment.measured - residual
-        changes.append((before - np.nan_to_num(predicted.position[0], nan=0.0))[:, :, None])
-    return at.weighing.columns(data.times, changes)[:, 0]
-
-
-def owned(data: Data, hypothesis: Hypothesis, kept: Sequence[int]) -> list[int]:
-    """Columns of the derivatives that belong to the model itself and to some parts of a hypothesis."""
-    columns, first = list(range(len(data.free.free))), len(data.free.free)
-    for k, part in enumerate(hypothesis):
-        if k in kept:
-            columns += range(first, first + part.candidate.n_parameters)
-        first += part.candidate.n_parameters
-    return columns

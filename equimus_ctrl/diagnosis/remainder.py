@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.explained import Explained, explained
+from equimus_ctrl.diagnosis.explained import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.flexible import Axis, Group
-from equimus_ctrl.diagnosis.leftover import Flexible, Linear, change_of, flexible, linear, nuisances, owned
+from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, linear, nuisances
 from equimus_ctrl.diagnosis.results import Leftover
+from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.types import Array
 
 LEAST_GAIN = 40.0
@@ -44,22 +46,22 @@ class Remainder:
     superfluous: tuple[int, ...]
 
 
-def remainder(data: Data, base: Fitted, best: Fitted) -> Remainder:
+def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted]) -> Remainder:
     """Look for what a fitted hypothesis leaves.
 
     Args:
         data: what was measured.
         base: the model without any hypothesis.
         best: the hypothesis.
+        without: for each of its parts the fit that does without it.
     """
     at = linear(data, best, best.noise)
     if at is None:
         return Remainder((), ())
-    if _imitated(data, at):
+    if _imitated(data, base, best):
         # Anything can be imitated by enough effects; one push that does it alone is the simpler story.
         return Remainder((), tuple(range(len(best.hypothesis))))
-    taken = sum(float((w**2).sum()) for w in whitened(data, best.noise, base.fit.residuals))
-    taken -= sum(float((w**2).sum()) for w in whitened(data, best.noise, best.fit.residuals))
+    taken = _squares(data, base, best) - _squares(data, best, best)
     threshold = max(LEAST_GAIN, LEAST_SHARE * data.n)
     found: list[tuple[Flexible, Array]] = []
     extra: Array | None = None
@@ -74,7 +76,7 @@ def remainder(data: Data, base: Fitted, best: Fitted) -> Remainder:
         extra = columns if extra is None else np.column_stack([extra, columns])
     if not found:
         return Remainder((), ())
-    superfluous = _superfluous(data, at, found[0][1]) if best.hypothesis else ()
+    superfluous = _superfluous(data, best, without, found[0][0].found.gain)
     total = sum(f.found.gain for f, _ in found)
     told = tuple(_told(data, at, f, columns, f.found.gain / total, threshold) for f, columns in found)
     return Remainder(told, superfluous)
@@ -85,19 +87,25 @@ def _gain(top: Flexible, at: Linear) -> float:
     return top.found.held_out if at.folds else top.found.gain - 3.0 * top.found.rank
 
 
-def _imitated(data: Data, at: Linear) -> bool:
+def _imitated(data: Data, base: Fitted, best: Fitted) -> bool:
     """Whether one flexible push explains what several named effects do together, or one that strains its bounds."""
-    parts = at.fitted.hypothesis
-    if not parts or (len(parts) == 1 and not strained(data, at.fitted)):
+    if len(best.hypothesis) < 2 and not (best.hypothesis and strained(data, best)):
         return False
-    without = at.weighing.residual + change_of(data, at, ())
-    kept = owned(data, parts, ())
-    own = [i for i in range(at.weighing.slopes.shape[1]) if i not in kept]
-    basis = nuisances(at.weighing.slopes[:, kept])
-    changes = [change_of(data, at, parts[:k] + parts[k + 1 :]) for k in range(len(parts))]
-    named = explained(without, basis, np.column_stack([*changes, at.weighing.slopes[:, own]])).gain
-    best = max(explained(without, basis, columns, folds=at.folds).held_out for columns in at.columns)
-    return best > ALONE * named
+    return _stands_in(data, base, best.noise, _squares(data, base, best) - _squares(data, best, best), ALONE)
+
+
+def _stands_in(data: Data, without: Fitted, noise: Noise, gap: float, share: float) -> bool:
+    """Whether the best flexible push, added to a hypothesis, explains this share of a fall of χ²."""
+    at = linear(data, without, noise)
+    if at is None:
+        return False
+    push = flexible(at)[0].found
+    return push.gain > share * gap
+
+
+def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:
+    """χ² of a fit under the noise of another."""
+    return sum(float((w**2).sum()) for w in whitened(data, noisy.noise, fitted.fit.residuals))
 
 
 def strained(data: Data, fitted: Fitted) -> bool:
@@ -113,24 +121,14 @@ def strained(data: Data, fitted: Fitted) -> bool:
     return False
 
 
-def _superfluous(data: Data, at: Linear, left: Array) -> tuple[int, ...]:
-    """Parts in whose place one flexible push explains as much as they do together with the push that is left (N, k)."""
-    found = []
-    hypothesis = at.fitted.hypothesis
-    slopes = at.weighing.slopes
-    for k in range(len(hypothesis)):
-        kept = owned(data, hypothesis, [i for i in range(len(hypothesis)) if i != k])
-        own = [i for i in range(slopes.shape[1]) if i not in kept]
-        change = change_of(data, at, hypothesis[:k] + hypothesis[k + 1 :])
-        without = at.weighing.residual + change
-        basis = nuisances(slopes[:, kept])
-        named_columns = np.column_stack([change, slopes[:, own]])
-        pushes = [explained(without, basis, columns, folds=at.folds) for columns in at.columns]
-        best = max(pushes, key=lambda p: p.held_out if at.folds else p.gain)
-        both = explained(without, basis, np.column_stack([named_columns, left])).gain
-        if best.gain > INSTEAD * both:
-            found.append(k)
-    return tuple(found)
+def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: float) -> tuple[int, ...]:
+    """Parts in whose place one flexible push explains as much as they do together with the push that is left."""
+    own = _squares(data, best, best)
+    return tuple(
+        k
+        for k, fitted in enumerate(without)
+        if _stands_in(data, fitted, best.noise, _squares(data, fitted, best) - own + left, INSTEAD)
+    )
 
 
 def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, threshold: float) -> Leftover:
