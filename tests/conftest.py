@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hypothesis
 import pytest
 
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.workflow import plugins
+
+if TYPE_CHECKING:
+    from wrong_input import Ran
+
+    from equimus_ctrl.diagnosis.results import Diagnosis
+    from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+    from equimus_ctrl.report.diagnosis_panels import Scene
 
 # The same examples in every run; `--hypothesis-profile=default` draws new ones.
 hypothesis.settings.register_profile("repeatable", derandomize=True)
@@ -44,3 +52,71 @@ def catalogue() -> Iterator[None]:
     for known, before in ((REGISTRY, registered), (plugins._loaded, loaded)):
         known.clear()
         known.update(before)
+
+
+@pytest.fixture(scope="session")
+def wrong_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with something wrong of every kind; whoever writes into it is found out."""
+    from wrong_input import fill
+
+    folder = tmp_path_factory.mktemp("errors")
+    fill(folder)
+    return folder
+
+
+@pytest.fixture
+def run_there(
+    wrong_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Ran]:
+    """Run the command in the folder with wrong files; fail where it wrote, printed to standard output or showed a trace."""
+    from wrong_input import snapshot
+
+    from equimus_ctrl.cli.main import main
+
+    monkeypatch.chdir(wrong_folder)
+    monkeypatch.setenv("EQUIMUS_RECORDINGS", str(wrong_folder / "nothing"))
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def call(arguments: Sequence[object], texts: dict[str, str] | None = None) -> Ran:
+        for name, text in (texts or {}).items():
+            (wrong_folder / name).write_text(text)
+        before = snapshot(wrong_folder)
+        try:
+            code = main([str(argument) for argument in arguments])
+            out, err = capsys.readouterr()
+            assert snapshot(wrong_folder) == before, "something was written"
+        finally:
+            for path in wrong_folder.rglob("*"):
+                if path.is_file() and str(path.relative_to(wrong_folder)) not in before:
+                    path.unlink()
+            for name in texts or {}:
+                (wrong_folder / name).unlink()
+        assert out == "" and "Traceback" not in err
+        return code, out, err
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def diagnosis() -> Diagnosis:
+    """A leg whose BAA has a dead zone, its parameters and the threshold fitted; found, and something left besides."""
+    from diagnosed_leg import diagnosed
+
+    return diagnosed()
+
+
+@pytest.fixture(scope="session")
+def scene(diagnosis: Diagnosis) -> Scene:
+    """What the curves of that diagnosis are drawn from."""
+    from equimus_ctrl.report.diagnosis_panels import Scene
+
+    return Scene.of(diagnosis)
+
+
+@pytest.fixture(scope="module")
+def plant() -> MujocoPlant:
+    """The nominal leg without effects or noise; every test resets it first."""
+    from equimus_ctrl.models.model import nominal_model
+    from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+
+    return MujocoPlant(nominal_model())

@@ -22,7 +22,7 @@ from equimus_ctrl import presets, workflow
 from equimus_ctrl.tuning import autotune as tuning
 from equimus_ctrl.tuning.autotune import NothingFeasible, TuningResult, autotune, best_feasible
 from equimus_ctrl.tuning.ensemble import make_ensemble
-from equimus_ctrl.tuning.journal import NoJournal, RowJournal
+from equimus_ctrl.tuning.journal import RowJournal
 from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
 from equimus_ctrl.tuning.search import Trial
 from equimus_ctrl.tuning.study import EnsembleSettings, Limits, Study, Weights, study_from_dict
@@ -128,7 +128,7 @@ def test_other_legs_judge_it(result: TuningResult, problem: Problem, study: Stud
     tuned_on = {leg.parameters.tobytes() for leg in problem.members}
     assert len(others.members) == 2 and all(leg.parameters.tobytes() not in tuned_on for leg in others.members)
     one = replace(others, members=[others.members[1]], _starts={}, _legs={})
-    again = one.judge([one.leg_outcome(result.settings, 0)])
+    again = one.judge(one.leg_outcomes([(result.settings, 0)], raised=False))
     assert repr(again.to_dict()) == repr(result.unseen[1].to_dict())
 
 
@@ -156,12 +156,12 @@ def test_the_record_is_json_and_holds_everything(result: TuningResult) -> None:
 def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(
     study: Study, problem: Problem, result: TuningResult
 ) -> None:
-    again = autotune(study, replace(problem, _starts={}, _legs={}), NoJournal(), workers=1)
+    again = autotune(study, replace(problem, _starts={}, _legs={}), RowJournal(Rows()), workers=1)
     assert bits(again.history) == bits(result.history) and again.settings == result.settings
 
 
 def test_another_seed_gives_others(study: Study, problem: Problem, result: TuningResult) -> None:
-    other = autotune(replace(study, seed=6, candidates=10), problem, NoJournal())
+    other = autotune(replace(study, seed=6, candidates=10), problem, RowJournal(Rows()))
     assert bits(other.history[1:10]) != bits(result.history[1:10])
 
 
@@ -199,12 +199,12 @@ def test_an_interruption_keeps_the_best_so_far(
 
 
 def test_an_interruption_before_anything_was_tried_is_one(study: Study, problem: Problem) -> None:
-    class Impatient(NoJournal):
+    class Impatient(RowJournal):
         def known(self, index: int, values: Sequence[float]) -> Evaluation | None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        autotune(study, problem, Impatient())
+        autotune(study, problem, Impatient(Rows()))
 
 
 # Limits that nothing gets round.
@@ -450,4 +450,5 @@ def test_ctrl_c_keeps_the_best(tmp_path: Path, uninterrupted: dict[str, Any]) ->
     assert settings.to_dict() == record["settings"]
     feasible = [row["cost"] for row in record["evaluations"] if row["feasible"]]
     assert record["best"]["cost"] == min(feasible)
-    assert command.rows() == done
+    # The interrupt may fall between a row's writing and its counting; such a row is taken over by the next run.
+    assert done <= command.rows() <= done + 1

@@ -193,11 +193,18 @@ def test_poses_at_rest_give_a_stop_and_do_without_any(model: Model, names: list[
     np.testing.assert_allclose(fitted.theta, list(truth.values()), rtol=1e-5)
 
 
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e3, 0.0), (200.0, 5.0), (9e3, 20.0)])
+def test_steps_are_divided_while_a_stop_is_pressed(stiffness: float, damping: float) -> None:
+    hard = Model(LEG, (JointStop("knee", 0.6, stiffness, damping),))
+    coarse, fine = (simulate([hard], [moving("swing")], dt=dt, threads=1)[0].position[0] for dt in (2e-3, 5e-5))
+    assert (fine[:, 1] < 0.6).any()
+    np.testing.assert_allclose(coarse, fine, atol=5e-4)
+
+
 def test_a_step_too_long_for_a_stop_is_said() -> None:
-    hard = Model(LEG, (JointStop("knee", 0.6, 1e3, 0.0),))
-    trial = moving("swing")
+    hard = Model(LEG, (JointStop("knee", 0.6, 200.0, 20.0),))
     with pytest.warns(UserWarning, match="a joint stop was touched, and a physics step of 4 ms is too long"):
-        simulate([hard], [trial], dt=4e-3, threads=1)
+        simulate([hard], [moving("swing")], dt=4e-3, threads=1)
 
 
 def fall(model: Model, start: float) -> Array:

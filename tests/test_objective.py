@@ -253,7 +253,7 @@ def test_a_diverged_run_is_seen() -> None:
     one = replace(problem, members=[leg], _starts={(0, 0): np.array([1.5, 0.3]), (0, 1): np.array([1.5, 0.3])})
     outcome = one.outcome(WILD, 0, 1)
     assert outcome.diverged and np.all(np.isinf(outcome.terms)) and outcome.saturation == 1.0
-    judged = one.leg_outcome(WILD, 0)
+    (judged,) = one.leg_outcomes([(WILD, 0)], raised=False)
     assert not judged.calm and math.isnan(judged.modulus)
     assert not one.judge([judged]).stable
 

@@ -267,18 +267,6 @@ def test_what_sticks_does_not_answer() -> None:
     assert np.abs(found).max() < 1e-3 * np.abs(free).max()
 
 
-def test_starts_are_answered_as_the_simulator_answers_them() -> None:
-    effects = (SensorDelay("hip", 0.03), SensorScale("knee", 0.9))
-    model, small = Model(LEG, effects), 1e-6
-    given = trial(FREE, until=2.0)
-    base = np.concatenate([given.position, [0.4, -0.3]])
-    starts = np.vstack([base, base + small * np.eye(4)])
-    found = simulate([model] * 5, [given], starts=[starts], check=False)[0].position
-    (answer,) = linearise(model, [motion(model, given, base)]).start_response()
-    for i in range(4):
-        assert error(answer[:, :, i], (found[1 + i] - found[0]) / small) < 5e-3
-
-
 def test_torques_at_the_samples_are_linear_between_them_and_all_columns_are_alike() -> None:
     given = [trial(FREE, until=1.0), trial(FREE[::-1].copy(), until=2.0)]
     along = linearise(Model(LEG), [motion(Model(LEG), one) for one in given])

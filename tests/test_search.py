@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from equimus_ctrl.tuning.journal import NoJournal, RowJournal
+from equimus_ctrl.tuning.journal import RowJournal
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.tuning.search import Journal, Search, Trial
 
@@ -64,7 +64,9 @@ def make(
     polish: float = 0.25,
     seed: int = 1,
 ) -> Search:
-    return Search(LOW, HIGH, START, budget, polish, seed, evaluate or Counter(), journal or NoJournal(), notify, [])
+    return Search(
+        LOW, HIGH, START, budget, polish, seed, evaluate or Counter(), journal or RowJournal(Rows()), notify, []
+    )
 
 
 def bits(search: Search) -> list[str]:
@@ -225,12 +227,6 @@ def test_an_evaluation_survives_a_journal() -> None:
     first = Evaluation(1e9, {"error": nan}, (nan, 0.1), float("inf"), 1.0, nan, nan, False, False)
     again = Evaluation.from_dict(json.loads(json.dumps(first.to_dict())))
     assert json.dumps(again.to_dict()) == json.dumps(first.to_dict()) and isinstance(again.member_costs, tuple)
-
-
-def test_no_journal_knows_nothing() -> None:
-    journal = NoJournal()
-    journal.add(0, "start", [1.0], evaluation(1.0))
-    assert journal.known(0, [1.0]) is None
 
 
 def test_no_candidate_is_tried_twice() -> None:

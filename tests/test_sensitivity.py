@@ -10,6 +10,7 @@ import pytest
 
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.identification.fit import STEP
 from equimus_ctrl.identification.parameters import default_bounds
 from equimus_ctrl.identification.sensitivity import SHARES
 from equimus_ctrl.models.kinematics import Kinematics
@@ -27,7 +28,7 @@ def made_up() -> Recording:
     start = Kinematics(MODEL.morphology).equilibrium([12e3, 5e3])
     bare = Recording("made_up", time, command, np.tile(start, (90, 1)), ("maa", "baa"), ("hip", "knee"))
     other = MODEL.with_parameters({"maa.stiffness": 280.0, "baa.area": 4.1e-4})
-    return replace(bare, position=predict(other, bare, start=start, dt=2e-3))
+    return replace(bare, position=predict(other, bare, start=start, dt=STEP))
 
 
 TRIAL = made_up()
@@ -39,7 +40,7 @@ def found() -> Any:
 
 
 def predicted(model: Model) -> Array:
-    return predict(model, TRIAL, dt=2e-3)
+    return predict(model, TRIAL, dt=STEP)
 
 
 def rmse(angles: Array) -> Array:

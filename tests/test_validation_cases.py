@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.effects import PayloadMass, TransportDelay
+from equimus_ctrl.engines import mujoco_batch
 from equimus_ctrl.engines.mujoco_batch import MujocoBatch
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
@@ -27,13 +28,14 @@ from equimus_ctrl.validation.experiment import Experiment, any_force, without_st
 from equimus_ctrl.validation.plan import ACCURACY_GOALS, QUICK, STAGES, Errors, Plan
 from equimus_ctrl.validation.poses import holding_pressure, workspace
 from equimus_ctrl.validation.reference import integrate
+from equimus_ctrl.validation.responses import stance_case
 from equimus_ctrl.validation.static import native_static, static_case
 from equimus_ctrl.validation.validate import Validation, validate
 
 TINY = Plan(
-    poses=12, pairs=40, duration=0.5, stance_runs=3, stop_runs=1, three_dof_robots=1, robots_per_shape=1,
+    poses=12, pairs=40, duration=0.5, stance_runs=3, three_dof_robots=1, robots_per_shape=1,
     runs_per_robot=1, robot_duration=0.25, more_kernels=False, conserving=1.0, checked=2, checked_robots=0, front=0,
-    timed=4, repeats=1,
+    timed=4, timed_on_stops=2, repeats=1,
 )  # fmt: skip
 
 
@@ -162,18 +164,46 @@ def test_errors_do_not_hide_a_divergence() -> None:
 
 def test_a_whole_validation_meets_the_goals(found: Validation) -> None:
     assert found.accurate
-    assert [goal.name for goal in found.accuracy] == list(ACCURACY_GOALS)
+    assert not found.swing.touching.any()
+    none = {"swing_on_stops", "reduced_swing_on_stops", "reduced_stance"}
+    assert [goal.name for goal in found.accuracy] == [name for name in ACCURACY_GOALS if name not in none]
     assert found.baseline.static.rmse.max() > 100 * found.static.errors.rmse.max()
     assert found.swing.reference_error < 1e-8
     counts = found.swing.counts
     assert counts["pairs"] == 40 and counts["scored"] > 0
-    assert sum(value for key, value in counts.items() if key != "pairs") == 40
+    assert sum(counts[key] for key in ("pressure_out_of_range", "actuator_too_short", "scored")) == 40
+    stance = found.stance.robot
+    assert stance.counts == {"runs": 3, "actuator_too_short": 0, "scored": 3, "touching_a_stop": 3}
+    assert stance.reference_error < 1e-6
 
 
 def test_a_goal_that_is_missed_is_said(found: Validation, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(ACCURACY_GOALS, "stance", 1e-12)
     assert not found.accurate
     assert [goal.name for goal in found.accuracy if not goal.met] == ["stance"]
+
+
+def test_runs_that_touch_a_stop_are_judged_apart_too(found: Validation) -> None:
+    """One bad run among many that are good meets the goal of all together, but not that of its kind."""
+    case = found.swing
+    touching = np.cumsum(case.scored) == 1
+    off = case.exact + np.where(touching & case.scored, 3e-4, 0.0)[:, None, None]
+    hit = replace(found, swing=replace(case, touching=touching, found={**case.found, "mujoco": off}))
+    missed = {goal.name: goal.value for goal in hit.accuracy if not goal.met}
+    assert missed == {"swing_on_stops": pytest.approx(3e-4, rel=1e-6)}
+    assert hit.swing.clear.sum() == case.scored.sum() - 1
+    record = hit.to_dict()["swing"]
+    assert record["on_stops"]["mujoco"]["runs"] == 1 and record["runs"] == case.scored.sum()
+
+
+def test_an_engine_whose_steps_do_not_follow_stops_misses_the_goal(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = stance_case(nominal_leg(), TINY, np.random.default_rng(0), 4e-3)
+    assert right.errors.rmse.max() < ACCURACY_GOALS["stance"]
+    monkeypatch.setattr(mujoco_batch, "near_stop", lambda robots, q, v, dt: np.zeros(len(q), dtype=bool))
+    wrong = stance_case(nominal_leg(), TINY, np.random.default_rng(0), 4e-3)
+    assert wrong.errors.rmse.max() > ACCURACY_GOALS["stance"]
+    assert wrong.published().errors("mujoco").rmse.max() > ACCURACY_GOALS["stance_published"]
+    np.testing.assert_array_equal(wrong.free.found["mujoco"], right.free.found["mujoco"])
 
 
 def test_nothing_scored_meets_no_goal(found: Validation) -> None:
@@ -209,8 +239,9 @@ def test_the_record_is_plain_json_with_the_figures_in_their_places(found: Valida
         assert record[case]["counts"]
     assert record["schema"] == "equimus-ctrl/validation/1"
     assert record["morphologies"]["worst_rmse_rad"] < ACCURACY_GOALS["morphologies"]
-    for key in ("mujoco_x_realtime", "reduced_x_realtime", "reduced_steps_per_s"):
+    for key in ("mujoco_x_realtime", "mujoco_on_stops_x_realtime", "reduced_x_realtime", "reduced_steps_per_s"):
         assert record["speed"][key] > 0
+    assert record["stance"]["published_run"]["runs"] == record["stance"]["without_stops"]["published_run"]["runs"] == 1
     assert set(record["conservation"]) == {"energy", "momentum", "work"}
     assert record["swing"]["engines"]["reduced"]["rmse_rad"]
     assert record["settings"]["mujoco"]["integrator"] == "RK4"

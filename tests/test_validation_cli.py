@@ -32,7 +32,8 @@ def test_json_alone_on_standard_output_tables_beside_it_files_in_the_folder(
         assert Path(file).stat().st_size > 1000
     written = json.loads((tmp_path / "out" / "validation.json").read_text())
     assert written["swing"] == record["swing"]
-    for text in ("poses at rest", "0.00574", "foot pinned", "random robots", "× real time", "step responses: "):
+    rows = ("poses at rest", "0.00574", "foot pinned", "without stops", "random robots", "on stops: ", "× real time")
+    for text in (*rows, "step responses: "):
         assert text in err
 
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json, shown_path
+from equimus_ctrl.cli.common import EffectFiles, Figures, Json, ModelFile, people, print_json, tell_files
+from equimus_ctrl.cli.progress import bars, time_left
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,7 +37,7 @@ def autotune_pid(
     ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start anew instead of going on where a run stopped.")] = False,
     workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
-    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    figures: Figures = True,
     as_json: Json = False,
 ) -> None:
     """Tune the PID in simulation, over an ensemble of perturbed legs with slow and late valves.
@@ -50,18 +51,12 @@ def autotune_pid(
     equimus-ctrl autotune-pid --scenario hold --scenario chirp --output my_pid.toml
     equimus-ctrl autotune-pid --model corrected.toml --json
     """  # noqa: D301
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
     console = people()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("best {task.fields[best]}"),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+    so_far = TextColumn("best {task.fields[best]}")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), so_far, *time_left())
+    with bars(console, *columns) as progress:
         task = progress.add_task("getting ready", total=None, best="–")
         from equimus_ctrl import workflow
 
@@ -98,8 +93,7 @@ def autotune_pid(
 
         files += save_tuning_figures(tuned.result, tuned.folder)
     _tell(console, tuned)
-    for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    tell_files(console, files)
     if as_json:
         record = tuned.result.record()
         del record["evaluations"]

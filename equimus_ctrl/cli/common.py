@@ -1,4 +1,4 @@
-"""Options and printing that several verbs share."""
+"""Options, checks and printing that several verbs share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ import typer
 from equimus_ctrl.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from matplotlib.figure import Figure
     from rich.console import Console
+    from rich.table import Table
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, and nothing else there.")]
 ModelFile = Annotated[
@@ -21,11 +25,23 @@ Recordings = Annotated[
     Path | None,
     typer.Option("--recordings", metavar="DIR", help="Folder with recordings; $EQUIMUS_RECORDINGS by default."),
 ]
-
 EffectFiles = Annotated[
     list[Path] | None,
     typer.Option("--effects", metavar="FILE.py", help="Python file that registers effects of your own; repeatable."),
 ]
+Figures = Annotated[bool, typer.Option(help="Draw figures.")]
+Patterns = Annotated[
+    list[str] | None,
+    typer.Option("--select", metavar="PATTERN", help="Use the trials of these names only, such as 'step_*'."),
+]
+Window = Annotated[
+    tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Compare this part of each trial only, in s.")
+]
+Bounds = Annotated[
+    list[str] | None, typer.Option("--bound", metavar="NAME=LOW,HIGH", help="Between which values, in SI units.")
+]
+EngineName = Annotated[str, typer.Option(help="reduced (exact, compiled) or mujoco (3-2-1 elements).")]
+Step = Annotated[float | None, typer.Option(help="Physics step, in s; the engine's own by default.")]
 
 
 def people() -> Console:
@@ -57,9 +73,89 @@ def key_values(items: list[str] | None, option: str) -> dict[str, str]:
     return table
 
 
+def parse_bounds(items: list[str] | None) -> dict[str, tuple[float, float]]:
+    """``NAME=LOW,HIGH`` texts as a table.
+
+    Raises:
+        ConfigError: where a text is not of that form.
+    """
+    table = {}
+    for name, text in key_values(items, "--bound").items():
+        low, comma, high = text.partition(",")
+        try:
+            table[name] = (float(low), float(high))
+        except ValueError:
+            comma = ""
+        if not comma:
+            raise ConfigError(f"--bound {f'{name}={text}'!r}: expected name=low,high, such as maa.area=3e-4,5e-4")
+    return table
+
+
+def check_threads(threads: int | None) -> None:
+    """Refuse less than one thread.
+
+    Raises:
+        ConfigError: where it is less.
+    """
+    if threads is not None and threads < 1:
+        raise ConfigError(f"--threads is {threads}, expected at least 1")
+
+
+def check_model_file(path: Path | None) -> None:
+    """Refuse a place where no model file can be written, before anything is computed.
+
+    Raises:
+        ConfigError: where it is a folder, or a file stands in the place of its folder.
+    """
+    from equimus_ctrl import presets
+
+    if path is None:
+        return
+    presets.check_folder(path.parent)
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder; a model file to write belongs there")
+
+
+def write_results(folder: Path, draw: Callable[[], dict[str, Figure]], record: dict[str, Any]) -> list[Path]:
+    """Figures and ``record.json`` into a folder; nothing where drawing fails or is stopped."""
+    import tempfile
+
+    from equimus_ctrl import presets
+    from equimus_ctrl.report import style
+
+    with tempfile.TemporaryDirectory() as scratch:
+        drawn = [style.save(figure, Path(scratch) / f"{name}.png") for name, figure in draw().items()]
+        pictures = {file.name: file.read_bytes() for file in drawn}
+    for name, data in pictures.items():
+        presets.write_bytes(folder / name, data)
+    presets.write_text(folder / "record.json", presets.json_text(record))
+    return [folder / name for name in pictures] + [folder / "record.json"]
+
+
 def shown_path(path: Path) -> str:
     """A path as a person would write it from here."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))
     except ValueError:
         return str(path)
+
+
+def tell_files(console: Console, files: Iterable[Path]) -> None:
+    """A line for each file that was written."""
+    for file in files:
+        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+
+
+def light_table(title: str, caption: str | None = None) -> Table:
+    """A table with a line under its headings and no other."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    return Table(
+        title=title,
+        title_justify="left",
+        caption=caption,
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )

@@ -9,9 +9,21 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json, shown_path
-from equimus_ctrl.cli.identify import parse_bounds
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.cli.common import (
+    Bounds,
+    EffectFiles,
+    Json,
+    ModelFile,
+    Patterns,
+    Window,
+    check_model_file,
+    check_threads,
+    parse_bounds,
+    people,
+    print_json,
+    tell_files,
+)
+from equimus_ctrl.cli.progress import stage_bar
 
 
 def diagnose(
@@ -35,13 +47,8 @@ def diagnose(
         float | None,
         typer.Option(metavar="SECONDS", help="Fit each trial up to this time only, and judge by the rest."),
     ] = None,
-    select: Annotated[
-        list[str] | None,
-        typer.Option("--select", metavar="PATTERN", help="Use the trials of these names only, such as 'step_*'."),
-    ] = None,
-    window: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Compare this part of each trial only, in s.")
-    ] = None,
+    select: Patterns = None,
+    window: Window = None,
     free: Annotated[
         list[str] | None,
         typer.Option(
@@ -53,9 +60,7 @@ def diagnose(
     fix: Annotated[
         list[str] | None, typer.Option("--fix", metavar="NAME", help="Numbers that are right all the same.")
     ] = None,
-    bound: Annotated[
-        list[str] | None, typer.Option("--bound", metavar="NAME=LOW,HIGH", help="Between which values, in SI units.")
-    ] = None,
+    bound: Bounds = None,
     most: Annotated[int, typer.Option(help="Largest number of effects that are looked for together.")] = 3,
     threads: Annotated[int | None, typer.Option(help="Of the simulations; all cores by default.")] = None,
     effects: EffectFiles = None,
@@ -72,75 +77,51 @@ def diagnose(
     equimus-ctrl diagnose concealed --report report --write-model corrected.toml
     equimus-ctrl diagnose triangle.csv --until 20 --json
     """  # noqa: D301
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
     from equimus_ctrl import presets
 
     if report is not None:
         presets.check_folder(report)
-    if write_model is not None:
-        presets.check_folder(write_model.parent)
-        if write_model.is_dir():
-            raise ConfigError(f"{write_model}: is a folder; a model file to write belongs there")
-    if threads is not None and threads < 1:
-        raise ConfigError(f"--threads is {threads}, expected at least 1")
+    check_model_file(write_model)
+    check_threads(threads)
     limits = parse_bounds(bound)
     console = people()
-    columns = (
-        TextColumn("{task.description:<34}"),
-        BarColumn(bar_width=24),
-        TextColumn("{task.fields[best]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
     files: list[Path] = []
-    try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("getting ready", total=1.0, best="")
-            from equimus_ctrl import workflow
+    with stage_bar(console, "getting ready", width=34, bar_width=24) as show:
+        from equimus_ctrl import workflow
 
-            workflow.load_effects(effects or ())
+        workflow.load_effects(effects or ())
+        found = workflow.diagnose_recordings(
+            recordings,
+            workflow.load_model(model),
+            free=free,
+            fix=fix or (),
+            bounds=limits,
+            select=select,
+            heldout=heldout or (),
+            until=until,
+            window=window,
+            most=most,
+            threads=threads,
+            progress=show,
+        )
+        record = found.to_dict()
+        if report is not None:
+            from equimus_ctrl.report.diagnosis_page import page
 
-            def notify(stage: str, share: float, best: str) -> None:
-                progress.update(task, description=stage, completed=share, best=best)
-
-            found = workflow.diagnose_recordings(
-                recordings,
-                workflow.load_model(model),
-                free=free,
-                fix=fix or (),
-                bounds=limits,
-                select=select,
-                heldout=heldout or (),
-                until=until,
-                window=window,
-                most=most,
-                threads=threads,
-                progress=notify,
-            )
-            record = found.to_dict()
-            if report is not None:
-                from equimus_ctrl.report.diagnosis_page import page
-
-                progress.update(task, description="report")
-                title = f"Diagnosis of {', '.join(path.name for path in recordings)}"
-                text = page(found, title, command_line=shlex.join(["equimus-ctrl", *sys.argv[1:]]))
-                report.mkdir(parents=True, exist_ok=True)
-                files.append(report / "report.html")
-                presets.write_text(files[-1], text)
-                files.append(report / "record.json")
-                presets.write_text(files[-1], presets.json_text(record))
-    except KeyboardInterrupt:
-        console.print("stopped: nothing was written", markup=False)
-        raise typer.Exit(130) from None
+            show("report")
+            title = f"Diagnosis of {', '.join(path.name for path in recordings)}"
+            text = page(found, title, command_line=shlex.join(["equimus-ctrl", *sys.argv[1:]]))
+            report.mkdir(parents=True, exist_ok=True)
+            files.append(report / "report.html")
+            presets.write_text(files[-1], text)
+            files.append(report / "record.json")
+            presets.write_text(files[-1], presets.json_text(record))
     if write_model is not None:
         workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem))
         files.append(write_model)
     from equimus_ctrl.report.diagnosis_text import tell
 
     tell(console, found)
-    for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    tell_files(console, files)
     if as_json:
         print_json(record)

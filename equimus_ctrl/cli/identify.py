@@ -7,11 +7,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, key_values, people, print_json, shown_path
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.cli.common import (
+    Bounds,
+    EffectFiles,
+    EngineName,
+    Figures,
+    Json,
+    ModelFile,
+    Patterns,
+    Step,
+    Window,
+    check_model_file,
+    light_table,
+    parse_bounds,
+    people,
+    print_json,
+    tell_files,
+    write_results,
+)
+from equimus_ctrl.cli.progress import stage_bar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.figure import Figure
     from rich.console import Console
@@ -20,16 +37,6 @@ if TYPE_CHECKING:
     from equimus_ctrl.identification.statics import StaticFit
     from equimus_ctrl.types import Array
     from equimus_ctrl.workflow import Identification, Identified, IdentifiedPoses, Judged
-
-Patterns = Annotated[
-    list[str] | None,
-    typer.Option("--select", metavar="PATTERN", help="Use the trials of these names only, such as 'step_*'."),
-]
-Window = Annotated[
-    tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Compare this part of each trial only, in s.")
-]
-EngineName = Annotated[str, typer.Option(help="reduced (exact, compiled) or mujoco (3-2-1 elements).")]
-Step = Annotated[float | None, typer.Option(help="Physics step, in s; the engine's own by default.")]
 
 
 def identify(
@@ -48,9 +55,7 @@ def identify(
     fix: Annotated[
         list[str] | None, typer.Option("--fix", metavar="NAME", help="What stays as it is all the same.")
     ] = None,
-    bound: Annotated[
-        list[str] | None, typer.Option("--bound", metavar="NAME=LOW,HIGH", help="Between which values, in SI units.")
-    ] = None,
+    bound: Bounds = None,
     select: Patterns = None,
     heldout: Annotated[
         list[Path] | None,
@@ -72,7 +77,7 @@ def identify(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
     ] = None,
-    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    figures: Figures = True,
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
@@ -88,107 +93,53 @@ def identify(
     equimus-ctrl identify static_poses_36.csv --json
     equimus-ctrl identify static_poses_13.csv my_recordings --free '*.damping' --free 'maa.*' --bound maa.area=3e-4,5e-4
     """  # noqa: D301
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
     from equimus_ctrl import presets
 
     folder = output or presets.workspace() / "identification" / "results" / recordings[0].resolve().stem
     presets.check_folder(folder)
-    if write_model is not None:
-        presets.check_folder(write_model.parent)
-        if write_model.is_dir():
-            raise ConfigError(f"{write_model}: is a folder; a model file to write belongs there")
+    check_model_file(write_model)
     limits = parse_bounds(bound)
     console = people()
-    columns = (
-        TextColumn("{task.description:<13}"),
-        BarColumn(),
-        TextColumn("{task.fields[best]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("getting ready", total=1.0, best="")
-            from equimus_ctrl import workflow
+    with stage_bar(console, "getting ready", width=13) as show:
+        from equimus_ctrl import workflow
 
-            workflow.load_effects(effects or ())
+        workflow.load_effects(effects or ())
 
-            def notify(stage: str, share: float, best: float) -> None:
-                shown = "" if best != best else f"best {best:.5f} rad"
-                progress.update(task, description=stage, completed=share, best=shown)
+        def notify(stage: str, share: float, best: float) -> None:
+            show(stage, share, "" if best != best else f"best {best:.5f} rad")
 
-            found = workflow.identify_files(
-                recordings,
-                workflow.load_model(model),
-                free=free,
-                fix=fix or (),
-                bounds=limits,
-                select=select,
-                heldout=heldout or (),
-                window=window,
-                shoot=shoot,
-                fit_start=fit_start,
-                engine=engine,
-                dt=dt,
-                folds=folds,
-                progress=notify,
-            )
-            record = found.to_dict()
+        found = workflow.identify_files(
+            recordings,
+            workflow.load_model(model),
+            free=free,
+            fix=fix or (),
+            bounds=limits,
+            select=select,
+            heldout=heldout or (),
+            window=window,
+            shoot=shoot,
+            fit_start=fit_start,
+            engine=engine,
+            dt=dt,
+            folds=folds,
+            progress=notify,
+        )
+        record = found.to_dict()
 
-            def draw() -> dict[str, Figure]:
-                from equimus_ctrl.report.identification_figures import identification_figures
+        def draw() -> dict[str, Figure]:
+            from equimus_ctrl.report.identification_figures import identification_figures
 
-                progress.update(task, description="figures")
-                return identification_figures(found) if figures else {}
+            show("figures")
+            return identification_figures(found) if figures else {}
 
-            files = write_results(folder, draw, record)
-    except KeyboardInterrupt:
-        console.print("stopped: nothing was written", markup=False)
-        raise typer.Exit(130) from None
+        files = write_results(folder, draw, record)
     if write_model is not None:
         workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem))
         files.append(write_model)
     tell(console, found)
-    for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    tell_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
-
-
-def write_results(folder: Path, draw: Callable[[], dict[str, Figure]], record: dict[str, Any]) -> list[Path]:
-    """Figures and ``record.json`` into a folder; nothing where drawing fails or is stopped."""
-    import tempfile
-
-    from equimus_ctrl import presets
-    from equimus_ctrl.report import style
-
-    with tempfile.TemporaryDirectory() as scratch:
-        drawn = [style.save(figure, Path(scratch) / f"{name}.png") for name, figure in draw().items()]
-        pictures = {file.name: file.read_bytes() for file in drawn}
-    for name, data in pictures.items():
-        presets.write_bytes(folder / name, data)
-    presets.write_text(folder / "record.json", presets.json_text(record))
-    return [folder / name for name in pictures] + [folder / "record.json"]
-
-
-def parse_bounds(items: list[str] | None) -> dict[str, tuple[float, float]]:
-    """``NAME=LOW,HIGH`` texts as a table.
-
-    Raises:
-        ConfigError: where a text is not of that form.
-    """
-    table = {}
-    for name, text in key_values(items, "--bound").items():
-        low, comma, high = text.partition(",")
-        try:
-            table[name] = (float(low), float(high))
-        except ValueError:
-            comma = ""
-        if not comma:
-            raise ConfigError(f"--bound {f'{name}={text}'!r}: expected name=low,high, such as maa.area=3e-4,5e-4")
-    return table
 
 
 def tell(console: Console, found: Identification) -> None:
@@ -264,8 +215,6 @@ def _rmse_table(
     more: tuple[str, Array] | None = None,
 ) -> None:
     import numpy as np
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
 
     from equimus_ctrl.identification.results import together
 
@@ -275,7 +224,7 @@ def _rmse_table(
     rows = [(label, rmse(values)) for label, values in residuals]
     if more is not None:
         rows.append(more)
-    table = Table(title="RMSE in rad", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = light_table("RMSE in rad")
     table.add_column("")
     for name in (*joints, "all joints"):
         table.add_column(name, justify="right")
@@ -305,15 +254,8 @@ def _rmse_table(
 
 
 def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
 
-    table = Table(
-        title=f"Parameters: before as {origin}, after with 95 % intervals",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
+    table = light_table(f"Parameters: before as {origin}, after with 95 % intervals")
     for name in ("parameter", "unit", "before", "after", "interval", "at bound"):
         text = name in ("parameter", "unit")
         least = min(max(map(len, found.parameters.names)), 16) if name == "parameter" else None

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, people, print_json, shown_path
+from equimus_ctrl.cli.common import Figures, Json, people, print_json, tell_files
+from equimus_ctrl.cli.progress import bars, times
 from equimus_ctrl.errors import ConfigError, unknown_name
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def prove(
     duration: Annotated[float, typer.Option(metavar="SECONDS", help="Of each trial.")] = 12.0,
     workers: Annotated[int | None, typer.Option(help="Processes at a time; one a processor by default.")] = None,
     baselines: Annotated[bool, typer.Option(help="Give simpler methods the same recordings.")] = True,
-    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    figures: Figures = True,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -52,8 +53,7 @@ def prove(
     equimus-ctrl prove --cases 40 --kind none --no-baselines
     equimus-ctrl prove --cases 1000 --seed 7 --output proof_7 --json
     """  # noqa: D301
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-    from rich.progress import TimeRemainingColumn as Left
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
     from equimus_ctrl import presets
 
@@ -63,12 +63,9 @@ def prove(
     folder = output or presets.workspace() / "proof" / "results" / name
     presets.check_folder(folder)
     console = people()
-    columns = (
-        TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn("left"), Left(),
-    )  # fmt: skip
+    columns = (TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), *times())
     try:
-        with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        with bars(console, *columns) as progress:
             from equimus_ctrl.workflow.prove import STAGES, put_to_proof
 
             tasks = {stage: progress.add_task(stage, total=cases, start=False) for stage in STAGES}
@@ -105,8 +102,7 @@ def prove(
 
         files += save_proof_figures(found.score, folder)
     _tell(console, found)
-    for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    tell_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
     if not found.score.accurate:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from equimus_ctrl.cli.common import Json, people, print_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Import, check and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich")
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, and nothing else there.")]
 High = Annotated[float, typer.Option("--command-high", help="Highest command allowed, in Pa.")]
 Low = Annotated[float, typer.Option("--command-low", help="Lowest command allowed, in Pa.")]
 Rotating = Annotated[
@@ -43,17 +43,13 @@ def import_(
     equimus-ctrl recordings import ../shared/recordings/equimus_leg -o trials --force
     equimus-ctrl recordings import triangle.csv -o trials --json
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
-    from rich.console import Console
-
     from equimus_ctrl import recordings
 
     limits = recordings.Limits(command_low=command_low, command_high=command_high)
     files = recordings.convert(sources, output, force=force, limits=limits)
-    Console(stderr=True, highlight=False, soft_wrap=True).print(
-        f"{len(files)} trials written to {output}", markup=False
-    )
+    people().print(f"{len(files)} trials written to {output}", markup=False, soft_wrap=True)
     if as_json:
-        typer.echo(json.dumps({"files": [str(file) for file in files]}, indent=1))
+        print_json({"files": [str(file) for file in files]})
 
 
 @app.command()
@@ -75,8 +71,6 @@ def check(
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
     import warnings
 
-    from rich.console import Console
-
     from equimus_ctrl import recordings
 
     limits = recordings.Limits(command_low=command_low, command_high=command_high, rotating=tuple(rotating or ()))
@@ -85,12 +79,12 @@ def check(
         trials = recordings.read_set(paths, limits=limits)
     doubts = list(dict.fromkeys(str(warning.message) for warning in caught))
     summaries = [recordings.summarise(trial) for trial in trials]
-    console = Console(stderr=True, highlight=False)
+    console = people()
     console.print(_table(summaries))
     for doubt in doubts:
         console.print(f"warning: {doubt}", style="yellow", markup=False, soft_wrap=True)
     if as_json:
-        typer.echo(json.dumps({"trials": [summary.as_json() for summary in summaries], "warnings": doubts}, indent=1))
+        print_json({"trials": [summary.as_json() for summary in summaries], "warnings": doubts})
 
 
 def _table(summaries: Sequence[Summary]) -> Table:
@@ -135,14 +129,13 @@ def fetch(
     equimus-ctrl recordings fetch
     equimus-ctrl recordings fetch --output ~/leg
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
-    from rich.console import Console
-
     from equimus_ctrl import recordings
 
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = people()
     with console.status("fetching the recordings of the leg"):
         files = recordings.fetch(output)
     for file in files:
-        console.print(f"{file.path} ({'downloaded' if file.downloaded else 'already there'})", markup=False)
+        state = "downloaded" if file.downloaded else "already there"
+        console.print(f"{file.path} ({state})", markup=False, soft_wrap=True)
     if as_json:
-        typer.echo(json.dumps({"files": [{"path": str(f.path), "downloaded": f.downloaded} for f in files]}, indent=1))
+        print_json({"files": [{"path": str(f.path), "downloaded": f.downloaded} for f in files]})

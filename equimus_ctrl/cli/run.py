@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, Recordings, key_values, people, print_json, shown_path
+from equimus_ctrl.cli.common import (
+    EffectFiles,
+    Figures,
+    Json,
+    ModelFile,
+    Recordings,
+    key_values,
+    people,
+    print_json,
+    tell_files,
+)
+from equimus_ctrl.cli.progress import share_bar
 
 
 def run(
@@ -39,7 +50,7 @@ def run(
         Path | None, typer.Option("--record", metavar="DIR", help="Also write the run as a recording into this folder.")
     ] = None,
     video: Annotated[Path | None, typer.Option(help="Also write a video (.mp4 or .gif).")] = None,
-    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    figures: Figures = True,
     as_json: Json = False,
 ) -> None:
     """Run a scenario and score it.
@@ -53,8 +64,6 @@ def run(
     equimus-ctrl run chirp --effect transport_delay:baa:delay=0.1 --record my_recordings
     equimus-ctrl run chirp --effects docs/examples/drag.py --effect quadratic_drag:knee:coefficient=0.02
     """  # noqa: D301
-    from rich.progress import Progress
-
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.effects import parse
     from equimus_ctrl.recordings import write
@@ -70,8 +79,7 @@ def run(
     for place in (output, record):
         if place is not None:
             presets.check_folder(place)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(f"{scenario}", total=1.0)
+    with share_bar(console, scenario) as show:
         done = workflow.run_scenario(
             scenario,
             controller,
@@ -83,7 +91,7 @@ def run(
             settings=settings,
             noise=noise,
             seed=seed,
-            progress=lambda share: progress.update(task, completed=share),
+            progress=show,
         )
     label = f"{done.scenario.name}, {done.controller}"
     folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
@@ -105,11 +113,8 @@ def run(
     if video is not None:
         from equimus_ctrl.report.video import save_video
 
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("video", total=1.0)
-            shown = save_video(
-                done.run, done.model, video, progress=lambda share: progress.update(task, completed=share)
-            )
+        with share_bar(console, "video") as show:
+            shown = save_video(done.run, done.model, video, progress=show)
         files.append(shown.path)
         note = shown.note
     result |= {"plant": done.plant, "model": done.model.name, "seed": seed, "files": [str(f) for f in files]}
@@ -117,8 +122,7 @@ def run(
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
     if note:
         console.print(note, markup=False, soft_wrap=True)
-    for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    tell_files(console, files)
     if as_json:
         print_json(result)
 

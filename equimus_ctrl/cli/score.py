@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json
+from equimus_ctrl.cli.common import EffectFiles, EngineName, Json, ModelFile, people, print_json
+from equimus_ctrl.cli.progress import share_bar
 
 
 def score(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
     model: ModelFile = None,
-    engine: Annotated[str, typer.Option(help="reduced (exact, compiled) or mujoco (3-2-1 elements).")] = "reduced",
+    engine: EngineName = "reduced",
     window: Annotated[
         tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Score this part of each trial, in s.")
     ] = None,
@@ -31,22 +32,20 @@ def score(
     equimus-ctrl score my_recordings --model corrected.toml --json
     equimus-ctrl score step_release.csv --window 5 9 --engine mujoco
     """  # noqa: D301
-    from rich.progress import Progress
     from rich.table import Table
 
     from equimus_ctrl import workflow
 
     console = people()
     workflow.load_effects(effects or ())
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("score", total=1.0)
+    with share_bar(console, "score") as show:
         found = workflow.score_recordings(
             recordings,
             workflow.load_model(model),
             engine=engine,  # type: ignore[arg-type]
             window=window,
             rate=rate,
-            progress=lambda share: progress.update(task, completed=share),
+            progress=show,
         )
     joints = found.model.morphology.joint_names
     table = Table(title=f"{found.model.name} against {len(found.trials)} trial(s), RMSE in rad", title_justify="left")

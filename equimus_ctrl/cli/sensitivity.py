@@ -7,8 +7,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json, shown_path
-from equimus_ctrl.cli.identify import EngineName, Patterns, Step, Window, write_results
+from equimus_ctrl.cli.common import (
+    EffectFiles,
+    EngineName,
+    Figures,
+    Json,
+    ModelFile,
+    Patterns,
+    Step,
+    Window,
+    light_table,
+    people,
+    print_json,
+    tell_files,
+    write_results,
+)
+from equimus_ctrl.cli.progress import stage_bar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +51,7 @@ def sensitivity(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
     ] = None,
-    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    figures: Figures = True,
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
@@ -49,76 +63,54 @@ def sensitivity(
     equimus-ctrl sensitivity step_release.csv --window 5 9 --parameter 'baa.*' --parameter '*.damping'
     equimus-ctrl sensitivity my_recordings --model identified.toml --share -20 --share 20 --json
     """  # noqa: D301
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
     from equimus_ctrl import presets
 
     name = f"{recordings[0].resolve().stem}_sensitivity"
     folder = output or presets.workspace() / "identification" / "results" / name
     presets.check_folder(folder)
     console = people()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("simulating", total=1.0)
-            from equimus_ctrl import workflow
-            from equimus_ctrl.identification.sensitivity import SHARES
+    with stage_bar(console, "simulating") as show:
+        from equimus_ctrl import workflow
+        from equimus_ctrl.identification.sensitivity import SHARES
 
-            workflow.load_effects(effects or ())
+        workflow.load_effects(effects or ())
+        found = workflow.sensitivity_of(
+            recordings,
+            workflow.load_model(model),
+            select=select,
+            parameters=parameter or ("*",),
+            shares=SHARES if not share else sorted({s / 100 for s in share}),
+            window=window,
+            engine=engine,  # type: ignore[arg-type]
+            dt=dt,
+            progress=lambda done: show(share=done),
+        )
+        record = found.to_dict()
 
-            found = workflow.sensitivity_of(
-                recordings,
-                workflow.load_model(model),
-                select=select,
-                parameters=parameter or ("*",),
-                shares=SHARES if not share else sorted({s / 100 for s in share}),
-                window=window,
-                engine=engine,  # type: ignore[arg-type]
-                dt=dt,
-                progress=lambda done: progress.update(task, completed=done),
-            )
-            record = found.to_dict()
+        def draw() -> dict[str, Figure]:
+            from equimus_ctrl.report.sensitivity_figures import sensitivity_figures
 
-            def draw() -> dict[str, Figure]:
-                from equimus_ctrl.report.sensitivity_figures import sensitivity_figures
+            show("figures")
+            return sensitivity_figures(found) if figures else {}
 
-                progress.update(task, description="figures")
-                return sensitivity_figures(found) if figures else {}
-
-            files = write_results(folder, draw, record)
-    except KeyboardInterrupt:
-        console.print("stopped: nothing was written", markup=False)
-        raise typer.Exit(130) from None
+        files = write_results(folder, draw, record)
     _tell(console, found)
-    for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    tell_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
 
 
 def _tell(console: Console, found: Sensitivity) -> None:
     import numpy as np
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
 
     from equimus_ctrl.identification.results import together
 
     base = together(found.base)
     joints = found.model.morphology.joint_names
     shown = len(found.names) if len(found.names) <= SHOWN + 3 else SHOWN
-    table = Table(
-        title=f"{found.model.name}: RMSE over all joints in mrad, {1e3 * base:.1f} as the model came",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        caption=f"{len(found.names) - shown} more matter less" if shown < len(found.names) else None,
-        caption_justify="left",
+    table = light_table(
+        f"{found.model.name}: RMSE over all joints in mrad, {1e3 * base:.1f} as the model came",
+        f"{len(found.names) - shown} more matter less" if shown < len(found.names) else None,
     )
     table.add_column("parameter", no_wrap=True)
     for share in found.shares:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, people, print_json, shown_path
+from equimus_ctrl.cli.common import Figures, Json, ModelFile, check_threads, light_table, people, print_json, tell_files
+from equimus_ctrl.cli.progress import bars, times
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,7 +36,7 @@ def validate(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer runs of everything, no front: half a minute.")] = False,
     seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
     threads: Annotated[int | None, typer.Option(help="At most; all cores by default. Changes no error.")] = None,
-    figures: Annotated[bool, typer.Option(help="Draw figures.")] = True,
+    figures: Figures = True,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -55,26 +56,17 @@ def validate(
     equimus-ctrl validate --quick --no-figures
     equimus-ctrl validate --model my_leg.toml --json
     """  # noqa: D301
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TextColumn
 
     from equimus_ctrl import presets, workflow
-    from equimus_ctrl.errors import ConfigError
 
-    if threads is not None and threads < 1:
-        raise ConfigError(f"threads is {threads}, expected at least 1")
+    check_threads(threads)
     folder = output or presets.workspace() / "validation" / "results"
     presets.check_folder(folder)
     robot = workflow.load_model(model)
     console = people()
-    columns = (
-        TextColumn("{task.description:<22}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[error]}"),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+    columns = (TextColumn("{task.description:<22}"), BarColumn(), *times(), TextColumn("{task.fields[error]}"))
+    with bars(console, *columns) as progress:
         tasks = {stage: progress.add_task(title, total=1.0, start=False, error="") for stage, title in TITLES.items()}
         from equimus_ctrl.validation.plan import QUICK, Plan
         from equimus_ctrl.validation.validate import validate as run
@@ -98,8 +90,7 @@ def validate(
 
         files += save_validation_figures(found, folder)
     _tell(console, found)
-    for file in files:
-        console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+    tell_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
     if not found.accurate:
@@ -107,17 +98,9 @@ def validate(
 
 
 def _tell(console: Console, found: Validation) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     from equimus_ctrl.validation.plan import ACCURACY_GOALS, PUBLISHED, PUBLISHED_SPEED, SPEED_GOALS
 
-    table = Table(
-        title=f"{found.morphology.name}: errors of each joint, rad",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
+    table = light_table(f"{found.morphology.name}: errors of each joint, rad")
     table.add_column("", no_wrap=True)
     for name in ("runs", "RMSE", "largest", "goal", "published\nRMSE", "published\nlargest"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -143,19 +126,27 @@ def _tell(console: Console, found: Validation) -> None:
         console.print(f"{title} drifts by " + ", ".join(f"{d.largest:.1e} ({name})" for name, d in drifts.items()))
     counts = found.swing.counts
     console.print(
-        f"step responses: {counts['scored']} of {counts['pairs']} random pairs scored; "
-        f"{counts['pressure_out_of_range']} need pressures out of range, {counts['touching_a_stop']} touch a stop, "
+        f"step responses: {counts['scored']} of {counts['pairs']} random pairs scored, of which "
+        f"{counts['touching_a_stop']} touch a stop; {counts['pressure_out_of_range']} need pressures out of range, "
         f"{counts['actuator_too_short']} shorten an actuator too far"
+    )
+    counts = found.stance.robot.counts
+    console.print(
+        f"foot pinned: {counts['scored']} of {counts['runs']} runs scored, of which {counts['touching_a_stop']} touch "
+        "a stop"
     )
     console.print(f"the reference's own error: at most {_reference_error(found):.0e} rad")
     speed = found.speed
-    speeds = Table(title="Speed, × real time", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    speeds = light_table("Speed, × real time")
     for name in ("", "reached", "goal", "published"):
         speeds.add_column(name, justify="right" if name else "left")
     realtime, steps = found.speeds[1:]
-    speeds.add_row("MuJoCo, one thread", f"{speed.mujoco_one:.0f}", "", f"{PUBLISHED_SPEED:g}")
     label = f"MuJoCo, {speed.threads} thread{'s' * (speed.threads > 1)}"
+    speeds.add_row("MuJoCo, one thread", f"{speed.mujoco_one:.0f}", "", f"{PUBLISHED_SPEED:g}")
     speeds.add_row(label, f"{speed.mujoco_all:.0f}", f"{SPEED_GOALS['mujoco_x_realtime']:g}", f"{PUBLISHED_SPEED:g}")
+    if speed.stops_one is not None and speed.stops_all is not None:
+        speeds.add_row("on stops: MuJoCo, one thread", f"{speed.stops_one:.0f}", "", "")
+        speeds.add_row(f"on stops: {label}", f"{speed.stops_all:.0f}", "", "")
     step = f"{1e3 * speed.reduced_step:g} ms"
     speeds.add_row(f"reduced, one thread, {step}", f"{realtime.value:.0f}", f"{realtime.goal:g}", "")
     speeds.add_row("reduced, million steps a second", f"{steps.value / 1e6:.1f}", f"{steps.goal / 1e6:g}", "")
@@ -169,28 +160,27 @@ def _tell(console: Console, found: Validation) -> None:
 
 def _rows(found: Validation) -> Iterator[tuple[str, str, Errors]]:
     """(name of the goal and the published figure, title, errors)."""
-    yield "static", "poses at rest", found.static.errors
-    yield "", "  massless actuators", found.baseline.static
-    yield "swing", "step responses", found.swing.errors("mujoco")
-    yield "reduced_swing", "  reduced engine", found.swing.errors("reduced")
-    yield "", "  massless actuators", found.baseline.swing
-    if found.swing_on_stops is not None:
-        yield "", "  touching a stop", found.swing_on_stops.errors["mujoco"]
-        yield "", "  … a tenth of the step", found.swing_on_stops.errors["mujoco_fine"]
-    yield "stance", "foot pinned", found.stance.errors
-    if "reduced" in found.stance.free.found:
-        yield "", "  reduced engine", found.stance.free.errors("reduced")
-    if found.stance.published.scored.any():
-        yield "", "  the published run", found.stance.published.errors("mujoco")
-    if found.stance.published_on_stops is not None:
-        yield "", "  … on its stop", found.stance.published_on_stops.errors["mujoco"]
-        yield "", "  … a tenth of the step", found.stance.published_on_stops.errors["mujoco_fine"]
-    if found.stance.on_stops is not None:
-        yield "", "  touching a stop", found.stance.on_stops.errors["mujoco"]
-        yield "", "  … a tenth of the step", found.stance.on_stops.errors["mujoco_fine"]
-    yield "three_dof", "three joints, pulses", found.three_dof.errors("mujoco")
-    if "reduced" in found.three_dof.found:
-        yield "", "  reduced engine", found.three_dof.errors("reduced")
+    judged, stance = found.errors, found.stance.free
+    rows = (
+        ("static", "poses at rest", None),
+        ("", "  massless actuators", found.baseline.static),
+        ("swing", "step responses", None),
+        ("swing_on_stops", "  touching a stop", None),
+        ("reduced_swing", "  reduced engine", None),
+        ("reduced_swing_on_stops", "  … touching a stop", None),
+        ("", "  massless actuators", found.baseline.swing),
+        ("stance", "foot pinned", None),
+        ("stance_published", "  the published run", None),
+        ("reduced_stance", "  reduced engine", None),
+        ("stance_without_stops", "  without stops", None),
+        ("", "  … the published run", found.stance.published(stops=False).errors("mujoco")),
+        ("", "  … reduced engine", stance.errors("reduced") if "reduced" in stance.found else None),
+        ("three_dof", "three joints, pulses", None),
+        ("", "  reduced engine", found.three_dof.errors("reduced") if "reduced" in found.three_dof.found else None),
+    )
+    for name, title, own in rows:
+        if errors := own or judged.get(name):
+            yield name, title, errors
 
 
 def _joints(values: Array) -> str:
@@ -198,6 +188,7 @@ def _joints(values: Array) -> str:
 
 
 def _reference_error(found: Validation) -> float:
-    cases = [found.swing, found.stance.free, found.three_dof, *found.robots.responses.values()]
+    stance = found.stance
+    cases = [found.swing, stance.robot, stance.free, found.three_dof, *found.robots.responses.values()]
     known = [case.reference_error for case in cases if case.reference_error == case.reference_error]
     return max(known, default=float("nan"))

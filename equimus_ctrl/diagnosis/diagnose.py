@@ -31,7 +31,7 @@ from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.where import excess_of, where_off
-from equimus_ctrl.identification.fit import Simulator, reduced_simulator, residuals_of
+from equimus_ctrl.identification.fit import STEP, Simulator, reduced_simulator, residuals_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.types import Array
@@ -40,6 +40,8 @@ ALIKE = 10.0
 """Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
 BLURRED = 0.05
 """Where something stays unexplained, rivals within this share of a finding's gain cannot be told apart either."""
+COARSE = 2 * STEP
+"""Physics step of the reduced engine where candidates are screened [s], where the robot allows it."""
 CARRIES_OVER = 0.25
 """Least gain on held-out trials for each sample, as a share of that on the trials fitted, of what is believed."""
 
@@ -85,21 +87,22 @@ def diagnose(
     begun = time.perf_counter()
     settings = settings or DiagnosisSettings()
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
-        return _diagnose(
-            free, split, settings, simulator or reduced_simulator(threads=settings.threads), designs, progress, begun
-        )
+        engine, coarse = simulator, simulator
+        if engine is None:
+            engine = reduced_simulator(threads=settings.threads)
+            coarse = reduced_simulator(threads=settings.threads, longest=COARSE)
+        return _diagnose(Data(free, split.train, engine, coarse), split, settings, designs, progress, begun)
 
 
 def _diagnose(
-    free: FreeParameters,
+    data: Data,
     split: Split,
     settings: DiagnosisSettings,
-    simulator: Simulator,
     designs: Sequence[Design],
     progress: Progress,
     begun: float,
 ) -> Diagnosis:
-    data = Data(free, split.train, simulator)
+    free = data.free
     progress("refitting the model", 0.02, "")
     base = data.base()
     pool = candidates(free.model, split.train)
@@ -155,7 +158,7 @@ def _diagnose(
         findings,
         rest.leftovers,
         doubtful,
-        _ranking(found),
+        _ranking(search, found),
         () if findings or rest.leftovers else _detectable(search, found),
         experiment,
         {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
@@ -256,7 +259,7 @@ def _finding(search: Search, found: Searched, judge: _Judge, k: int, left: bool)
     part = best.hypothesis[k]
     gain = without.deviance - best.deviance
     count = part.candidate.n_parameters
-    chance = (float(chi2.logsf(gain, count)) + math.log(max(len(search.pool), 1))) / math.log(10)
+    chance = (_log_chance(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
     evidence = Evidence(
         gain,
         search.threshold(count),
@@ -271,6 +274,14 @@ def _finding(search: Search, found: Searched, judge: _Judge, k: int, left: bool)
         evidence,
         _equivalent(search, found, k, max(ALIKE, BLURRED * gain) if left else ALIKE),
     )
+
+
+def _log_chance(gain: float, count: int) -> float:
+    """Ln P(χ²(count) > gain), by its asymptote where it is too small to be computed."""
+    exact = float(chi2.logsf(gain, count))
+    if math.isfinite(exact):
+        return exact
+    return (count / 2 - 1) * math.log(gain / 2) - gain / 2 - math.lgamma(count / 2)
 
 
 def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
@@ -301,7 +312,7 @@ def _equivalent(search: Search, found: Searched, k: int, margin: float) -> tuple
     return tuple(named.values())
 
 
-def _ranking(found: Searched) -> tuple[Ranked, ...]:
+def _ranking(search: Search, found: Searched) -> tuple[Ranked, ...]:
     alone: dict[str, float] = {}
     for fitted in found.fitted:
         if len(fitted.hypothesis) == 1:
@@ -309,7 +320,10 @@ def _ranking(found: Searched) -> tuple[Ranked, ...]:
             alone[label] = max(alone.get(label, -math.inf), found.base.deviance - fitted.deviance)
     ranked = [
         Ranked(
-            Named(s.candidate.effect.name, s.candidate.locations), max(s.gains[1], 0.0), alone.get(s.candidate.label)
+            Named(s.candidate.effect.name, s.candidate.locations),
+            max(s.gains[1], 0.0),
+            alone.get(s.candidate.label),
+            search.threshold(s.candidate.n_parameters),
         )
         for s in found.first
     ]

@@ -63,11 +63,14 @@ class Data:
         free: what is free in the model without any of them.
         segments: what was measured.
         simulator: the engine.
+        coarse: a faster one for what need not be exact, whose predictions are compared with its own alone; the same
+            by default.
     """
 
     free: FreeParameters
     segments: Sequence[Segment]
     simulator: Simulator
+    coarse: Simulator | None = None
 
     @property
     def times(self) -> list[Array]:
@@ -78,10 +81,6 @@ class Data:
     def n(self) -> int:
         """How many angles were measured."""
         return sum(s.measured.size for s in self.segments)
-
-    def with_segments(self, segments: Sequence[Segment]) -> Data:
-        """The same model and engine for other recordings."""
-        return Data(self.free, segments, self.simulator)
 
     def rough(
         self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, steps: int, tolerance: float = 1e-4

@@ -58,12 +58,6 @@ class Axis:
         return cls(name, unit, frozen_array(np.concatenate([[low] * ends, inner, [high] * ends])))
 
     @property
-    def centres(self) -> Array:
-        """(k,) where each function has its middle (Greville)."""
-        t = self.knots
-        return np.array([t[i + 1 : i + 1 + DEGREE].mean() for i in range(len(t) - DEGREE - 1)])
-
-    @property
     def range(self) -> tuple[float, float]:
         """The least and the greatest value there are data for."""
         return float(self.knots[0]), float(self.knots[-1])

@@ -79,26 +79,17 @@ class Linearised:
                 raise ConfigError(
                     f"{motion.name}: torques have shape {torque.shape}, expected ({n}, {nj}, k) or ({n + 1}, {nj}, k)"
                 )
-            start = np.zeros((self.transitions[i].shape[1], torque.shape[2]))
-            found.append(self._path(i, start, torque if len(torque) == n else (torque[1:] + torque[:-1]) / 2))
+            found.append(self._path(i, torque if len(torque) == n else (torque[1:] + torque[:-1]) / 2))
         return found
 
-    def start_response(self) -> list[Array]:
-        """For each trial (m, nj, 2 nj) the change of the measured angles by angles and velocities at its start."""
-        nj, found = len(self.scale), []
-        for i, transition in enumerate(self.transitions):
-            none = np.broadcast_to(0.0, (len(transition), nj, 2 * nj))
-            found.append(self._path(i, np.eye(transition.shape[1], 2 * nj), none))
-        return found
-
-    def _path(self, trial: int, start: Array, torque: Array) -> Array:
-        """(m, nj, k) from a start (nx, k) under torques (m − 1, nj, k)."""
+    def _path(self, trial: int, torque: Array) -> Array:
+        """(m, nj, k) under torques (m − 1, nj, k)."""
         transition, late = self.transitions[trial], bool(self.delay.any())
-        nj, nx, k = len(self.scale), len(start), start.shape[1]
+        nj, nx, k = len(self.scale), transition.shape[1], torque.shape[2]
         shown = 2 * nj if late else nj
         path = np.empty((len(transition) + 1, shown, k))
-        path[0] = start[:shown]
-        given, reached = np.empty((nx + nj, k)), np.array(start)
+        path[0] = 0.0
+        given, reached = np.empty((nx + nj, k)), np.zeros((nx, k))
         for step, push, out in zip(transition, torque, path[1:], strict=True):
             given[:nx], given[nx:] = reached, push
             np.matmul(step, given, out=reached)

@@ -197,15 +197,18 @@ class Ranked:
         named: what and where.
         screened: fall of χ² expected to first order.
         fitted: fall of −2 log likelihood when fitted, None where it was not worth a fit.
+        threshold: the least fall that would be believed of it.
     """
 
     named: Named
     screened: float
     fitted: float | None
+    threshold: float
 
     def to_dict(self) -> dict[str, Any]:
         """For machines."""
-        return {**self.named.to_dict(), "screened_gain": self.screened, "fitted_gain": self.fitted}
+        gains = {"screened_gain": self.screened, "fitted_gain": self.fitted, "threshold": self.threshold}
+        return {**self.named.to_dict(), **gains}
 
 
 @dataclass(frozen=True)

@@ -203,8 +203,9 @@ def _again(
     w = weighings[0]
     # Weak directions would be bent far to fit the curvature.
     strong = np.linalg.pinv(w.slopes[:, :base], rcond=STRONG)
-    bases = [[_orthonormal(v.slopes[:, list(tried[place].kept)]) for tried, place in chosen] for v in weighings]
-    totals = [[_outside(v.residual, q) for q in qs] for v, qs in zip(weighings, bases, strict=True)]
+    kinds = {tried[place].kept for tried, place in chosen}
+    bases = [{kept: _orthonormal(v.slopes[:, list(kept)]) for kept in kinds} for v in weighings]
+    totals = [{kept: _outside(v.residual, q) for kept, q in qs.items()} for v, qs in zip(weighings, bases, strict=True)]
     thetas = []
     for tried, place in chosen:
         change = strong @ (w.residual - columns[0][:, tried[place].index])
@@ -215,7 +216,7 @@ def _again(
         for k, (tried, place) in enumerate(chosen):
             t = tried[place]
             gains = tuple(
-                totals[way][k] - _outside(v.residual - moved[way][:, k], bases[way][k])
+                totals[way][t.kept] - _outside(v.residual - moved[way][:, k], bases[way][t.kept])
                 for way, v in enumerate(weighings)
             )
             theta = data.free.moved(thetas[k], strong @ (w.residual - moved[0][:, k]) * scale)
@@ -259,16 +260,19 @@ def _changes(
     # Dry friction anywhere makes the engine look for it everywhere.
     rubs = [any(isinstance(e, ForceEffect) and e.rubs for e in model.effects) for model in models]
     changes = [np.zeros((*s.measured.shape, len(entries))) for s in data.segments]
-    reference = [s.measured - r for s, r in zip(data.segments, fitted.fit.residuals, strict=True)]
+    simulator = data.coarse or data.simulator
+    plain = [start[None, :] for start in fitted.fit.starts]
+    reference = simulator([fitted.fit.model], data.segments, plain)
     for group in (True, False):
         rows = [k for k, rub in enumerate(rubs) if rub == group]
         if not rows:
             continue
         starts = [np.tile(start, (len(rows), 1)) for start in fitted.fit.starts]
-        found = data.simulator([models[k] for k in rows], data.segments, starts)
+        found = simulator([models[k] for k in rows], data.segments, starts)
         for change, predicted, before in zip(changes, found, reference, strict=True):
-            moved = np.moveaxis(predicted.position, 0, -1) - before[:, :, None]
+            moved = np.moveaxis(predicted.position - before.position, 0, -1)
             moved[:, :, ~predicted.sound] = 0.0
+            moved[before.reached[0] :] = 0.0
             change[:, :, rows] = moved
     return changes
 

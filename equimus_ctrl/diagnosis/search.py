@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, model_of
-from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
+from equimus_ctrl.diagnosis.fitting import SETTLED, Data, Fitted, whitened
 from equimus_ctrl.diagnosis.leftover import flexible, linear
 from equimus_ctrl.diagnosis.screening import Screened, screen
 from equimus_ctrl.errors import SimulationDiverged
@@ -73,6 +73,8 @@ NEAR, CLOSE = 0.5, 50.0
 """Share of the best gain of deviance, and deviance, that a hypothesis may lack to be fitted to the end."""
 ROUGH, LONG = 5, 15
 """Steps of a first look, and of a search for the few that are best by then."""
+INSTEAD = 3
+"""Candidates fitted, for each way to weigh the residuals, to take the place of a part."""
 MOVES = 8
 """How often parts are exchanged at most."""
 
@@ -100,6 +102,7 @@ class Search:
         self.notify = notify
         self.fitted: list[Fitted] = []
         self._first: tuple[Screened, ...] = ()
+        self._challenged: dict[tuple[frozenset[str], str], tuple[Fitted, list[Fitted]]] = {}
 
     def score(self, fitted: Fitted) -> float:
         """Deviance and what the hypothesis' numbers cost (Schwarz, 1978)."""
@@ -150,18 +153,28 @@ class Search:
         push = flexible(at)[0].found
         return before - after < OUTDONE * (push.held_out if at.folds else push.gain)
 
-    def challenge(self, fitted: Fitted, pool: Sequence[Candidate] | None = None, tried: int = 0) -> list[Fitted]:
+    def challenge(self, fitted: Fitted, instead_of: str = "") -> list[Fitted]:
         """Hypotheses with one more part, the most promising ones fitted to the end.
 
         Args:
             fitted: what they add to.
-            pool: candidates; all by default.
-            tried: how many for each weighing; as the settings say by default.
+            instead_of: label of a candidate that is left out, for what others could do in its place.
         """
-        tried = tried or self.settings.tried
+        whole = frozenset(part.candidate.label for part in fitted.hypothesis)
+        for left_out in ("", instead_of):
+            known = self._challenged.get((whole, left_out))
+            if known and known[0].deviance <= fitted.deviance + SETTLED:
+                return [o for o in known[1] if instead_of not in {p.candidate.label for p in o.hypothesis}]
+        options = self._options(fitted, instead_of)
+        self._challenged[whole, instead_of] = fitted, options
+        return options
+
+    def _options(self, fitted: Fitted, left_out: str) -> list[Fitted]:
+        pool = [c for c in self.pool if c.label != left_out]
+        tried = min(self.settings.tried, INSTEAD) if left_out else self.settings.tried
         weights = white_noise(fitted.fit.residuals)
         first = []
-        for hypothesis, begin in [*self._promising(fitted, self.pool if pool is None else pool, tried)]:
+        for hypothesis, begin in self._promising(fitted, pool, tried):
             try:
                 first.append(self.data.rough(hypothesis, begin, weights, ROUGH))
             except SimulationDiverged:  # so it cannot be what happened
@@ -234,8 +247,7 @@ class Search:
                 if not self.believed(without, best):
                     best, moved = without, True
                     break
-                others = [c for c in self.pool if c.label != part.candidate.label]
-                rivals = self.challenge(without, others, 3)
+                rivals = self.challenge(without, part.candidate.label)
                 withouts.append(without)
                 all_rivals.append(tuple(rivals))
                 same_size = [r for r in rivals if len(r.hypothesis) <= len(best.hypothesis)]

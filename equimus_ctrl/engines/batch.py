@@ -17,6 +17,7 @@ from equimus_ctrl.effects.sensors import SensorEffect, sensor_settings
 from equimus_ctrl.effects.valves import ShapingEffect, ValveEffect, shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.lane_functions import LANES
+from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.augmented import augmented_model, law_parameters, slots_of
@@ -165,6 +166,8 @@ def simulate(
 ) -> list[Predicted]:
     """Every model through every trial, by Runge–Kutta steps of order four with dry friction at velocity level.
 
+    Where a joint's stop is hit or left a step is cut, and while one is pressed it is divided as its push asks for.
+
     Args:
         models: of one structure and phase; they may differ in all numbers and effects.
         trials: what is predicted.
@@ -235,7 +238,8 @@ def simulate(
     poses = [trial.position for trial in trials]
     if check and all(found.sound[0] for found in results):  # a divergence tells by itself
         robot = changed_bodies(coded.models[0].effects, m)
-        warn_if_coarse(robot, coded.models[0].phase, poses, dt, [found.position[0] for found in results])
+        reached = [found.position[0] for found in results]
+        warn_if_coarse(robot, coded.models[0].phase, poses, dt, reached, MOST_DIVISOR)
     return results
 
 

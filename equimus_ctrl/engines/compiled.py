@@ -91,13 +91,6 @@ def is_marked_compiled(kernel: ModuleType) -> bool:
     return (cache_folder() / f"{kernel.__name__}.compiled").exists()
 
 
-def compile_motion(model: Morphology, phase: Phase) -> None:
-    """Compile the equations of motion and their integration step for a structure, or load them from the cache."""
-    module = _model(structure(model), phase)
-    joints, actuators = (0.5,) * len(model.joints), (0.0,) * len(model.actuators)
-    module.rk4(joints, joints, actuators, joints, 1e-3, prepared(model, phase))
-
-
 @lru_cache(maxsize=64)
 def load_lanes(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
     """The batch kernel (see ``engines.lane_kernel``) of a structure with force laws wherever they can sit."""
@@ -179,7 +172,6 @@ def _source(form: Structure, phase: Phase) -> str:
     nj, na = len(form[0]), len(form[1])
     drive = m.jacobian.T @ ca.diag(m.area)
     routines = [
-        codegen.Routine("acceleration", {"q": m.q, "v": m.v, "f": m.f, "tau": m.tau}, m.acceleration),
         codegen.Routine("actuator_lengths", {"q": m.q}, m.lengths),
         codegen.Routine("actuator_areas", {}, m.area),
         codegen.Routine("static_pressure", {"q": m.q}, m.static_pressure),
@@ -196,7 +188,7 @@ def _source(form: Structure, phase: Phase) -> str:
         f"N_JOINTS = {nj}",
         f"N_ACTUATORS = {na}\n\n",
     ]
-    return "\n".join([*header, functions, "", _tuples(nj, na), "", _rk4(nj)])
+    return "\n".join([*header, functions, "", _tuples(nj, na)])
 
 
 def _lane_source(form: Structure, phase: Phase, laws: Laws) -> str:
@@ -206,7 +198,7 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws) -> str:
     sizes = {
         "X": nx, "RATE": nx, "SUM": max(nx, nr), "START": nx, "PRESSURE": na, "PHI": nr,
         "PUSH": nj * nr, "DELASSUS": nr * nr, "SLIP": nr, "BOUND": nr, "SPAN": nr,
-        "PRESSED": 2 * nj, "GAPS": 2 * nj, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx,
+        "PRESSED": 2 * nj, "GAPS": 2 * nj, "QUICK": 1, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx,
     }  # fmt: skip
     row, rows = 0, {}
     for name, size in sizes.items():
@@ -223,6 +215,13 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws) -> str:
             rows["RATE"] + nj,
         ),
         codegen.LaneRoutine("lane_stops", {"q": m.q, "v": m.v}, m.gaps, {"q": x, "v": x + nj}, rows["GAPS"]),
+        codegen.LaneRoutine(
+            "lane_quickness",
+            {"q": m.q, "v": m.v, "z": m.z, "pressed": m.pressed},
+            m.quickness,
+            {**state, "pressed": rows["PRESSED"]},
+            rows["QUICK"],
+        ),
         codegen.LaneRoutine("lane_rest", {"q": m.q}, m.rest_state, {"q": x}, x + 2 * nj),
         codegen.LaneRoutine(
             "lane_friction",
@@ -255,25 +254,3 @@ def _tuples(nj: int, na: int) -> str:
         return f"{DECORATOR}\ndef {name}(values):\n    return ({entries},)\n"
 
     return one("joint_tuple", nj) + "\n\n" + one("actuator_tuple", na)
-
-
-def _rk4(nj: int) -> str:
-    def pack(form: str) -> str:
-        return "(" + ", ".join(form.format(i=i) for i in range(nj)) + ",)"
-
-    # One call site in a loop over the stages: less to compile than four, and no slower.
-    return f"""{DECORATOR}
-def rk4(q, v, f, tau, dt, c):
-    qs, vs = q, v
-    sum_q, sum_v = {pack("0.0")}, {pack("0.0")}
-    for stage in range(4):
-        a = acceleration(qs, vs, f, tau, c)
-        weight = 1.0 if stage == 0 or stage == 3 else 2.0
-        sum_q = {pack("sum_q[{i}] + weight * vs[{i}]")}
-        sum_v = {pack("sum_v[{i}] + weight * a[{i}]")}
-        h = 0.5 * dt if stage < 2 else dt
-        qs = {pack("q[{i}] + h * vs[{i}]")}
-        vs = {pack("v[{i}] + h * a[{i}]")}
-    s = dt / 6.0
-    return {pack("q[{i}] + s * sum_q[{i}]")}, {pack("v[{i}] + s * sum_v[{i}]")}
-"""

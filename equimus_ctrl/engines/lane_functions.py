@@ -32,6 +32,7 @@ ROW_BOUND = 0
 ROW_SPAN = 0
 ROW_PRESSED = 0
 ROW_GAPS = 0
+ROW_QUICK = 0
 ROW_FROM = 0
 ROW_PART = 0
 ROW_BEGIN = 0
@@ -60,4 +61,9 @@ def lane_friction(w: Array) -> None:
 
 def lane_stops(w: Array) -> None:
     """From the rows of q and v: ROW_GAPS, above 0 where a joint's lower, upper stop would be pressed."""
+    raise NotImplementedError
+
+
+def lane_quickness(w: Array) -> None:
+    """From state and pressed stops: ROW_QUICK, about the fastest rate of the motion [1/s]."""
     raise NotImplementedError

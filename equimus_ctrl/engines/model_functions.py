@@ -19,11 +19,6 @@ def prepare(p: Array) -> Array:
     raise NotImplementedError
 
 
-def acceleration(q: Floats, v: Floats, f: Floats, tau: Floats, c: Array) -> Floats:
-    """M⁻¹(Jᵀf + tau − h) [rad/s²]."""
-    raise NotImplementedError
-
-
 def actuator_lengths(q: Floats, c: Array) -> Floats:
     """Actuator lengths [m]."""
     raise NotImplementedError
@@ -46,11 +41,6 @@ def torque_pressure(q: Floats, tau: Floats, c: Array) -> Floats:
 
 def pressure_torque(q: Floats, f: Floats, c: Array) -> Floats:
     """Joint torques that pressures f [Pa] make [N·m]."""
-    raise NotImplementedError
-
-
-def rk4(q: Floats, v: Floats, f: Floats, tau: Floats, dt: float, c: Array) -> tuple[Floats, Floats]:
-    """(q, v) one classical Runge–Kutta step later, forces held."""
     raise NotImplementedError
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,6 +15,7 @@ from mujoco import batch as mjbatch
 from numpy.typing import ArrayLike, NDArray
 
 from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.steps import STABLE, rates_at
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.mjcf import (
     ABSENT_STOP,
@@ -26,11 +29,20 @@ from equimus_ctrl.models.morphology import BASE, JointStop, Morphology, Phase, p
 from equimus_ctrl.types import Array
 
 FAST_SETTINGS = SolverSettings(timestep=1 / 120, integrator="RK4", softness=0.01)
-"""Within 1e-5 rad RMSE of the exact Lagrangian while no joint touches a stop, in swing and in stance.
+"""``MujocoBatch`` is then within 1e-5 rad RMSE of the exact Lagrangian in swing and 5e-5 rad in stance, on stops too.
 
-A stop is too stiff for this step to resolve: expect 1e-3 rad once a damped leg has hit one in swing, 3e-2 rad in stance
-and 0.1 rad once an undamped leg has bounced on one. A tenth of the time step makes all of this ten times less.
+At the moment of a blow a run may be 1e-3 rad off, and a fall through an unstable pose 1e-2 rad. By itself this step is
+too long to follow a stop's push.
 """
+
+NEAR_STOP = 5e-3
+"""A run is near a stop where a joint is less than this and what it turns in a step from it [rad]."""
+PUSH_FOLLOWED = 1.4
+"""Largest |λ|·dt at which runs near a stop are simulated, λ being the fastest rate with stops pressed."""
+MOST_FINER = 64
+"""Steps are not made shorter than by this for the sake of a stop."""
+FINE_NUMBERS = 2**23
+"""So many recorded numbers at most are held of runs at shorter steps."""
 
 JOINT_NUMBERS, ACTUATOR_NUMBERS, FIRST_JOINT = 13, 9, 3  # the layout of models.morphology.pack
 
@@ -41,7 +53,9 @@ class MujocoBatch:
     """Many runs of one morphology in MuJoCo at once.
 
     The model is that of ``models.mjcf.compile_model``; an actuator's ends and, in stance, the foot are closed before
-    the first step. The same inputs give the same bits whatever the number of threads and whichever runs are beside.
+    the first step. A run that comes near a joint's stop is simulated anew with steps short enough for the stop's push,
+    see ``stop_divisor``. The same inputs give the same bits whatever the number of threads and whichever runs are
+    beside.
 
     Args:
         morphology: what is simulated; see ``of`` for one with other numbers in each run.
@@ -67,6 +81,7 @@ class MujocoBatch:
         self.phase: Phase = phase
         self.settings = settings or FAST_SETTINGS
         self.threads = threads or _usable_processors()
+        self._model_of = morphology
         self.mujoco_model = compile_model(morphology, phase, self.settings)
         # A reset would hide a divergence; there is only one island to find.
         for flag in ("AUTORESET", "ISLAND"):
@@ -74,6 +89,7 @@ class MujocoBatch:
         self._numbers, self._of_numbers = pack(morphology)[None], False
         self._batch: mjbatch.Batch | None = None
         self._joints = self._addresses(morphology.joint_names)
+        self._finer: dict[int, tuple[tuple[Morphology, ...], MujocoBatch]] = {}
 
     @classmethod
     def of(
@@ -113,8 +129,11 @@ class MujocoBatch:
             if massless:
                 compile_model(other, phase, settings)  # raises, and says why
         made = cls(_generic(morphologies), phase, settings, threads)
-        made.morphologies, made._numbers, made._of_numbers = morphologies, numbers, True
+        made._take(morphologies, numbers)
         return made
+
+    def _take(self, morphologies: tuple[Morphology, ...], numbers: Array) -> None:
+        self.morphologies, self._numbers, self._of_numbers = morphologies, numbers, True
 
     def run(self, q0: ArrayLike, v0: ArrayLike, pressure: ArrayLike) -> tuple[Array, Array]:
         """Simulate all runs.
@@ -125,8 +144,8 @@ class MujocoBatch:
         Args:
             q0: (n, nj) first joint angles [rad].
             v0: (n, nj) first joint velocities [rad/s].
-            pressure: (n, steps, na) [Pa]; row k is held during step k of ``settings.timestep`` and, as in the plant,
-                clipped to the morphology's command range.
+            pressure: (n, steps, na) [Pa]; row k is held during step k of ``settings.timestep``, or all the shorter
+                ones in its place, and, as in the plant, clipped to the morphology's command range.
 
         Returns:
             q (n, steps + 1, nj) [rad] and v (n, steps + 1, nj) [rad/s], the first rows as given.
@@ -136,6 +155,37 @@ class MujocoBatch:
             ModelError: where an actuator has no length at the start.
         """
         start, rate, held = self._checked(q0, v0, pressure)
+        q, v = self._rolled_out(start, rate, held)
+        dt, model = self.settings.timestep, self.mujoco_model
+        divisors = np.ones(len(q), dtype=np.int64)
+        for i in np.flatnonzero(near_stop(self.morphologies, q, v, dt)):
+            own = self.morphologies[i if len(self.morphologies) > 1 else 0]
+            divisors[i] = stop_divisor(own, self.phase, start[i], dt)
+        for divisor in np.unique(divisors[divisors > 1]):
+            rows = np.flatnonzero(divisors == divisor)
+            numbers = int(divisor) * held.shape[1] * (model.nq + model.nv)
+            most = max(FINE_NUMBERS // numbers, self.threads)
+            for some in np.split(rows, range(most, len(rows), most)):
+                fine = self._with_shorter_steps(int(divisor), some)
+                found = fine._rolled_out(start[some], rate[some], np.repeat(held[some], divisor, axis=1))
+                q[some], v[some] = (x[:, ::divisor] for x in found)
+        return q, v
+
+    def _with_shorter_steps(self, divisor: int, rows: NDArray[np.int64]) -> MujocoBatch:
+        """The batch of some of the runs at a step shorter by a whole factor; the last one is kept."""
+        several = len(self.morphologies) > 1
+        own = tuple(self.morphologies[i] for i in rows) if several else self.morphologies
+        known, fine = self._finer.get(divisor, ((), self))
+        if len(known) != len(own) or any(a is not b for a, b in zip(known, own, strict=True)):
+            shorter = replace(self.settings, timestep=self.settings.timestep / divisor)
+            fine = MujocoBatch(self._model_of, self.phase, shorter, self.threads)
+            if self._of_numbers:
+                fine._take(own, self._numbers[rows] if several else self._numbers)
+            self._finer[divisor] = own, fine
+        return fine
+
+    def _rolled_out(self, start: Array, rate: Array, held: Array) -> tuple[Array, Array]:
+        """All runs at the settings' step, as ``run`` returns them."""
         qpos, qvel = self._closed(start, rate)
         n, steps = held.shape[:2]
         runs = self._batch_of(n)
@@ -300,6 +350,48 @@ class MujocoBatch:
         if self.settings.softness != 1.0:
             body_inverse *= self.settings.softness
             dof_inverse[:, element_slides(model)] *= self.settings.softness
+
+
+def near_stop(morphologies: Sequence[Morphology], q: Array, v: Array, dt: float) -> NDArray[np.bool_]:
+    """Which runs come so near a stop that they may touch it, whether or not the step follows its push.
+
+    Args:
+        morphologies: of all runs, or one for each.
+        q: (n, m, nj) [rad]; NaN is near nothing.
+        v: (n, m, nj) [rad/s].
+        dt: from one row to the next [s].
+
+    Returns:
+        (n,) whether any joint is less than ``NEAR_STOP`` + |v|·dt from a stop, or beyond it.
+    """
+    ranges = np.array([m.joint_range for m in morphologies])[:, :, None]  # (1 or n, 2, 1, nj)
+    if not np.isfinite(ranges).any():
+        return np.zeros(len(q), dtype=bool)
+    reach = NEAR_STOP + np.abs(v) * dt
+    return np.asarray(((q < ranges[:, 0] + reach) | (q > ranges[:, 1] - reach)).any(axis=(1, 2)))
+
+
+def stop_divisor(morphology: Morphology, phase: Phase, pose: Array, dt: float) -> int:
+    """By which whole number a step dt [s] is to be divided to follow the push of a robot's stops.
+
+    It is the least that brings the fastest rate λ with stops pressed, at the pose and at the joints' ends
+    (``engines.steps.rates_at``), to |λ|·dt ≤ ``PUSH_FOLLOWED``; ``MOST_FINER`` at most, with a warning where
+    the method is unstable even so.
+
+    Args:
+        morphology: the robot.
+        phase: base fixed or foot pinned.
+        pose: (nj,) where it starts [rad].
+        dt: [s].
+    """
+    rate = max(rates_at(morphology, phase, [pose])) * dt
+    if rate / MOST_FINER > STABLE:
+        warnings.warn(
+            f"{morphology.name}: a joint stop is too stiff even for a physics step of {dt / MOST_FINER * 1e3:.2g} ms; "
+            f"expected at most {PUSH_FOLLOWED / rate * dt * 1e3:.2g} ms",
+            stacklevel=3,
+        )
+    return math.ceil(min(max(rate / PUSH_FOLLOWED, 1.0), MOST_FINER))
 
 
 def _usable_processors() -> int:

@@ -16,7 +16,7 @@ from equimus_ctrl.effects.sensors import SensorEffect, sample, sensor_settings
 from equimus_ctrl.effects.valves import ShapingEffect, ValveEffect, shaped_commands, valve_settings
 from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
-from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
+from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch, near_stop, stop_divisor
 from equimus_ctrl.engines.mujoco_forces import ForceStepper
 from equimus_ctrl.engines.steps import step_divisor, warn_if_coarse
 from equimus_ctrl.errors import ConfigError
@@ -39,6 +39,8 @@ def simulate_mujoco(
     threads: int | None = None,
 ) -> list[Predicted]:
     """Every model through every trial. Models with effects that push are stepped one by one, which is slow.
+
+    Runs that come near a joint's stop are simulated anew with steps short enough for its push, as in ``MujocoBatch``.
 
     Args:
         models: of one structure and phase; they may differ in all numbers and in effects of ``MUJOCO_KINDS``.
@@ -74,7 +76,8 @@ def simulate_mujoco(
         for k, trial in enumerate(trials)
     ]
     if all(found.sound[0] for found in results):  # a divergence tells by itself
-        warn_if_coarse(robots[0], models[0].phase, poses, settings.timestep, [found.position[0] for found in results])
+        # Runs on stops have had steps of their own.
+        warn_if_coarse(robots[0], models[0].phase, poses, settings.timestep, [])
     return results
 
 
@@ -106,7 +109,7 @@ def _one_trial(
         pressure_history(trial.times, commands[1:].copy(), commands[0].copy(), valve, trial.start, dt, pressure[i])
     if any(isinstance(effect, ForceEffect) for model in models for effect in model.effects):
         runs = [
-            _stepped(model, robot, batch.settings, q0[i], v0[i], pressure[i, :, 0])
+            _followed(model, robot, batch.settings, q0[i], v0[i], pressure[i, :, 0])
             for i, (model, robot) in enumerate(zip(models, robots, strict=True))
         ]
         q, v = np.array([run[0] for run in runs]), np.array([run[1] for run in runs])
@@ -121,6 +124,21 @@ def _one_trial(
             position[i, :, j] = column
     lost = ~np.all(np.isfinite(position), axis=2)
     return Predicted(position, np.where(lost.any(axis=1), lost.argmax(axis=1), position.shape[1]).astype(np.int64))
+
+
+def _followed(
+    model: Model, robot: Morphology, settings: SolverSettings, q0: Array, v0: Array, pressure: Array
+) -> tuple[Array, Array]:
+    """One run by ``_stepped``, with shorter steps where it comes near a stop."""
+    q, v = _stepped(model, robot, settings, q0, v0, pressure)
+    dt = settings.timestep
+    if not near_stop([robot], q[None], v[None], dt)[0]:
+        return q, v
+    divisor = stop_divisor(robot, model.phase, q0, dt)
+    if divisor > 1:
+        finer = replace(settings, timestep=dt / divisor)
+        q, v = _stepped(model, robot, finer, q0, v0, np.repeat(pressure, divisor, axis=0))
+    return q[::divisor], v[::divisor]
 
 
 def _stepped(

@@ -8,17 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from equimus_ctrl.engines.limits import FOLLOWED, MOST_DIVISOR, PRESSED
 from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.types import Array
 
 STABLE = 2.78
 """Largest |λ|·dt at which the Runge–Kutta method of order four is stable."""
-FOLLOWED, PRESSED = 1.4, 2.4
-"""The same at which it follows a motion well, and at which it follows the push of a stop."""
 FEW = 100
-MOST_DIVISOR = 16
-"""Steps are not made shorter than by this: a robot that asks for more is no robot, and may diverge."""
 
 
 def rates_at(morphology: Morphology, phase: Phase, poses: Sequence[Array]) -> tuple[float, float]:
@@ -37,9 +34,23 @@ def step_divisor(morphology: Morphology, phase: Phase, poses: Sequence[Array], d
 
 
 def warn_if_coarse(
-    morphology: Morphology, phase: Phase, poses: Sequence[Array], dt: float, reached: Sequence[Array]
+    morphology: Morphology,
+    phase: Phase,
+    poses: Sequence[Array],
+    dt: float,
+    reached: Sequence[Array],
+    pressed_divisor: int = 1,
 ) -> None:
-    """Warn where a step is too long for a robot, or for the stops that its joints (n, nj) reached [rad]."""
+    """Warn where a step is too long for a robot, or for the stops that its joints (n, nj) reached [rad].
+
+    Args:
+        morphology: the robot.
+        phase: base fixed or foot pinned.
+        poses: (nj,) each, where its rates are taken [rad].
+        dt: the step [s].
+        reached: what the joints went through.
+        pressed_divisor: by how much the engine divides its steps at most while a stop is pressed.
+    """
     free, pressed = rates_at(morphology, phase, poses)
     if free * dt > STABLE:
         warnings.warn(
@@ -50,9 +61,9 @@ def warn_if_coarse(
         return
     low, high = morphology.joint_range
     touched = any(np.any((q < low) | (q > high)) for q in reached)
-    if touched and pressed * dt > STABLE:
+    if touched and pressed * dt > STABLE * pressed_divisor:
         warnings.warn(
             f"{morphology.name}: a joint stop was touched, and a physics step of {dt * 1e3:g} ms is too long for its "
-            f"push; expected at most {PRESSED / pressed * 1e3:.2g} ms",
+            f"push; expected at most {PRESSED * pressed_divisor / pressed * 1e3:.2g} ms",
             stacklevel=3,
         )

@@ -64,6 +64,7 @@ class AugmentedModel:
         push: (nj, nr) velocities that a unit impulse at each row makes, M⁻¹Gᵀ.
         delassus: (nr, nr) G M⁻¹ Gᵀ.
         gaps: (2 nj,) above 0 where a stop would be pressed, see ``symbolic.stops_in_mode``.
+        quickness: (1,) a bound, near to it, of the fastest rate of the motion with ``pressed`` stops [1/s].
         bound: (nr,) the greatest friction at the mean of the speeds v0 and v.
         rows_before: (nr,) rates at the start of a step, G(q) v0.
     """
@@ -88,6 +89,7 @@ class AugmentedModel:
     push: ca.SX
     delassus: ca.SX
     gaps: ca.SX
+    quickness: ca.SX
     bound: ca.SX
     rows_before: ca.SX
 
@@ -145,7 +147,10 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     stops = [stops_in_mode(m.q[i], m.v[i], joint_stops(m.p, i), pressed[2 * i : 2 * i + 2]) for i in range(nj)]
     load = drive + torque + gradient.T @ phi
     acceleration = ldl_solve(m.mass, load - m.bias)
-    smooth_acceleration = ldl_solve(m.mass, load - m.smooth_bias + ca.vertcat(*[push for push, _ in stops]))
+    push_of_stops = ca.vertcat(*[push for push, _ in stops])
+    smooth_acceleration = ldl_solve(m.mass, load - m.smooth_bias + push_of_stops)
+    stiffness = -ca.jacobian(push_of_stops, m.q)
+    springs = ca.horzcat(*[ldl_solve(m.mass, stiffness[:, i]) for i in range(nj)])
     reach = ca.horzcat(*[ldl_solve(m.mass, gradient[r, :].T) for r in range(len(rubbing))], ca.SX(nj, 0))
     outputs = [
         torque,
@@ -158,11 +163,27 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
         reach,
         gradient @ reach,
         ca.vertcat(*[gap for _, gap in stops]),
+        _quickness(ca.jacobian(smooth_acceleration, m.v), springs),
         ca.vertcat(*[bounds[row] for row in rubbing], ca.SX(0, 1)),
         gradient @ v0,
     ]
     outputs = [ca.substitute(output, m.p, p[:base]) for output in outputs]
     return AugmentedModel(m.q, m.v, z, pressure, phi, v0, pressed, p, slots, tuple(rubbing), *outputs)
+
+
+def _quickness(by_speed: ca.SX, springs: ca.SX) -> ca.SX:
+    """How fast damping and the stops' springs may make a motion, (1,) [1/s].
+
+    Args:
+        by_speed: (nj, nj) ∂a/∂v [1/s].
+        springs: (nj, nj) M⁻¹K of the stops [1/s²].
+    """
+
+    def largest(matrix: ca.SX) -> ca.SX:
+        # Of real eigenvalues above zero: at most the root of the sum of their squares.
+        return ca.sqrt(ca.fmax(ca.trace(matrix @ matrix), 0.0))
+
+    return ca.fmax(largest(by_speed), ca.sqrt(largest(springs)))
 
 
 def law_parameters(

@@ -80,14 +80,14 @@ def measure_of(effect: str, parameter: str, location: str, true: float) -> tuple
     return abs(true - zero), zero
 
 
-def found_numbers(cases: Sequence[Case], method: Method = OURS, least: float = STRONG) -> list[Number]:
+def found_numbers(cases: Sequence[Case], method: Method = OURS) -> list[Number]:
     """All numbers of effects that were named right in their places and are strong alone."""
     found: list[Number] = []
     for case in cases:
         named = case.named(method)
         for truth in case.truth["findings"]:
             ((effect, where),) = case.places.parts([truth]).items()
-            if truth["alone"] < least or named.get(effect) != where or case.answer(method).failed:
+            if truth["alone"] < STRONG or named.get(effect) != where or case.answer(method).failed:
                 continue
             for finding in case.answer(method).findings:
                 if finding["effect"] == effect:

@@ -19,6 +19,8 @@ from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.types import Array
 
 PathLike = str | os.PathLike[str]
+LONGEST = 40
+"""Characters of a cell that a message shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +107,12 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def shorten(text: str, limit: int = 40) -> str:
-    """``text`` quoted for a message, cut to ``limit`` characters; 'an empty cell' where there is none."""
+def shorten(text: str) -> str:
+    """``text`` quoted for a message, cut to ``LONGEST`` characters; 'an empty cell' where there is none."""
     text = text.strip()
     if not text:
         return "an empty cell"
-    return repr(text if len(text) <= limit else text[: limit - 1] + "…")
+    return repr(text if len(text) <= LONGEST else text[: LONGEST - 1] + "…")
 
 
 def open_sheet(path: PathLike) -> Sheet:

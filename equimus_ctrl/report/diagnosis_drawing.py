@@ -151,11 +151,11 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
         WIDTH, 1.6 + 0.27 * len(shown), f"What each effect would gain alone ({len(diagnosis.ranking)} candidates)"
     )
     axes = figure.add_subplot()
-    thresholds = [f.evidence.threshold for f in diagnosis.findings]
+    threshold = min(r.threshold for r in diagnosis.ranking)
     largest = max(
         [
             10.0,
-            *thresholds,
+            threshold,
             *(f.evidence.gain for f in diagnosis.findings),
             *(max(r.screened, r.fitted or 0.0) for r in shown),
         ]
@@ -182,8 +182,7 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
         if ranked.named in beside:
             at = max(beside[ranked.named], least)
             axes.plot(at, row, marker="D", markersize=7, color=WITH, markeredgecolor="white")
-    if thresholds:
-        axes.axvline(min(thresholds), color=style.ALERT, linewidth=1.3, linestyle=style.DASHES)
+    axes.axvline(threshold, color=style.ALERT, linewidth=1.3, linestyle=style.DASHES)
     axes.set_xscale("log")
     axes.set_xlim(least, 2 * largest)
     axes.set_yticks(np.arange(len(shown)), [short(r.named) for r in shown])
@@ -207,7 +206,6 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
             [], [], marker="o", linestyle="", color="white", markeredgecolor=style.INK, label="expected to first order"
         )
     )
-    if thresholds:
-        handles.append(Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="least that is believed"))
+    handles.append(Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="least that is believed"))
     style.legend_below(figure, handles)
     return figure

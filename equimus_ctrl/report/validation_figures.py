@@ -116,7 +116,7 @@ def responses_figure(result: Validation) -> Figure:
     """One example of every kind of motion, and the engines' errors below it."""
     cases = {
         "step response": result.swing,
-        "foot pinned, published start and forces": result.stance.published,
+        "foot pinned, published start and forces": result.stance.published(),
         "three joints under pulses": result.three_dof,
     }
     shown = {title: case for title, case in cases.items() if case.scored.any()}

@@ -97,7 +97,8 @@ def kernel_of(nominal: Morphology, phase: Phase, effects: Sequence[Effect]) -> M
 def compile_motion(nominal: Morphology, phase: Phase, effects: Sequence[Effect]) -> None:
     """Compile what moves robots with these effects, or load it from the cache."""
     kernel = kernel_of(nominal, phase, effects)
-    kernel.step_lanes(np.zeros(kernel.WORK_ROWS * LANES), 1e-3, np.empty(0, dtype=np.int64))
+    drive = np.zeros((2, len(nominal.actuators) * LANES))
+    kernel.step_lanes(np.zeros(kernel.WORK_ROWS * LANES), drive, 1e-3, np.empty(0, dtype=np.int64))
 
 
 @lru_cache(maxsize=16)

@@ -50,14 +50,3 @@ class RowJournal:
     def add(self, index: int, stage: str, values: Sequence[float], evaluation: Evaluation) -> None:
         """Keep one more."""
         self._store.append({"index": index, "stage": stage, "values": list(values), "evaluation": evaluation.to_dict()})
-
-
-class NoJournal:
-    """Keeps nothing."""
-
-    def known(self, index: int, values: Sequence[float]) -> Evaluation | None:
-        """Nothing is known."""
-        return None
-
-    def add(self, index: int, stage: str, values: Sequence[float], evaluation: Evaluation) -> None:
-        """Nothing is kept."""

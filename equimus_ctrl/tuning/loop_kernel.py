@@ -17,20 +17,16 @@ from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ROWS,
     N_STATES,
-    ROW_GAPS,
-    ROW_PRESSED,
+    ROW_FROM,
+    ROW_PART,
     ROW_PRESSURE,
-    ROW_RATE,
     ROW_START,
-    ROW_SUM,
     ROW_X,
     WORK_ROWS,
-    lane_motion,
     lane_rest,
-    lane_stops,
     prepare_lane,
 )
-from equimus_ctrl.engines.lane_kernel import NOTHING, copy_rows, correct_friction
+from equimus_ctrl.engines.lane_kernel import advance, copy_rows, correct_friction
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.model_functions import N_ACTUATORS, N_JOINTS
 from equimus_ctrl.types import Array
@@ -60,33 +56,19 @@ def start_lanes(parameters: Array, q0: Array, pressure: Array) -> Array:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def step_lanes(w: Array, dt: float, rubbing: Array) -> None:
-    """One Runge–Kutta step of all lanes under the pressures in the work array.
+def step_lanes(w: Array, drive: Array, dt: float, rubbing: Array) -> None:
+    """One Runge–Kutta step of all lanes.
 
     Args:
         w: work array.
+        drive: (2, na·LANES) mean and slope of the pressures over the step [Pa].
         dt: [s].
         rubbing: rows where any lane has dry friction.
     """
     copy_rows(w, ROW_X, ROW_START, N_STATE)
-    for i in range(N_STATE * LANES):
-        w[ROW_SUM * LANES + i] = 0.0
-    for stage in range(4):
-        lane_stops(w)
-        for i in range(2 * N_JOINTS * LANES):
-            w[ROW_PRESSED * LANES + i] = 1.0 if w[ROW_GAPS * LANES + i] > 0.0 else 0.0
-        copy_rows(w, ROW_X + N_JOINTS, ROW_RATE, N_JOINTS)
-        lane_motion(w)
-        weight = 1.0 if stage == 0 or stage == 3 else 2.0
-        h = 0.5 * dt if stage < 2 else dt
-        for i in range(N_STATE * LANES):
-            rate = w[ROW_RATE * LANES + i]
-            w[ROW_SUM * LANES + i] += weight * rate
-            w[ROW_X * LANES + i] = w[ROW_START * LANES + i] + h * rate
-    for i in range(N_STATE * LANES):
-        reached = w[ROW_START * LANES + i] + dt / 6.0 * w[ROW_SUM * LANES + i]
-        # Processors are many times slower with the denormal numbers that speeds at rest decay into.
-        w[ROW_X * LANES + i] = 0.0 if abs(reached) < NOTHING else reached
+    for l in range(LANES):  # noqa: E741
+        w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
+    advance(w, drive, dt, True)
     if N_ROWS > 0 and len(rubbing) > 0:
         correct_friction(w, dt, rubbing)
 
@@ -166,7 +148,8 @@ def run_loop(
     k, n, back = len(valve), len(times), past.shape[2]
     dt = control_dt / steps
     y, r = np.empty(N_JOINTS), np.empty(N_JOINTS)
-    arriving = np.empty(N_ACTUATORS)
+    arriving, drive = np.empty(N_ACTUATORS), np.zeros((2, N_ACTUATORS * LANES))
+    drive[0] = w[ROW_PRESSURE * LANES : (ROW_PRESSURE + N_ACTUATORS) * LANES]
     for now in range(first, last):
         for s in range(steps if now > 0 else 0):
             at = times[now - 1] + s * dt
@@ -176,8 +159,8 @@ def run_loop(
                         times[:now], reaches[l, i, :now], reached_before[i], cursor[l, i], at, dt, pressure[l, i],
                         valve[l, i],
                     )  # fmt: skip
-                    w[(ROW_PRESSURE + i) * LANES + l] = mean
-            step_lanes(w, dt, rubbing)
+                    drive[0, i * LANES + l] = mean
+            step_lanes(w, drive, dt, rubbing)
             newest = (now - 1) * steps + s + 1
             for l in range(k):  # noqa: E741
                 for j in range(N_JOINTS):

@@ -28,6 +28,8 @@ from equimus_ctrl.types import Array
 
 BAND = 0.03
 """A joint has settled when it stays this close to its reference [rad]."""
+CONTROL_RATE = 120.0
+"""Of the loop that is tuned [Hz]."""
 TERMS = ("error", "overshoot", "settling", "offset", "effort", "chatter")
 
 
@@ -56,18 +58,10 @@ class Task:
     control_dt: float
 
 
-def make_task(
-    scenario: Scenario,
-    weight: float,
-    duration: float,
-    model: Model,
-    noise: float,
-    seed: int,
-    control_rate: float = 120.0,
-) -> Task:
+def make_task(scenario: Scenario, weight: float, duration: float, model: Model, noise: float, seed: int) -> Task:
     """Sample a scenario's reference and draw its noise."""
-    n = round((duration or scenario.duration) * control_rate)
-    times = np.arange(n) / control_rate
+    n = round((duration or scenario.duration) * CONTROL_RATE)
+    times = np.arange(n) / CONTROL_RATE
     m = model.morphology
     before = np.full(len(m.actuators), m.command_low) if scenario.start.command is None else scenario.start.command
     rng = np.random.default_rng(seed)
@@ -79,7 +73,7 @@ def make_task(
         position=None if scenario.start.position is None else np.array(scenario.start.position),
         step_like=scenario.step_like,
         noise=rng.normal(0.0, noise, (n, len(m.joints))) if noise > 0 else np.zeros((n, len(m.joints))),
-        control_dt=1 / control_rate,
+        control_dt=1 / CONTROL_RATE,
     )
 
 
@@ -327,10 +321,6 @@ class Problem:
             moduli = self.moduli(settings, member, raised=raised or member <= 1) if calm else (math.nan, math.nan)
             found.append(LegOutcome(own, *moduli))
         return found
-
-    def leg_outcome(self, settings: PidSettings, member: int) -> LegOutcome:
-        """Judge one leg as while searching."""
-        return self.leg_outcomes([(settings, member)], raised=False)[0]
 
     def judge(self, legs: Sequence[LegOutcome]) -> Evaluation:
         """The cost of what happened on every leg.

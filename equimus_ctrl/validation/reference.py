@@ -156,6 +156,7 @@ def reference_runs(
     experiment: Experiment,
     near_stop: NDArray[np.bool_] | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    factor: float = 1.0,
 ) -> Array:
     """(n, m, nj) angles of all runs [rad], integrated in blocks.
 
@@ -164,13 +165,14 @@ def reference_runs(
         near_stop: (n,) runs that may touch a stop, by any guess: they are integrated apart from the others, because
             their kinks would cost all of a block their steps.
         progress: called with the share done.
+        factor: on all tolerances.
     """
     near = np.zeros(experiment.size, dtype=bool) if near_stop is None else near_stop
     out = np.full((experiment.size, len(experiment.times), experiment.start.shape[1]), np.nan)
     blocks = []
     for rows, size, slack in (
-        (np.flatnonzero(~near), BLOCK, 1.0),
-        (np.flatnonzero(near), STOP_BLOCK, STOP_TOLERANCE),
+        (np.flatnonzero(~near), BLOCK, factor),
+        (np.flatnonzero(near), STOP_BLOCK, factor * STOP_TOLERANCE),
     ):
         blocks += [(rows[i : i + size], slack) for i in range(0, len(rows), size)]
     for i, (rows, slack) in enumerate(blocks):
@@ -179,11 +181,16 @@ def reference_runs(
     return out
 
 
-def own_error(experiment: Experiment, q: Array, rows: NDArray[np.int64]) -> float:
-    """The largest difference [rad] between some of the runs q and the same at a hundredth of the tolerances."""
+def own_error(
+    experiment: Experiment, q: Array, rows: NDArray[np.int64], near_stop: NDArray[np.bool_] | None = None
+) -> float:
+    """The largest difference [rad] between some of ``reference_runs`` q and the same at a hundredth of the tolerances.
+
+    Args: as of ``reference_runs``, and ``rows`` of the runs that are repeated.
+    """
     if len(rows) == 0:
         return float("nan")
-    tight, _ = integrate(experiment.part(rows), rtol=RTOL * TIGHT, atol=ATOL * TIGHT)
+    tight = reference_runs(experiment.part(rows), None if near_stop is None else near_stop[rows], factor=TIGHT)
     return float(np.abs(tight - q[rows]).max())
 
 

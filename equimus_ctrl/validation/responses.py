@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.types import Array
-from equimus_ctrl.validation.engines import Progress, finer, mujoco_runs, native_runs, reduced_runs, silent
+from equimus_ctrl.validation.engines import Progress, mujoco_runs, native_runs, reduced_runs, silent
 from equimus_ctrl.validation.experiment import Experiment
 from equimus_ctrl.validation.plan import Errors, Plan
 from equimus_ctrl.validation.poses import holding_pressure, workspace
@@ -24,9 +23,6 @@ NEAR = 0.02
 PUBLISHED_FORCE = 10.0
 """Of each actuator in the published stance run [N]."""
 
-FINE = 10
-"""How many times finer MuJoCo's steps are in the second row of runs that touch a stop."""
-
 
 @dataclass(frozen=True, eq=False)
 class Responses:
@@ -37,6 +33,7 @@ class Responses:
         exact: (n, m, nj) the reference [rad].
         found: engine → (n, m, nj) [rad].
         scored: (n,) runs that count.
+        touching: (n,) runs that touch a stop.
         reference_error: the reference's own, the largest found on some of the runs [rad].
         counts: what became of the runs drawn.
     """
@@ -45,6 +42,7 @@ class Responses:
     exact: Array
     found: dict[str, Array]
     scored: NDArray[np.bool_]
+    touching: NDArray[np.bool_]
     reference_error: float
     counts: dict[str, int] = field(default_factory=dict)
 
@@ -56,26 +54,31 @@ class Responses:
         """Over all scored runs."""
         return Errors.of(self.error(engine))
 
+    @property
+    def clear(self) -> NDArray[np.bool_]:
+        """(n,) scored runs that touch no stop."""
+        return self.scored & ~self.touching
+
+    def only(self, rows: NDArray[np.bool_]) -> Responses:
+        """The same with fewer runs scored."""
+        return replace(self, scored=self.scored & rows)
+
+    def on_stops(self, engine: str) -> Errors | None:
+        """Over the scored runs that touch a stop; None where there is none."""
+        some = self.only(self.touching)
+        return some.errors(engine) if some.scored.any() else None
+
     def to_dict(self) -> dict[str, Any]:
         """MuJoCo's errors, then every engine's; plain JSON types, SI units."""
+        on_stops = {name: errors.to_dict() for name in self.found if (errors := self.on_stops(name))}
         return {
             **self.errors("mujoco").to_dict(),
             "engines": {name: self.errors(name).to_dict() for name in self.found},
+            "on_stops": on_stops or None,
             "counts": self.counts,
             "duration_s": self.experiment.duration,
             "reference_error_rad": self.reference_error,
         }
-
-
-@dataclass(frozen=True, eq=False)
-class OnStops:
-    """The same kind of runs where a joint touches a stop: engine → errors."""
-
-    errors: dict[str, Errors]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON types, SI units."""
-        return {name: errors.to_dict() for name, errors in self.errors.items()}
 
 
 def swing_case(
@@ -86,11 +89,11 @@ def swing_case(
     *,
     threads: int | None = None,
     progress: Progress = silent,
-) -> tuple[Responses, OnStops | None]:
+) -> Responses:
     """Step responses: from rest at one random pose, under the pressures that hold another.
 
     Left out are pairs whose second pose needs pressures outside the command range, and runs in which an actuator
-    becomes shorter than 3 cm. Runs that touch a stop are returned apart.
+    becomes shorter than 3 cm.
 
     Args:
         morphology: the robot.
@@ -107,10 +110,10 @@ def swing_case(
     allowed &= left < 1e-9
     runs = Experiment((morphology,), "swing", start, np.zeros(1), pressure[:, None], plan.duration).part(allowed)
     reduced = reduced_runs(runs, dt, threads)
-    exact = reference_runs(runs, runs.touches(reduced, NEAR), lambda share: progress(0.7 * share))
-    meaningful = shortest(runs, exact) >= SHORTEST
+    near = runs.touches(reduced, NEAR)
+    exact = reference_runs(runs, near, lambda share: progress(0.7 * share))
+    scored = shortest(runs, exact) >= SHORTEST
     touching = runs.touches(exact)
-    scored = meaningful & ~touching
     found = {
         "mujoco": mujoco_runs(runs, threads=threads),
         "reduced": reduced,
@@ -119,54 +122,54 @@ def swing_case(
     counts = {
         "pairs": plan.pairs,
         "pressure_out_of_range": int((~allowed).sum()),
-        "actuator_too_short": int((~meaningful).sum()),
-        "touching_a_stop": int((meaningful & touching).sum()),
+        "actuator_too_short": int((~scored).sum()),
         "scored": int(scored.sum()),
+        "touching_a_stop": int((scored & touching).sum()),
     }
-    checked = own_error(runs, exact, np.flatnonzero(scored)[: plan.checked])
+    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near)
     progress(1.0)
-    main = Responses(runs, exact, found, scored, checked, counts)
-    return main, _on_stops(runs, exact, found, meaningful & touching, threads)
+    return Responses(runs, exact, found, scored, touching, checked, counts)
 
 
 def native_swing(result: Responses, count: int, threads: int | None = None) -> tuple[Errors, Array]:
-    """The baseline on the first ``count`` scored runs: its errors, and (k, m − 1, nj) themselves [rad]."""
-    rows = np.flatnonzero(result.scored)[:count]
+    """The baseline on the first ``count`` scored runs that touch no stop: errors, and (k, m − 1, nj) themselves [rad].
+
+    Its steps do not follow a stop's push.
+    """
+    rows = np.flatnonzero(result.clear)[:count]
     error = native_runs(result.experiment.part(rows), threads=threads)[:, 1:] - result.exact[rows, 1:]
     return Errors.of(error), error
 
 
 @dataclass(frozen=True, eq=False)
 class StanceResult:
-    """The leg on its pinned foot.
+    """The leg on its pinned foot, the published start and pressures first.
 
     Attributes:
-        published: the published run, joints without stops, as the published equations are.
-        free: random starts and pressures, joints without stops.
-        on_stops: the same runs of the robot as it is, those that touch a stop: engine → errors.
-        published_on_stops: the published run of the robot as it is: engine → errors.
-        touching: how many of the robot's own runs touch a stop, of how many.
+        robot: as it is.
+        free: with joints without stops, as the published equations are.
     """
 
-    published: Responses
+    robot: Responses
     free: Responses
-    on_stops: OnStops | None
-    published_on_stops: OnStops | None
-    touching: tuple[int, int]
 
     @property
     def errors(self) -> Errors:
-        """MuJoCo's over the published run and all random ones."""
-        return self.free.errors("mujoco")
+        """MuJoCo's over all runs of the robot as it is."""
+        return self.robot.errors("mujoco")
+
+    def published(self, *, stops: bool = True) -> Responses:
+        """The published run alone, of the robot as it is or without its stops."""
+        case = self.robot if stops else self.free
+        alone = case.only(np.arange(case.experiment.size) == 0)
+        return replace(alone, counts={"runs": 1, "scored": int(alone.scored.sum())})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, SI units."""
         return {
-            **self.free.to_dict(),
-            "published_run": self.published.to_dict(),
-            "touching_a_stop": list(self.touching),
-            "on_stops": None if self.on_stops is None else self.on_stops.to_dict(),
-            "published_run_on_stops": None if self.published_on_stops is None else self.published_on_stops.to_dict(),
+            **self.robot.to_dict(),
+            "published_run": self.published().to_dict(),
+            "without_stops": {**self.free.to_dict(), "published_run": self.published(stops=False).to_dict()},
         }
 
 
@@ -181,8 +184,7 @@ def stance_case(
 ) -> StanceResult:
     """Runs on the pinned foot: the published one first, then random starts under random pressures.
 
-    Nothing holds the base, so nearly every run falls into a stop. Scored are the runs of the robot without stops,
-    whose motion is smooth; those of the robot as it is stand in rows of their own.
+    Nothing holds the base, so nearly every run falls into a stop. All are run once more with joints that turn freely.
 
     Args: as of ``swing_case``.
     """
@@ -192,42 +194,35 @@ def stance_case(
     pressure = rng.uniform(morphology.command_low, morphology.command_high, (plan.stance_runs, na))
     start[0], pressure[0] = published_stance(morphology)
     robot = Experiment((morphology,), "stance", start, np.zeros(1), pressure[:, None], plan.duration)
-    runs = robot.without_stops()
-    exact = reference_runs(runs, progress=lambda share: progress(0.3 * share))
-    scored = shortest(runs, exact) >= SHORTEST
-    found = _by_engines(runs, plan, dt, threads)
-    progress(0.45, _worst(found["mujoco"], exact, scored))
-    counts = {
-        "runs": plan.stance_runs,
-        "actuator_too_short": int((~scored).sum()),
-        "scored": int(scored.sum()),
-    }
-    checked = own_error(runs, exact, np.flatnonzero(scored)[: plan.checked])
-    free = Responses(runs, exact, found, scored, checked, counts)
-    first = np.arange(plan.stance_runs) == 0
-    published = Responses(runs, exact, found, scored & first, checked, {"runs": 1, "scored": int(scored[0])})
-    robot = robot.part(slice(0, plan.stop_runs))
-    both = _by_engines(robot, plan, dt, threads)
-    near = robot.touches(both["mujoco"], NEAR)
-    true = reference_runs(robot, near, lambda share: progress(0.45 + 0.45 * share))
-    touching = robot.touches(true) & (shortest(robot, true) >= SHORTEST)
-    first = np.arange(robot.size) == 0
-    result = StanceResult(
-        published,
-        free,
-        _on_stops(robot, true, both, touching, threads),
-        _on_stops(robot, true, both, touching & first, threads),
-        (int(touching.sum()), robot.size),
-    )
-    progress(1.0)
-    return result
+    free = _stance_runs(robot.without_stops(), plan, dt, threads, lambda share, error=None: progress(0.3 * share))
+    own = _stance_runs(robot, plan, dt, threads, lambda share, error=None: progress(0.3 + 0.7 * share, error))
+    return StanceResult(own, free)
 
 
-def _by_engines(runs: Experiment, plan: Plan, dt: float, threads: int | None) -> dict[str, Array]:
+def _stance_runs(runs: Experiment, plan: Plan, dt: float, threads: int | None, progress: Progress) -> Responses:
     found = {"mujoco": mujoco_runs(runs, threads=threads)}
     if plan.more_kernels:
         found["reduced"] = reduced_runs(runs, dt, threads)
-    return found
+    progress(0.1)
+    near = runs.touches(found["mujoco"], NEAR)
+    exact = reference_runs(runs, near, lambda share: progress(0.1 + 0.7 * share))
+    scored = shortest(runs, exact) >= SHORTEST
+    touching = runs.touches(exact)
+    progress(0.8, _worst(found["mujoco"], exact, scored))
+    counts = {
+        "runs": runs.size,
+        "actuator_too_short": int((~scored).sum()),
+        "scored": int(scored.sum()),
+        "touching_a_stop": int((scored & touching).sum()),
+    }
+    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near)
+    progress(1.0)
+    return Responses(runs, exact, found, scored, touching, checked, counts)
+
+
+def _some(scored: NDArray[np.bool_], touching: NDArray[np.bool_], count: int) -> NDArray[np.int64]:
+    """The first scored runs, and the first that touch a stop, up to ``count`` of each kind."""
+    return np.concatenate([np.flatnonzero(scored & kind)[:count] for kind in (~touching, touching)])
 
 
 def published_stance(morphology: Morphology) -> tuple[Array, Array]:
@@ -248,14 +243,3 @@ def published_stance(morphology: Morphology) -> tuple[Array, Array]:
 def _worst(q: Array, exact: Array, rows: NDArray[np.bool_]) -> float | None:
     """The larger RMSE of the joints over some runs [rad]."""
     return float(Errors.of(q[rows, 1:] - exact[rows, 1:]).rmse.max()) if rows.any() else None
-
-
-def _on_stops(
-    runs: Experiment, exact: Array, found: dict[str, Array], rows: NDArray[np.bool_], threads: int | None
-) -> OnStops | None:
-    if not rows.any():
-        return None
-    errors = {name: Errors.of(q[rows, 1:] - exact[rows, 1:]) for name, q in found.items()}
-    fine = mujoco_runs(runs.part(rows), finer(FINE, FAST_SETTINGS), threads)
-    errors["mujoco_fine"] = Errors.of(fine[:, 1:] - exact[rows, 1:])
-    return OnStops(errors)

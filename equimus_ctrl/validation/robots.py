@@ -154,7 +154,7 @@ def _responses(runs: Experiment, plan: Plan, dt: float, threads: int | None, pro
     counts = {"runs": runs.size, "beyond_sense": int((~scored).sum()), "scored": int(scored.sum())}
     checked = own_error(runs, exact, np.flatnonzero(scored)[: plan.checked_robots])
     progress(1.0)
-    return Responses(runs, exact, found, scored, checked, counts)
+    return Responses(runs, exact, found, scored, runs.touches(exact), checked, counts)
 
 
 def _stepped(runs: Experiment, dt: float, simulate: Callable[[Experiment, int], Array]) -> Array:

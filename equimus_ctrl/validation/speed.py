@@ -54,6 +54,8 @@ class SpeedResult:
     Attributes:
         mujoco_one: MuJoCo on one thread [× real time].
         mujoco_all: on all threads.
+        stops_one: MuJoCo on one thread, runs that touch a stop; None where none does.
+        stops_all: the same on all threads.
         threads: how many those are.
         reduced_one: the reduced engine on one thread [× real time].
         reduced_step: its step [s].
@@ -62,20 +64,25 @@ class SpeedResult:
 
     mujoco_one: float
     mujoco_all: float
+    stops_one: float | None
+    stops_all: float | None
     threads: int
     reduced_one: float
     reduced_step: float
     front: tuple[FrontPoint, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON types, SI units; ``mujoco_x_realtime`` is the faster of one thread and all.
+        """Plain JSON types, SI units; ``mujoco…_x_realtime`` is the faster of one thread and all.
 
         On cores that others use too, a thread that waits for the slowest can lose more than it gains.
         """
+        on_stops = [speed for speed in (self.stops_one, self.stops_all) if speed is not None]
         return {
             "mujoco_x_realtime": max(self.mujoco_one, self.mujoco_all),
             "mujoco_all_threads_x_realtime": self.mujoco_all,
             "mujoco_one_thread_x_realtime": self.mujoco_one,
+            "mujoco_on_stops_x_realtime": max(on_stops, default=None),
+            "mujoco_on_stops_one_thread_x_realtime": self.stops_one,
             "mujoco_threads": self.threads,
             "mujoco_step_s": FAST_SETTINGS.timestep,
             "reduced_x_realtime": self.reduced_one,
@@ -91,29 +98,40 @@ def usable_processors() -> int:
 
 
 def speed_case(
-    swing: Responses, plan: Plan, dt: float, *, threads: int | None = None, progress: Progress = silent
+    swing: Responses,
+    stance: Responses,
+    plan: Plan,
+    dt: float,
+    *,
+    threads: int | None = None,
+    progress: Progress = silent,
 ) -> SpeedResult:
-    """Speeds on the scored swing runs, at the settings of their errors.
+    """Speeds on the scored swing runs that touch no stop, at the settings of their errors, and of MuJoCo on stops.
 
     Args:
         swing: where runs and their exact motion are taken from.
+        stance: where runs that touch a stop are taken from.
         plan: how many runs and repeats.
         dt: step of the reduced engine [s].
         threads: what "all threads" means; all usable processors by default.
         progress: called with the share done.
     """
     all_threads = threads or usable_processors()
-    scored = np.flatnonzero(swing.scored)
-    runs = swing.experiment.part(scored[np.arange(plan.timed) % len(scored)])
+    clear = np.flatnonzero(swing.clear)
+    runs = swing.experiment.part(clear[np.arange(plan.timed) % len(clear)])
     one = mujoco_speed(runs, FAST_SETTINGS, 1, plan.repeats)
     progress(0.3)
     everything = mujoco_speed(runs, FAST_SETTINGS, all_threads, plan.repeats)
+    stops_one, stops_all = None, None
+    if len(touching := np.flatnonzero(stance.scored & stance.touching)):
+        falls = stance.experiment.part(touching[: plan.timed_on_stops])
+        stops_one, stops_all = (mujoco_speed(falls, FAST_SETTINGS, n, plan.repeats) for n in (1, all_threads))
     progress(0.5)
     reduced = reduced_speed(runs, dt, plan.repeats)
     progress(0.6)
     front: list[FrontPoint] = []
     if plan.front:
-        rows = scored[: plan.front]
+        rows = clear[: plan.front]
         some, exact = swing.experiment.part(rows), swing.exact[rows]
         series = [
             ("mujoco", FAST_SETTINGS),
@@ -129,7 +147,7 @@ def speed_case(
             worst = _worst(reduced_runs(some, step, threads), exact)
             front.append(FrontPoint("reduced", step, worst, reduced_speed(some, step, 3)))
     progress(1.0)
-    return SpeedResult(one, everything, all_threads, reduced, dt, tuple(front))
+    return SpeedResult(one, everything, stops_one, stops_all, all_threads, reduced, dt, tuple(front))
 
 
 def mujoco_speed(runs: Experiment, settings: SolverSettings, threads: int, repeats: int) -> float:

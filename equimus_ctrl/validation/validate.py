@@ -29,7 +29,6 @@ from equimus_ctrl.validation.plan import (
 )
 from equimus_ctrl.validation.reference import ATOL, RTOL
 from equimus_ctrl.validation.responses import (
-    OnStops,
     Responses,
     StanceResult,
     native_swing,
@@ -99,7 +98,6 @@ class Validation:
         left_out: the model's effects that took no part.
         static: poses at rest.
         swing: step responses.
-        swing_on_stops: those that touch a stop.
         stance: on the pinned foot.
         three_dof: random robots of three joints.
         robots: random robots of two to four joints.
@@ -114,7 +112,6 @@ class Validation:
     left_out: tuple[str, ...]
     static: StaticResult
     swing: Responses
-    swing_on_stops: OnStops | None
     stance: StanceResult
     three_dof: Responses
     robots: RobotsResult
@@ -124,21 +121,30 @@ class Validation:
 
     @property
     def errors(self) -> dict[str, Errors]:
-        """Case → MuJoCo's errors, in the order of the report."""
-        return {
+        """Goal → errors, in the order of the report, random robots left out; what no run belongs to is not there."""
+        swing, stance = self.swing, self.stance.robot
+        published = self.stance.published()
+        found = {
             "static": self.static.errors,
-            "swing": self.swing.errors("mujoco"),
-            "stance": self.stance.errors,
+            "swing": swing.errors("mujoco"),
+            "swing_on_stops": swing.on_stops("mujoco"),
+            "stance": stance.errors("mujoco"),
+            "stance_published": published.errors("mujoco") if published.scored.any() else None,
+            "stance_without_stops": self.stance.free.errors("mujoco"),
             "three_dof": self.three_dof.errors("mujoco"),
+            "reduced_swing": swing.errors("reduced"),
+            "reduced_swing_on_stops": swing.on_stops("reduced"),
+            "reduced_stance": stance.errors("reduced") if "reduced" in stance.found else None,
         }
+        return {name: errors for name, errors in found.items() if errors is not None}
 
     @property
     def accuracy(self) -> tuple[Goal, ...]:
         """RMSE of the worst joint against each goal [rad]; nothing scored meets none."""
         reached = {name: float(errors.rmse.max()) for name, errors in self.errors.items()}
         reached["morphologies"] = self.robots.worst("mujoco")
-        reached["reduced_swing"] = float(self.swing.errors("reduced").rmse.max())
-        return tuple(Goal(name, reached[name], goal, reached[name] <= goal) for name, goal in ACCURACY_GOALS.items())
+        goals = [(name, reached[name], goal) for name, goal in ACCURACY_GOALS.items() if name in reached]
+        return tuple(Goal(name, value, goal, value <= goal) for name, value, goal in goals)
 
     @property
     def speeds(self) -> tuple[Goal, ...]:
@@ -159,7 +165,6 @@ class Validation:
             "reduced_step_s": REDUCED_STEP,
             "reference": {"method": "DOP853", "rtol": RTOL, "atol": ATOL},
         }
-        on_stops = None if self.swing_on_stops is None else self.swing_on_stops.to_dict()
         return {
             "schema": SCHEMA,
             "model": self.morphology.name,
@@ -169,7 +174,7 @@ class Validation:
             "accurate": self.accurate,
             "goals": [asdict(goal) for goal in (*self.accuracy, *self.speeds)],
             "static": self.static.to_dict(),
-            "swing": {**self.swing.to_dict(), "on_stops": on_stops},
+            "swing": self.swing.to_dict(),
             "stance": self.stance.to_dict(),
             "three_dof": self.three_dof.to_dict(),
             "morphologies": self.robots.to_dict(),
@@ -223,11 +228,11 @@ def validate(
 
     static = static_case(robot, plan.poses, rngs["static"], threads=threads, progress=telling("static"))
     done("static", float(static.errors.rmse.max()))
-    swing, on_stops = swing_case(robot, plan, rngs["swing"], dt, threads=threads, progress=telling("swing"))
-    if not swing.scored.any():
+    swing = swing_case(robot, plan, rngs["swing"], dt, threads=threads, progress=telling("swing"))
+    if not swing.clear.any():
         raise ConfigError(
-            f"{robot.name}: none of {plan.pairs} random step responses could be scored ({swing.counts}); a robot whose "
-            "poses need pressures between its lowest and highest command would do"
+            f"{robot.name}: none of {plan.pairs} random step responses clear of the stops could be scored "
+            f"({swing.counts}); a robot whose poses need pressures between its lowest and highest command would do"
         )
     done("swing", float(swing.errors("mujoco").rmse.max()))
     stance = stance_case(robot, plan, rngs["stance"], dt, threads=threads, progress=telling("stance"))
@@ -244,8 +249,8 @@ def validate(
     stepped, error = native_swing(swing, BASELINE_RUNS, threads)
     baseline = Baseline(at_rest, stepped, error)
     done("baseline", float(baseline.static.rmse.max()))
-    speed = speed_case(swing, plan, dt, threads=threads, progress=telling("speed"))
+    speed = speed_case(swing, stance.robot, plan, dt, threads=threads, progress=telling("speed"))
     done("speed", None)
     return Validation(
-        robot, plan, seed, left_out, static, swing, on_stops, stance, three_dof, robots, kept, baseline, speed
+        robot, plan, seed, left_out, static, swing, stance, three_dof, robots, kept, baseline, speed
     )  # fmt: skip

@@ -1,0 +1,85 @@
+"""How far a verb is: bars for people at a terminal, and nothing where standard error goes elsewhere."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rich.console import Console
+    from rich.progress import Progress, ProgressColumn
+
+
+class ShowStage(Protocol):
+    """Takes what is new: the stage, its share of 0 to 1, and the best so far."""
+
+    def __call__(self, stage: str | None = None, share: float | None = None, best: str | None = None) -> None: ...
+
+
+def bars(console: Console, *columns: str | ProgressColumn, transient: bool = False) -> Progress:
+    """Bars of these columns, or rich's own where none is given; ``transient`` ones are gone at the end."""
+    from rich.progress import Progress
+
+    return Progress(*columns, console=console, transient=transient, disable=not console.is_terminal)
+
+
+def time_left() -> tuple[ProgressColumn, ...]:
+    """Columns with the time that is left."""
+    from rich.progress import TextColumn, TimeRemainingColumn
+
+    return TextColumn("left"), TimeRemainingColumn()
+
+
+def times() -> tuple[ProgressColumn, ...]:
+    """Columns with the time taken and the time that is left."""
+    from rich.progress import TimeElapsedColumn
+
+    return TimeElapsedColumn(), *time_left()
+
+
+@contextmanager
+def share_bar(console: Console, name: str) -> Iterator[Callable[[float], None]]:
+    """One bar that takes the share done, and is gone at the end."""
+    with bars(console, transient=True) as progress:
+        task = progress.add_task(name, total=1.0)
+        yield lambda share: progress.update(task, completed=share)
+
+
+@contextmanager
+def stage_bar(console: Console, first: str, *, width: int = 0, bar_width: int = 40) -> Iterator[ShowStage]:
+    """One bar that goes from stage to stage and is gone at the end.
+
+    Args:
+        console: where people read.
+        first: stage.
+        width: of the longest stage's name.
+        bar_width: of the bar alone.
+
+    Raises:
+        typer.Exit: with code 130 where Ctrl-C stops what is done under the bar, having said so.
+    """
+    from rich.progress import BarColumn, TextColumn
+
+    columns = (
+        TextColumn(f"{{task.description:<{width}}}"),
+        BarColumn(bar_width=bar_width),
+        TextColumn("{task.fields[best]}"),
+        *times(),
+    )
+    try:
+        with bars(console, *columns, transient=True) as progress:
+            task = progress.add_task(first, total=1.0, best="")
+
+            def show(stage: str | None = None, share: float | None = None, best: str | None = None) -> None:
+                progress.update(task, description=stage, completed=share)
+                if best is not None:
+                    progress.update(task, best=best)
+
+            yield show
+    except KeyboardInterrupt:
+        console.print("stopped: nothing was written", markup=False)
+        raise typer.Exit(130) from None

@@ -1,0 +1,127 @@
+"""A diagnosis in words: numbers as people read them, and a sentence for every effect."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from diagnosed_leg import DRAG, PLAUSIBLE, finding_of, part_of, plausible
+
+from equimus_ctrl.diagnosis.results import Estimate
+from equimus_ctrl.effects import REGISTRY
+from equimus_ctrl.models.model import nominal_model
+from equimus_ctrl.report.diagnosis_sentences import SENTENCES
+from equimus_ctrl.report.diagnosis_text import sentence
+from equimus_ctrl.report.diagnosis_words import coordinate, estimate_text, number, power_of_ten
+from equimus_ctrl.workflow import load_effects
+
+SAID = {
+    "transport_delay": "Every command reaches baa 42 ms (40 to 44) after it was given",
+    "first_order_lag": "The pressure of maa follows its command with a time constant of 160 ms (152 to 168).",
+    "asymmetric_lag": "rises with a time constant of 80 ms (76 to 84) and falls with one of 250 ms (238 to 262)",
+    "rate_limit": "The pressure of maa changes no faster than 60 kPa/s (57 to 63)",
+    "dead_zone": "The valves of maa and baa each lose the first 2.80 kPa (2.66 to 2.94) of every command: a dead zone.",
+    "saturation": "The pressure of baa stops rising at 14.0 kPa (13.3 to 14.7)",
+    "supply_coupling": "falls by 6.0 % (5.7 to 6.3) of what is asked of the others",
+    "coulomb_friction": "Dry friction along maa of 0.210 N (0.199 to 0.221).",
+    "stribeck_friction": "Dry friction at the knee of 0.0100 N·m (0.0095 to 0.0105) in fast motion",
+    "hysteresis": "a hysteresis of ±0.40 N (0.38 to 0.42) that builds up over 5.0 mm (4.8 to 5.2)",
+    "creep": "maa and baa creep: beside the modelled spring 12.0 N/m (11.4 to 12.6) relax",
+    "nonlinear_stiffness": "The spring of baa softens away from a length of 290 mm (275 to 304)",
+    "parallel_spring": "A spring of 0.120 N·m/rad (0.114 to 0.126) beside the knee",
+    "joint_stop": "The lower stop of the knee begins at 11.5° (10.9 to 12.0), not at −2.01°",
+    "payload_mass": "At the foot sits a mass of 80 g (76 to 84)",
+    "gravity_tilt": "gravity leans by 5.2° (4.9 to 5.4)",
+    "sensor_offset": "The measured angle of the hip is 2.86° (2.72 to 3.01) too little",
+    "sensor_scale": "The measured angle of the knee is 4 % (−1 to 9) too little",
+    "sensor_delay": "The measured angle of the hip is 31.0 ms (29.4 to 32.6) older than its time stamp",
+    "backlash": "Between the hip and the knee and their sensors there is a play of 0.63° (0.60 to 0.66).",
+}
+
+
+# Numbers
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "unit", "text"),
+    [
+        (2800.0, 2780.0, 2820.0, "Pa", "2.80 kPa (2.78 to 2.82)"),
+        (0.0447, 0.0441, 0.0452, "N·m", "0.0447 N·m (0.0441 to 0.0452)"),
+        (0.160, 0.158, 0.162, "s", "160 ms (158 to 162)"),
+        (2.605e-3, 2.57e-3, 2.64e-3, "N·m", "2.60 mN·m (2.57 to 2.64)"),
+        (0.2, 0.19, 0.21, "rad", "11.5° (10.9 to 12.0)"),
+        (-0.1, -0.13, -0.07, "rad", "−5.7° (−7.4 to −4.0)"),
+        (0.2, -5.0, 5.0, "N", "0.2 N (−5.0 to 5.0)"),
+        (0.0, 0.0, 0.01, "N·m·s/rad", "0.000 N·m·s/rad (0.000 to 0.010)"),
+        (0.5, -math.inf, math.inf, "kg", "500 g (not told by these recordings)"),
+        (0.5, 0.4, math.inf, "kg", "500 g (at least 400)"),
+        (0.5, -math.inf, 0.6, "kg", "500 g (at most 600)"),
+        (2800.0, 2800.0, 2800.0, "Pa", "2.80 kPa (sure to all digits shown)"),
+        (2800.0, 2799.99999, 2800.00001, "Pa", "2.8000 kPa (sure to all digits shown)"),
+        (23456.0, 22500.0, 24400.0, "N/m³", "23500 N/m³ (22500 to 24400)"),
+        (1.23e-9, 1.2e-9, 1.26e-9, "furlong", "1.23·10⁻⁹ furlong (1.20·10⁻⁹ to 1.26·10⁻⁹)"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_interval_is_worth(
+    value: float, low: float, high: float, unit: str, text: str
+) -> None:
+    assert estimate_text(Estimate(value, low, high, unit)) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (math.nan, "–"), (math.inf, "∞"), (1234.5, "1230"), (0.012345, "0.0123"), (-0.0004, "−0.000400"),
+     (2.5e7, "2.50·10⁷"), (-1e-12, "−1.00·10⁻¹²"), (0.9999, "1.000")],
+)  # fmt: skip
+def test_a_number_without_an_interval_has_three_digits(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("exponent", "text"),
+    [(0.0, "1.00"), (-0.3, "0.50"), (-1.5, "0.032"), (-3.7, "2·10⁻⁴"), (-5.01, "1·10⁻⁵"), (-171.3, "10⁻¹⁷¹"),
+     (-math.inf, "below 10⁻³⁰⁰"), (math.nan, "–")],
+)  # fmt: skip
+def test_chances_are_powers_of_ten(exponent: float, text: str) -> None:
+    assert power_of_ten(exponent) == text
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("pos.hip", "the angle of hip"),
+        ("pos.hip·vel.hip", "the angle of hip and the speed of hip"),
+        ("pos.knee·sign(vel.knee)", "the angle of knee and the direction in which knee moves"),
+        ("cmd.maa−cmd.baa", "the pressure of maa less the pressure of baa"),
+        ("time", "the time since a trial's start"),
+        ("time at 0.5 Hz", "the time since a trial's start at 0.5 Hz"),
+        ("time·cmd.maa", "the time since a trial's start and the pressure of maa"),
+        ("path.maa", "the path that the length of maa has taken"),
+        ("something.else", "something.else"),
+    ],
+)
+def test_coordinates_are_told_in_words(given: str, told: str) -> None:
+    assert coordinate(given) == told
+
+
+# Sentences
+
+
+def test_every_effect_of_the_catalogue_has_a_sentence_and_a_case_here() -> None:
+    assert set(REGISTRY) == set(PLAUSIBLE) == set(SENTENCES) == set(SAID)
+
+
+@pytest.mark.parametrize("name", sorted(PLAUSIBLE))
+def test_the_sentence_of_an_effect_gives_its_numbers(name: str) -> None:
+    text = sentence(plausible(name), nominal_model())
+    assert SAID[name] in text
+    assert text.endswith(".") and "_" not in text and "nan" not in text
+
+
+def test_an_effect_of_ones_own_is_told_by_its_summary_and_numbers() -> None:
+    load_effects([DRAG])
+    drag = finding_of(part_of("quadratic_drag", ("knee",), {"coefficient": 0.02}))
+    assert sentence(drag, nominal_model()) == (
+        "Drag that grows with the square of the speed, at knee: coefficient (torque at 1 rad/s) 0.0200 N·m·s²/rad² "
+        "(0.0190 to 0.0210)."
+    )
