@@ -438,8 +438,11 @@ def test_a_killed_command_goes_on_where_it_was(tmp_path: Path, uninterrupted: di
 
 
 def test_ctrl_c_keeps_the_best(tmp_path: Path, uninterrupted: dict[str, Any]) -> None:
-    command = Command(tmp_path)
-    code, out, err = command.at(30, lambda process: process.send_signal(signal.SIGINT))
+    for attempt in range(5):
+        command = Command(tmp_path / str(attempt))
+        code, out, err = command.at(30, lambda process: process.send_signal(signal.SIGINT))
+        if code != 0:  # else the interrupt came when all was done, as it may on a busy machine
+            break
     assert code == 130 and "Traceback" not in err, err
     said, record = json.loads(out), json.loads(command.record.read_text())
     assert said["interrupted"] is record["interrupted"] is True
