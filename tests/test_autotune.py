@@ -228,7 +228,7 @@ def crowd(scenario: eq.Scenario) -> Problem:
     """Five legs with quick valves and one, not the hardest by its numbers, whose valves are late."""
     model = eq.nominal_model()
     legs = make_ensemble(model, EnsembleSettings(members=6, delay=(0.0, 0.02), lag=(0.02, 0.04)), 6, 2)
-    legs[3] = replace(legs[3], name="late", valve=np.array([[0.12, 0.1, 0.1, np.inf]] * 2))
+    legs[3] = replace(legs[3], name="late", valve=np.array([[0.12, 0.1, 0.1, np.inf, np.inf, 0.0]] * 2))
     only_error = Weights(error=10, overshoot=0, settling=0, offset=0, effort=0, chatter=0, worst=0)
     wide = Limits(overshoot=9.0, saturation=1.0, modulus=0.9999, gain_margin=1.0)
     return Problem(model, legs, [make_task(scenario, 1.0, 0.0, model, 0.0, 0)], only_error, wide)

@@ -19,7 +19,8 @@ from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Recording, Start
 
 CATALOGUE = {
-    "transport_delay", "first_order_lag", "asymmetric_lag", "rate_limit", "dead_zone", "saturation", "supply_coupling",
+    "transport_delay", "first_order_lag", "asymmetric_lag", "rate_limit", "filling_flow", "dead_zone", "saturation",
+    "supply_coupling", "cutoff",
     "coulomb_friction", "stribeck_friction", "hysteresis", "creep", "nonlinear_stiffness", "parallel_spring",
     "joint_stop", "backlash", "payload_mass", "gravity_tilt", "sensor_offset", "sensor_scale", "sensor_delay",
 }  # fmt: skip
@@ -30,7 +31,9 @@ STRONG: dict[tuple[str, str], dict[str, float]] = {
     ("coulomb_friction", "actuator"): {"friction": 2.0},
     ("coulomb_friction", "joint"): {"friction": 0.1},
     ("creep", "actuator"): {"stiffness": 150.0, "time_constant": 0.2},
+    ("cutoff", "actuator"): {"least": 6e3},
     ("dead_zone", "actuator"): {"threshold": 3e3},
+    ("filling_flow", "actuator"): {"rate": 1.2e4, "power": 1.5},
     ("first_order_lag", "actuator"): {"time_constant": 0.2},
     ("gravity_tilt", "base"): {"angle": 0.2},
     ("hysteresis", "actuator"): {"size": 2.0, "width": 0.01},
@@ -54,6 +57,7 @@ IN_STANCE: dict[str, dict[str, float]] = {
     "joint_stop": {"angle": 1.1, "stiffness": 20.0, "damping": 0.05},
     "saturation": {"level": 3e3},
     "dead_zone": {"threshold": 5e3},
+    "filling_flow": {"rate": 5e3, "power": 1.0},
     "nonlinear_stiffness": {"cubic": 3e3, "centre": 0.2},
     "rate_limit": {"rate": 5e3},
 }

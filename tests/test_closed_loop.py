@@ -13,6 +13,7 @@ from test_catalogue import CASES, LEG, PID, START, effect_of
 
 import equimus_ctrl as eq
 from equimus_ctrl.effects import (
+    Cutoff,
     DeadZone,
     Effect,
     ForceEffect,
@@ -133,6 +134,8 @@ EVERYWHERE = (
     make("dead_zone", "maa", {"threshold": 500.0}),
     make("supply_coupling", "baa", {"share": 0.05}),
     make("saturation", "maa", {"level": 3e4}),
+    make("cutoff", "baa", {"least": 300.0}),
+    make("filling_flow", "maa", {"rate": 5e4, "power": 0.8}),
     make("coulomb_friction", "knee", {"friction": 0.02}),
     make("creep", "baa", {"stiffness": 20.0, "time_constant": 0.3}),
     make("hysteresis", "maa", {"size": 0.3, "width": 0.01}),
@@ -271,6 +274,7 @@ def test_shaping_compiled_is_shaping_in_python() -> None:
         (DeadZone("baa", threshold=4e3),),
         (SupplyCoupling("maa", share=0.4), SupplyCoupling("baa", share=0.2)),
         (
+            Cutoff("baa", least=8e3),
             Saturation("baa", level=2e4),
             SupplyCoupling("maa", share=0.4),
             DeadZone("baa", threshold=1e3),

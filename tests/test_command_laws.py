@@ -20,23 +20,37 @@ INF = math.inf
 pressures = st.floats(0, 5e4)
 lags = st.one_of(st.just(0.0), st.floats(1e-3, 5))
 rates = st.one_of(st.just(INF), st.floats(1e3, 1e7))
+powers = st.floats(0, 3)
 
 
 def close(found: float, expected: float, scale: float, rel: float = 1e-9) -> None:
     assert abs(found - expected) <= rel * scale, (found, expected)
 
 
-def curve(pressure: float, target: float, fill: float, vent: float, rate: float) -> Callable[[float], float]:
-    """P(t) under a constant target, by an adaptive method; the greatest rate and the lag are in the law, not patched."""
+def curve(
+    pressure: float, target: float, fill: float, vent: float, rate: float, climb: float = INF
+) -> Callable[[float], float]:
+    """P(t) under a constant target, by an adaptive method; the greatest rate and the lag are in the law, not patched.
+
+    Args:
+        pressure: at the start [Pa].
+        target: [Pa].
+        fill: [s].
+        vent: [s].
+        rate: [Pa/s].
+        climb: greatest rate of a rising pressure, where that is lower [Pa/s].
+    """
+    up = min(rate, climb)
     tau = fill if target > pressure else vent
-    if tau == 0 and rate == INF:
+    if tau == 0 and (up if target > pressure else rate) == INF:
         return lambda t: target
     if tau == 0:
         away = target - pressure
-        return lambda t: target if abs(away) <= rate * t else pressure + math.copysign(rate * t, away)
+        pace = up if away > 0 else -rate
+        return lambda t: target if abs(away) <= abs(pace) * t else pressure + pace * t
 
     def slope(t: float, p: Array) -> Array:
-        return np.clip((target - p) / tau, -rate, rate)
+        return np.clip((target - p) / tau, -rate, up)
 
     # The turn from ramp to exponential is a kink: steps are kept short enough not to miss it.
     found = solve_ivp(slope, (0, 2.0), [pressure], method="DOP853", rtol=1e-11, atol=1e-6, dense_output=True)
@@ -136,14 +150,14 @@ class Valve:
     """The pressure over time in plain Python: one adaptive integration between any two changes."""
 
     def __init__(self, times: Array, values: Array, before: float, valve: Array) -> None:
-        delay, fill, vent, rate = valve
+        delay, fill, vent, rate, flow, power = valve
         self.starts = times + delay
         self.curves: list[Callable[[float], float]] = []
         at = before
         for k, (value, start) in enumerate(zip(values, self.starts, strict=True)):
             if k > 0:
                 at = self.curves[-1](start - self.starts[k - 1])
-            self.curves.append(curve(at, float(value), fill, vent, rate))
+            self.curves.append(curve(at, float(value), fill, vent, rate, flow * (value / 1e4) ** power))
         self.before = before
 
     def __call__(self, t: float) -> float:
@@ -152,13 +166,16 @@ class Valve:
 
 
 VALVES = {
-    "none": [0.0, 0.0, 0.0, INF],
-    "delay": [0.137, 0.0, 0.0, INF],
-    "lag": [0.0, 0.1, 0.1, INF],
-    "asymmetric lag": [0.05, 0.03, 0.3, INF],
-    "rate": [0.0, 0.0, 0.0, 3e4],
-    "rate and lag": [0.021, 0.05, 0.12, 6e4],
-    "late": [2.0, 0.1, 0.1, INF],
+    "none": [0.0, 0.0, 0.0, INF, INF, 0.0],
+    "delay": [0.137, 0.0, 0.0, INF, INF, 0.0],
+    "lag": [0.0, 0.1, 0.1, INF, INF, 0.0],
+    "asymmetric lag": [0.05, 0.03, 0.3, INF, INF, 0.0],
+    "rate": [0.0, 0.0, 0.0, 3e4, INF, 0.0],
+    "rate and lag": [0.021, 0.05, 0.12, 6e4, INF, 0.0],
+    "flow": [0.0, 0.0, 0.0, INF, 3e4, 1.5],
+    "flow and lag": [0.021, 0.03, 0.12, INF, 2e4, 1.0],
+    "flow, rate and lag": [0.021, 0.02, 0.12, 6e4, 3e4, 1.2],
+    "late": [2.0, 0.1, 0.1, INF, INF, 0.0],
 }
 TIMES = np.array([0.3, 0.41, 0.413, 0.7, 1.05, 1.0501])
 VALUES = np.array([2e4, 5e3, 4e4, 4e4, 0.0, 1.2e4])
@@ -196,7 +213,9 @@ def test_a_step_has_the_mean_and_the_first_moment_of_the_pressure(name: str, dt:
                 area += value
                 moment += value * (t - start)
         # The line mean + slope·(s/dt − 1/2).
-        tolerance = 1e-8 if valve[3] == INF else 1e-4  # the turn from ramp to exponential is not among the nodes
+        tolerance = (
+            1e-8 if valve[3] == valve[4] == INF else 1e-4
+        )  # the turn from ramp to exponential is not among the nodes
         close(mean * dt, area, 5e4 * dt, tolerance)
         close(dt * dt * (mean / 2 + slope / 12), moment, 5e4 * dt * dt, tolerance)
 
@@ -223,7 +242,7 @@ def test_without_a_valve_the_mean_is_the_integral_over_the_window(
     middles = (edges[1:] + edges[:-1]) / 2
     pieces = [w * command(t) for w, t in zip(np.diff(edges), middles, strict=True)]
     moment = sum(piece * (t - start) for piece, t in zip(pieces, middles, strict=True))
-    free = np.array([0.0, 0.0, 0.0, INF])
+    free = np.array([0.0, 0.0, 0.0, INF, INF, 0.0])
     _, mean, slope, _ = advance_pressure(times, held, before, -1, start, end - start, command(start), free)
     close(mean, sum(pieces) / (end - start), 1e5)
     close(mean / 2 + slope / 12, moment / (end - start) ** 2, 1e5)
@@ -238,14 +257,25 @@ def test_without_a_valve_the_mean_is_the_integral_over_the_window(
     fill=lags,
     vent=lags,
     rate=rates,
+    flow=rates,
+    power=powers,
     seed=st.integers(0, 10_000),
 )
 def test_the_cursor_handed_on_changes_nothing_and_steps_add_up(
-    n: int, dt: float, first: float, delay: float, fill: float, vent: float, rate: float, seed: int
+    n: int,
+    dt: float,
+    first: float,
+    delay: float,
+    fill: float,
+    vent: float,
+    rate: float,
+    flow: float,
+    power: float,
+    seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)
     times, values = first + np.cumsum(rng.uniform(0.01, 1.0, n)), rng.uniform(0, 5e4, n)
-    valve = np.array([delay, fill, vent, rate])
+    valve = np.array([delay, fill, vent, rate, flow, power])
     pressure, cursor, area, moment = 7e3, -1, 0.0, 0.0
     for k in range(12):
         start = -1.5 + k * dt
@@ -265,7 +295,8 @@ def test_the_cursor_handed_on_changes_nothing_and_steps_add_up(
 
 def test_a_command_that_does_not_change_comes_through_to_the_bit() -> None:
     times, values = np.array([0.0, 1.0]), np.array([0.1, 0.3])
-    for valve in (np.array([0.0, 0.0, 0.0, INF]), np.array([0.0, 0.7, 0.9, 3e3])):
+    for numbers in ([0.0, 0.0, 0.0, INF, INF, 0.0], [0.0, 0.7, 0.9, 3e3, 2e3, 1.5]):
+        valve = np.array(numbers)
         assert advance_pressure(times, values, 0.7, -1, -0.3, 0.2, 0.7, valve) == (0.7, 0.7, 0.0, -1)
         assert advance_pressure(times, values, 0.7, -1, 0.1, 0.2, 0.1, valve) == (0.1, 0.1, 0.0, 0)
         assert advance_pressure(times, values, 0.7, 0, 1.0, 0.1, 0.3, valve) == (0.3, 0.3, 0.0, 1)
@@ -274,14 +305,86 @@ def test_a_command_that_does_not_change_comes_through_to_the_bit() -> None:
 
 def test_a_delay_shifts_and_does_nothing_else() -> None:
     """By a power of two, so that the shifted clock has the same bits."""
-    valve = np.array([0.25, 0.05, 0.1, 1e5])
-    prompt = valve * [0, 1, 1, 1]
+    valve = np.array([0.25, 0.05, 0.1, 1e5, 3e4, 1.2])
+    prompt = valve * [0, 1, 1, 1, 1, 1]
     one, two = BEFORE, BEFORE
     for k in range(60):
         start = k / 32
         one, *late, _ = advance_pressure(TIMES, VALUES, BEFORE, -1, start, 1 / 32, one, valve)
         two, *soon, _ = advance_pressure(TIMES, VALUES, BEFORE, -1, start - 0.25, 1 / 32, two, prompt)
         assert (one, late) == (two, soon)
+
+
+# --- a flow that grows with the command ---------------------------------------------------------------------------
+
+
+def after(pressure: float, target: float, duration: float, valve: list[float]) -> tuple[float, float, float, int]:
+    """One step under a constant command."""
+    return advance_pressure(
+        np.zeros(1), np.array([target]), pressure, -1, 0.0, duration, pressure, np.array(valve, dtype=float)
+    )
+
+
+def test_filling_takes_as_long_as_the_power_says() -> None:
+    """Rate 20 kPa/s at 10 kPa: to a command u it takes u/(rate·(u/10 kPa)^power)."""
+    for power, ratio in ((0.0, 4.0), (0.5, 2.0), (1.0, 1.0), (1.5, 0.5), (2.0, 0.25)):
+        for target, whole in ((1e4, 0.5), (4e4, 0.5 * ratio)):
+            valve = [0.0, 0.0, 0.0, INF, 2e4, power]
+            assert after(0.0, target, whole, valve)[0] == pytest.approx(target, rel=1e-12)
+            assert after(0.0, target, 0.6 * whole, valve)[0] == pytest.approx(0.6 * target, rel=1e-12)
+
+
+@settings(deadline=None, max_examples=200, derandomize=True)
+@given(
+    pressure=pressures, target=pressures, fill=lags, vent=lags, rate=rates, flow=rates, power=powers,
+    dt=st.floats(1e-4, 1),
+)  # fmt: skip
+def test_a_flow_limits_filling_and_nothing_else(
+    pressure: float, target: float, fill: float, vent: float, rate: float, flow: float, power: float, dt: float
+) -> None:
+    found = after(pressure, target, dt, [0.0, fill, vent, rate, flow, power])
+    free = after(pressure, target, dt, [0.0, fill, vent, rate, INF, 0.0])
+    if target <= pressure:
+        assert found == free
+    else:
+        limit = flow * (target / 1e4) ** power
+        assert found[0] <= min(free[0], pressure + limit * dt) * (1 + 1e-12) + 1e-9
+        assert after(pressure, target, dt, [0.0, fill, vent, rate, flow, 0.0]) == after(
+            pressure, target, dt, [0.0, fill, vent, min(rate, flow), INF, 0.0]
+        )
+        assert after(pressure, 1e4, dt, [0.0, fill, fill, INF, flow, power]) == (
+            after(pressure, 1e4, dt, [0.0, fill, fill, flow if pressure < 1e4 else INF, INF, 0.0])
+        )
+
+
+def test_a_history_of_commands_is_what_small_steps_of_the_law_add_up_to() -> None:
+    delay, fill, vent, rate, flow, power = VALVES["flow, rate and lag"]
+    small, dt = 2e-6, 0.0431
+    pressure, exact, cursor, at = BEFORE, BEFORE, -1, 0.2
+    for _ in range(20):
+        begun = at
+        exact, mean, _, cursor = advance_pressure(
+            TIMES, VALUES, BEFORE, cursor, begun, dt, exact, np.array(VALVES["flow, rate and lag"])
+        )
+        area = 0.0
+        n = round(dt / small)
+        held = np.searchsorted(TIMES, begun + small * (np.arange(n) + 0.5) - delay, side="right") - 1
+        for u in np.where(held >= 0, VALUES[held], BEFORE).tolist():
+            slope = (
+                min((u - pressure) / fill, rate, flow * (u / 1e4) ** power)
+                if u > pressure
+                else (max((u - pressure) / vent, -rate))
+            )
+            area += (pressure + slope * small / 2) * small
+            pressure += slope * small
+        close(exact, pressure, 5e4, 1e-4)
+        close(mean * dt, area, 5e4 * dt, 1e-4)
+        at = begun + dt
+
+
+def test_no_flow_fills_against_a_command_below_nothing() -> None:
+    end, mean, slope, _ = after(-2e4, -1e4, 0.1, [0.0, 0.0, 0.0, INF, 3e4, 1.5])
+    assert (end, mean, slope) == (-2e4, -2e4, pytest.approx(0.0, abs=1e-9))
 
 
 # --- the histories of all actuators -----------------------------------------------------------------------------

@@ -14,8 +14,10 @@ from equimus_ctrl import effects
 from equimus_ctrl.effects import (
     REGISTRY,
     AsymmetricLag,
+    Cutoff,
     DeadZone,
     Effect,
+    FillingFlow,
     FirstOrderLag,
     ForceEffect,
     GravityTilt,
@@ -27,7 +29,7 @@ from equimus_ctrl.effects import (
     parse,
 )
 from equimus_ctrl.effects.base import Side, check_locations
-from equimus_ctrl.effects.valves import DELAY, FILL, RATE, VENT, shaped_commands, valve_settings
+from equimus_ctrl.effects.valves import DELAY, FILL, FLOW, POWER, RATE, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines.batch import KNOWN_KINDS, Trial, simulate
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.leg import nominal_leg
@@ -163,7 +165,9 @@ ACTING: dict[str, dict[str, float]] = {
     "backlash": {"play": 0.05},
     "coulomb_friction": {"friction": 0.1},
     "creep": {"stiffness": 100.0, "time_constant": 0.5},
+    "cutoff": {"least": 5e3},
     "dead_zone": {"threshold": 2e3},
+    "filling_flow": {"rate": 2e4, "power": 1.0},
     "first_order_lag": {"time_constant": 0.1},
     "gravity_tilt": {"angle": 0.1},
     "hysteresis": {"size": 1.0, "width": 0.01},
@@ -185,7 +189,9 @@ ACTING: dict[str, dict[str, float]] = {
 IDLE: dict[str, dict[str, float]] = {
     "asymmetric_lag": {"fill": 0.0, "vent": 0.0},
     "backlash": {"play": 0.0},
+    "cutoff": {"least": 0.0},
     "dead_zone": {"threshold": 0.0},
+    "filling_flow": {"rate": 1e7, "power": 0.0},
     "first_order_lag": {"time_constant": 0.0},
     "gravity_tilt": {"angle": 0.0},
     "joint_stop": {"angle": -0.035, "stiffness": 200.0, "damping": 1.0},
@@ -281,12 +287,13 @@ def test_each_effect_writes_its_own_actuators_row() -> None:
         FirstOrderLag("maa", 0.2),
         AsymmetricLag("baa", 0.3, 0.4),
         RateLimit("baa", 5e4),
+        FillingFlow("maa", 4e4, 1.5),
         GravityTilt("base", 0.1),  # no valve's business
     ]
     valve = valve_settings(attached, ("maa", "baa"))
-    np.testing.assert_array_equal(valve, [[0.0, 0.2, 0.2, math.inf], [0.1, 0.3, 0.4, 5e4]])
-    assert (DELAY, FILL, VENT, RATE) == (0, 1, 2, 3)
-    np.testing.assert_array_equal(valve_settings([], ("maa", "baa")), [[0.0, 0.0, 0.0, math.inf]] * 2)
+    np.testing.assert_array_equal(valve, [[0.0, 0.2, 0.2, math.inf, 4e4, 1.5], [0.1, 0.3, 0.4, 5e4, math.inf, 0.0]])
+    assert (DELAY, FILL, VENT, RATE, FLOW, POWER) == (0, 1, 2, 3, 4, 5)
+    np.testing.assert_array_equal(valve_settings([], ("maa", "baa")), [[0.0, 0.0, 0.0, math.inf, math.inf, 0.0]] * 2)
 
 
 def test_delays_in_series_add_up() -> None:
@@ -300,7 +307,9 @@ def test_delays_in_series_add_up() -> None:
         (FirstOrderLag("maa", 0.1), FirstOrderLag("maa", 0.2)),
         (FirstOrderLag("maa", 0.1), AsymmetricLag("maa", 0.2, 0.3)),
         (RateLimit("maa", 1e4), RateLimit("maa", 2e4)),
+        (FillingFlow("maa", 1e4, 0.0), FillingFlow("maa", 2e4, 1.0)),
         (DeadZone("maa", 1e3), DeadZone("maa", 1e3)),
+        (Cutoff("maa", 1e3), Cutoff("maa", 2e3)),
     ],
 )
 def test_two_of_a_kind_at_one_actuator_are_refused(pair: tuple[Effect, Effect]) -> None:
@@ -332,6 +341,30 @@ def test_commands_pass_dead_zone_coupling_and_saturation_in_this_order() -> None
         baa = np.maximum(commands[:, 1] - 2e3, 0)
         maa = np.minimum(np.maximum(np.maximum(commands[:, 0] - 1e3, 0) - 0.5 * baa, 0), 15e3)
         np.testing.assert_allclose(found, np.stack([maa, baa], axis=1), rtol=1e-15)
+
+
+def test_a_valve_with_a_cutoff_follows_its_least_command_and_nothing_below() -> None:
+    commands = np.array(
+        [[0.0, 5e3], [np.nextafter(3e3, 0), 5e3], [3e3, 5e3], [np.nextafter(3e3, 1e4), 5e3], [9e3, 0.0]]
+    )
+    found = shaped_commands([Cutoff("maa", 3e3)], ("maa", "baa"), commands)
+    np.testing.assert_array_equal(found[:, 0], [0.0, 0.0, *commands[2:, 0]])
+    np.testing.assert_array_equal(found[:, 1], commands[:, 1])
+
+
+def test_a_cutoff_sees_what_dead_zone_coupling_and_saturation_left() -> None:
+    ahead: list[tuple[Effect, float]] = [
+        (DeadZone("maa", 1e3), 5e3), (SupplyCoupling("maa", 0.25), 5e3), (Saturation("maa", 4e3), 4e3),
+    ]  # fmt: skip
+    for effect, reached in ahead:
+        for least, expected in ((reached, reached), (np.nextafter(reached, 1e6), 0.0)):
+            both = [Cutoff("maa", float(least)), effect]
+            for order in (both, both[::-1]):
+                found = shaped_commands(order, ("maa", "baa"), np.array([[6e3, 4e3]]))
+                np.testing.assert_array_equal(found, [[expected, 4e3]])
+    # What it shuts has been asked for all the same: the others' supply has given way to it.
+    starved = shaped_commands([Cutoff("baa", 5e3), SupplyCoupling("maa", 0.25)], ("maa", "baa"), np.array([[6e3, 4e3]]))
+    np.testing.assert_array_equal(starved, [[5e3, 0.0]])
 
 
 def test_channels_that_starve_each_other_do_so_at_once() -> None:

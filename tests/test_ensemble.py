@@ -87,8 +87,8 @@ def test_the_first_is_the_model_and_the_second_the_hardest(legs: list[Member]) -
         assert ratio(first, name) == pytest.approx(1.0, abs=1e-15)
         sign = 1 if name.endswith(".area") else 0 if name.endswith(".rest_length") else -1
         assert ratio(second, name) == pytest.approx(1 + sign * spread)
-    np.testing.assert_allclose(first.valve, [[0.045, 0.07, 0.07, np.inf]] * 2)
-    np.testing.assert_allclose(second.valve, [[0.08, 0.12, 0.12, np.inf]] * 2)
+    np.testing.assert_allclose(first.valve, [[0.045, 0.07, 0.07, np.inf, np.inf, 0.0]] * 2)
+    np.testing.assert_allclose(second.valve, [[0.08, 0.12, 0.12, np.inf, np.inf, 0.0]] * 2)
     assert [leg.name for leg in make_ensemble(eq.nominal_model(), SETTINGS, 1, 0)] == ["model"]
 
 
@@ -119,10 +119,18 @@ def test_the_models_own_valves_are_spread_instead(model: eq.Model) -> None:
     own = eq.Model(model.morphology, (eq.TransportDelay("baa", 0.1), eq.AsymmetricLag("baa", 0.05, 0.2)), model.phase)
     for leg in make_ensemble(own, replace(SETTINGS, valve_spread=0.2), 12, 0):
         np.testing.assert_array_equal(
-            leg.valve[0], [0.0, 0.0, 0.0, np.inf]
+            leg.valve[0], [0.0, 0.0, 0.0, np.inf, np.inf, 0.0]
         )  # the model says that this valve has nothing
         shares = leg.valve[1, :3] / [0.1, 0.05, 0.2]
         assert np.all(np.abs(shares - 1) <= 0.2 + 1e-12) and shares[1] == pytest.approx(shares[2])
+
+
+def test_a_models_flow_is_spread_and_its_power_is_not(model: eq.Model) -> None:
+    own = eq.Model(model.morphology, (eq.FillingFlow("baa", 4e4, 1.5),), model.phase)
+    valves = np.array([leg.valve for leg in make_ensemble(own, replace(SETTINGS, valve_spread=0.2), 12, 0)])
+    assert np.all(np.abs(valves[:, 1, 4] / 4e4 - 1) <= 0.2 + 1e-12) and np.ptp(valves[:, 1, 4]) > 0.2 * 4e4
+    np.testing.assert_array_equal(valves[:, 1, 5], 1.5)
+    np.testing.assert_array_equal(valves[:, 0], [[0.0, 0.0, 0.0, np.inf, np.inf, 0.0]] * 12)
 
 
 def test_no_spread_is_the_model_itself(model: eq.Model) -> None:
@@ -131,7 +139,7 @@ def test_no_spread_is_the_model_itself(model: eq.Model) -> None:
     )
     for leg in make_ensemble(model, still, 4, 0):
         np.testing.assert_array_equal(leg.parameters, pack(model.morphology))
-        np.testing.assert_allclose(leg.valve, [[0.03, 0.05, 0.05, np.inf]] * 2, rtol=1e-15)
+        np.testing.assert_allclose(leg.valve, [[0.03, 0.05, 0.05, np.inf, np.inf, 0.0]] * 2, rtol=1e-15)
 
 
 def test_a_leg_rests_where_nothing_pushes_it(legs: list[Member]) -> None:

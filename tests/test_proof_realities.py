@@ -38,6 +38,7 @@ from equimus_ctrl.proof.realities import (
     NOISE,
     SPREAD,
     Reality,
+    _attach,
     catalogue,
     draw,
     draw_leg,
@@ -152,6 +153,17 @@ def test_a_symmetric_lag_is_never_called_asymmetric() -> None:
             if e.name == "asymmetric_lag":
                 p = e.parameters()
                 assert max(p["fill"] / p["vent"], p["vent"] / p["fill"]) >= 1.49
+
+
+def test_dry_friction_that_breaks_away_hardly_later_is_never_called_stribeck_s() -> None:
+    found = [e for r in many() for e in r.effects if isinstance(e, StribeckFriction)]
+    rng = np.random.default_rng(4)
+    for _ in range(300):
+        (effect,) = _attach(rng, "stribeck_friction", nominal_leg(), REGISTRY)
+        assert isinstance(effect, StribeckFriction)
+        found.append(effect)
+    shares = np.array([e.breakaway / e.friction for e in found])
+    assert shares.min() >= 1 / 3 and np.mean(shares < 0.5) > 0.05
 
 
 @pytest.mark.parametrize("known", [REGISTRY, OUTSIDE], ids=["catalogue", "outside"])

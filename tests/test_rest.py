@@ -55,6 +55,8 @@ TOGETHER = (
     NonlinearStiffness("maa", cubic=3e4, centre=0.21),
     make("dead_zone", "maa", {"threshold": 2e3}),
     make("supply_coupling", "baa", {"share": 0.2}),
+    make("cutoff", "maa", {"least": 1e3}),
+    make("filling_flow", "baa", {"rate": 2e4, "power": 1.0}),
     make("creep", "baa", {"stiffness": 100.0, "time_constant": 0.5}),
     make("hysteresis", "maa", {"size": 1.0, "width": 0.01}),
     make("payload_mass", "foot", {"mass": 0.05}),

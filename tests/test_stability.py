@@ -17,11 +17,13 @@ from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.morphology import pack
 from equimus_ctrl.tuning import stability
-from equimus_ctrl.tuning.ensemble import Member, make_ensemble
+from equimus_ctrl.tuning.ensemble import Member, latin_hypercube, make_ensemble
 from equimus_ctrl.tuning.objective import Problem, Task
 from equimus_ctrl.tuning.stability import (
+    SLOPES,
     LinearLeg,
     Margins,
+    _steepest,
     largest_modulus,
     linear_leg,
     linear_legs,
@@ -53,7 +55,11 @@ def legs() -> list[Member]:
     model = eq.nominal_model()
     drawn = make_ensemble(model, EnsembleSettings(members=4), 4, 3)
     quick = replace(drawn[0], name="no valves", valve=valve_settings([], ("maa", "baa")))
-    uneven = replace(drawn[0], name="uneven", valve=np.array([[0.0, 0.05, 0.05, np.inf], [0.031, 0.0, 0.0, np.inf]]))
+    valve = valve_settings(
+        (make("first_order_lag", "maa", {"time_constant": 0.05}), make("transport_delay", "baa", {"delay": 0.031})),
+        ("maa", "baa"),
+    )
+    uneven = replace(drawn[0], name="uneven", valve=valve)
     return [*drawn, quick, uneven]
 
 
@@ -216,6 +222,7 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "late sensors": tuple(make("sensor_delay", joint, {"delay": s}) for joint, s in (("hip", 0.05), ("knee", DT / 3))),
     "scaled sensor": (make("sensor_scale", "hip", {"scale": 1.05}), make("sensor_offset", "knee", {"offset": 0.05})),
     "dead zone": (make("dead_zone", "maa", {"threshold": 1e3}),),
+    "cutoff": (make("cutoff", "maa", {"least": 1e3}),),
     "coupled supply": (make("supply_coupling", "baa", {"share": 0.3}),),
     "several": (
         make("supply_coupling", "maa", {"share": 0.1}),
@@ -233,6 +240,17 @@ def held_command(model: eq.Model, pose: np.ndarray) -> np.ndarray:
     assert found.success
     assert np.all((found.x > 0) & (found.x < 50))
     return np.asarray(1e3 * found.x)
+
+
+def test_a_jump_is_no_slope() -> None:
+    """A cutoff at a command at which slopes are looked for, and next to one on either side."""
+    leg = eq.nominal_leg()
+    span = leg.command_high - leg.command_low
+    tried = (leg.command_low + span * latin_hypercube(SLOPES, 2, np.random.default_rng(0)))[:, 0].min()
+    for least in (tried, tried + 5e-7 * span, tried - 5e-7 * span):
+        found = _steepest((make("cutoff", "maa", {"least": least}),), leg)
+        assert found is not None
+        np.testing.assert_allclose(found, np.eye(2), atol=1e-8)
 
 
 @pytest.mark.parametrize("space", ["length", "joint"])

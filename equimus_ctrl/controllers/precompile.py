@@ -37,7 +37,7 @@ def compile_laws(model: Model, lanes: bool) -> None:
     law.pid_start(y, command, gains, True, True, constants, state)
     law.pid_command(y, y, gains, True, True, np.zeros(na), np.ones(na), 0.01, constants, state, command)
     shape_command(np.empty((0, 3)), command, np.empty(na))
-    advance_pressure(np.zeros(1), np.zeros(1), 0.0, -1, 0.0, 0.01, 0.0, np.zeros(4))
+    advance_pressure(np.zeros(1), np.zeros(1), 0.0, -1, 0.0, 0.01, 0.0, np.zeros(6))
     follow(recall(np.zeros((1, 2)), 0, 0.0, 0.01), 0.0, 0.0)
     if lanes:
         kernel = compiled.load_lanes(structure(m), model.phase, ())

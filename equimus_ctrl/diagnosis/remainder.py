@@ -21,8 +21,11 @@ LEAST_SHARE = 2.5e-3
 """The same as a share of the number of samples: two simulations of one leg differ by some of that."""
 TRACE = 0.01
 """Share of all that the refitted model had in excess below which what is left is but a trace."""
-INSTEAD = 0.9
-"""Share of what a named effect and what is left explain, from which on a single push is believed in place of both."""
+INSTEAD = 0.85
+"""Share of what a named effect and what is left explain, from which on a single push is believed in place of both: the
+push is linear, where the effect was fitted."""
+TRIED = 5
+"""So many pushes, the best on trials left out, may stand in for an effect."""
 ALONE = 0.97
 """Share of what several named effects explain from which on a single push in their place is believed instead."""
 MOST = 3
@@ -91,16 +94,15 @@ def _imitated(data: Data, base: Fitted, best: Fitted) -> bool:
     """Whether one flexible push explains what several named effects do together, or one that strains its bounds."""
     if len(best.hypothesis) < 2 and not (best.hypothesis and strained(data, best)):
         return False
-    return _stands_in(data, base, best.noise, _squares(data, base, best) - _squares(data, best, best), ALONE)
+    return _stands_in(data, base, best.noise, _squares(data, base, best) - _squares(data, best, best), ALONE, 1)
 
 
-def _stands_in(data: Data, without: Fitted, noise: Noise, gap: float, share: float) -> bool:
-    """Whether the best flexible push, added to a hypothesis, explains this share of a fall of χ²."""
+def _stands_in(data: Data, without: Fitted, noise: Noise, gap: float, share: float, tried: int) -> bool:
+    """Whether one of the best flexible pushes, added to a hypothesis, explains this share of a fall of χ²."""
     at = linear(data, without, noise)
     if at is None:
         return False
-    push = flexible(at)[0].found
-    return push.gain > share * gap
+    return max(push.found.gain for push in flexible(at)[:tried]) > share * gap
 
 
 def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:
@@ -127,7 +129,7 @@ def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: floa
     return tuple(
         k
         for k, fitted in enumerate(without)
-        if _stands_in(data, fitted, best.noise, _squares(data, fitted, best) - own + left, INSTEAD)
+        if _stands_in(data, fitted, best.noise, _squares(data, fitted, best) - own + left, INSTEAD, TRIED)
     )
 
 

@@ -14,7 +14,9 @@ from equimus_ctrl.effects.force import (
 from equimus_ctrl.effects.sensors import Backlash, SensorDelay, SensorEffect, SensorOffset, SensorScale
 from equimus_ctrl.effects.valves import (
     AsymmetricLag,
+    Cutoff,
     DeadZone,
+    FillingFlow,
     FirstOrderLag,
     RateLimit,
     Saturation,
@@ -31,8 +33,10 @@ __all__ = [
     "BodyEffect",
     "CoulombFriction",
     "Creep",
+    "Cutoff",
     "DeadZone",
     "Effect",
+    "FillingFlow",
     "FirstOrderLag",
     "ForceEffect",
     "GravityTilt",

@@ -17,8 +17,11 @@ from equimus_ctrl.types import Array
 SMALL_SHARE = 1e-3
 """Below this many time constants the closed forms lose digits and their series are used."""
 
-DEAD_ZONE, COUPLING, SATURATION = 0, 1, 2
+DEAD_ZONE, COUPLING, SATURATION, CUTOFF = 0, 1, 2, 3
 """The laws that act on a command's value at once, in the order in which they do."""
+
+REFERENCE = 1e4
+"""The command at which a filling flow is named [Pa]."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -26,16 +29,19 @@ def shaped(law: int, own: float, others: float, number: float) -> float:
     """What is left of an actuator's command [Pa].
 
     Args:
-        law: DEAD_ZONE: max(u − number, 0); COUPLING: max(u − number·others, 0); SATURATION: min(u, number).
+        law: DEAD_ZONE: max(u − number, 0); COUPLING: max(u − number·others, 0); SATURATION: min(u, number);
+            CUTOFF: u where it is at least number, else 0.
         own: u [Pa].
         others: sum of the other actuators' commands [Pa].
-        number: threshold [Pa], share or level [Pa].
+        number: threshold [Pa], share, level or least command [Pa].
     """
     if law == DEAD_ZONE:
         return max(own - number, 0.0)
     if law == COUPLING:
         return max(own - number * others, 0.0)
-    return min(own, number)
+    if law == SATURATION:
+        return min(own, number)
+    return own if own >= number else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -135,7 +141,8 @@ def advance_pressure(
         start: of the step, before the transport delay is taken off [s].
         dt: [s].
         pressure: at the start [Pa].
-        valve: (4,) transport delay [s], filling and venting time constants [s], greatest rate [Pa/s].
+        valve: (6,) transport delay [s], filling and venting time constants [s], greatest rate [Pa/s], greatest rate of
+            filling at a command of ``REFERENCE`` [Pa/s], power of the command with which that grows.
 
     Returns:
         (pressure at the end, its mean over the step, its slope over the step [Pa], the cursor to hand in next).
@@ -155,7 +162,10 @@ def advance_pressure(
         last = not (k + 1 < n and times[k + 1] < end)
         until = end if last else times[k + 1]
         span = until - at
-        pressure, piece, first = relax(pressure, target, valve[1], valve[2], valve[3], span)
+        rate = valve[3]
+        if target > pressure and valve[4] < math.inf:
+            rate = min(rate, valve[4] * (max(target, 0.0) / REFERENCE) ** valve[5])
+        pressure, piece, first = relax(pressure, target, valve[1], valve[2], rate, span)
         area += piece
         moment += first + (at - begin) * piece
         if last:
@@ -177,7 +187,7 @@ def pressure_history(
         times: (n,) ascending instants from which each command holds [s].
         commands: (n, na) [Pa].
         before: (na,) in force before times[0] [Pa].
-        valve: (na, 4), see ``advance_pressure``.
+        valve: (na, 6), see ``advance_pressure``.
         start: of the first step [s]; where it comes after times[0], the pressures have moved until then.
         dt: [s].
         out: (steps, 2, na) written: mean and slope over each step [Pa].

@@ -1,7 +1,7 @@
 """Effects between a command and an actuator's pressure; the valves' laws are in ``effects.command``.
 
-A command passes first what acts on its value at once (dead zone, supply coupling, saturation, in this order), then the
-valve: transport delay, rate limit and lag.
+A command passes first what acts on its value at once (dead zone, supply coupling, saturation, cutoff, in this
+order), then the valve: transport delay, rate limit, filling flow and lag.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import ClassVar
 import numpy as np
 
 from equimus_ctrl.effects.base import Effect, Seen, parameter, register
-from equimus_ctrl.effects.command import COUPLING, DEAD_ZONE, SATURATION, shape_column
+from equimus_ctrl.effects.command import COUPLING, CUTOFF, DEAD_ZONE, REFERENCE, SATURATION, shape_column
 from equimus_ctrl.types import Array
 
-DELAY, FILL, VENT, RATE = 0, 1, 2, 3
+DELAY, FILL, VENT, RATE, FLOW, POWER = range(6)
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ValveEffect(Effect):
     sits_at = ("actuator",)
 
     def apply(self, valve: Array) -> None:
-        """Write this effect into its actuator's row: delay, filling and venting time constant [s], rate [Pa/s]."""
+        """Write this effect into its actuator's row, see ``effects.command.advance_pressure``."""
         raise NotImplementedError
 
 
@@ -133,6 +133,35 @@ class RateLimit(ValveEffect):
 
 @register
 @dataclass(frozen=True)
+class FillingFlow(ValveEffect):
+    """dP/dt ≤ rate·(u/10 kPa)^power while the pressure rises towards the command u; it falls without such a limit.
+
+    A proportional valve opens the farther the more is asked for. With power 0 filling takes the longer the more is
+    asked for, with power 1 always as long, above 1 the shorter.
+    """
+
+    name = "filling_flow"
+    summary = "the valve fills at a rate that grows with the command"
+    nothing = None
+    exclusive = "filling_flow"
+    rate: float = parameter("Pa/s", 1e3, 1e7, "the fastest the pressure can rise under a command of 10 kPa")
+    power: float = parameter("1", 0.0, 3.0, "of the command with which that rate grows")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        whole = seen.command / REFERENCE
+        return [
+            {"rate": seen.command / (time * whole**power), "power": power}
+            for time in (0.2, 0.5, 1.0)
+            for power in (0.0, 1.0, 1.5)
+        ]
+
+    def apply(self, valve: Array) -> None:
+        valve[FLOW], valve[POWER] = self.rate, self.power
+
+
+@register
+@dataclass(frozen=True)
 class DeadZone(CompiledShaping):
     """u' = max(u − threshold, 0)."""
 
@@ -177,10 +206,28 @@ class Saturation(CompiledShaping):
         return [{"level": share * seen.command} for share in (0.97, 0.92, 0.86, 0.8, 0.72, 0.64, 0.56, 0.48, 0.4, 0.33)]
 
 
+@register
+@dataclass(frozen=True)
+class Cutoff(CompiledShaping):
+    """u' = u where u ≥ least, else 0."""
+
+    name = "cutoff"
+    summary = "the valve stays shut below a least command, and follows it in full above"
+    nothing = None
+    exclusive = "cutoff"
+    order = CUTOFF
+    least: float = parameter("Pa", 0.0, 5e4, "the smallest command that the valve follows")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        # The law jumps: between two commands that were given any threshold is as good.
+        return [{"least": share * seen.command} for share in (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32)]
+
+
 def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
-    """(na, 4) transport delay, filling and venting time constants [s] and greatest rate [Pa/s] of each actuator."""
-    valve = np.zeros((len(actuators), 4))
-    valve[:, RATE] = math.inf
+    """(na, 6) each actuator's valve, see ``effects.command.advance_pressure``."""
+    valve = np.zeros((len(actuators), 6))
+    valve[:, [RATE, FLOW]] = math.inf
     for effect in effects:
         if isinstance(effect, ValveEffect):
             effect.apply(valve[list(actuators).index(effect.location)])

@@ -109,7 +109,7 @@ class EncodedModels:
     Attributes:
         models: (k) whose.
         parameters: (k, np).
-        valve: (k, na, 4).
+        valve: (k, na, 6).
         sensor: (k, nj, 4).
         rubbing: rows of dry friction in use.
     """

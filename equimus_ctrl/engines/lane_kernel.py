@@ -439,7 +439,7 @@ def run_block(
         times: (n,) from when each command holds [s].
         commands: (k, n, na) what reaches the valves [Pa].
         before: (k, na) in force before [Pa].
-        valve: (k, na, 4), see ``effects.valves``.
+        valve: (k, na, 6), see ``effects.valves``.
         sensor: (k, nj, 4), see ``effects.sensors``.
         q0: (k, nj) angles at the start [rad].
         v0: (k, nj) velocities there [rad/s].
@@ -497,7 +497,7 @@ def run_inner(
         times: (n,) [s].
         commands: (1, n, na) [Pa].
         before: (1, na) [Pa].
-        valve: (1, na, 4).
+        valve: (1, na, 6).
         q0: (1, nj) [rad].
         v0: (1, nj) [rad/s].
         rubbing: rows with dry friction.

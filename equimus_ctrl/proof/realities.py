@@ -27,7 +27,8 @@ SPREAD = {"stiffness": 0.15, "area": 0.15, "rest_length": 0.02, "damping": 0.4}
 
 ALIKE = frozenset(
     {
-        *("transport_delay", "first_order_lag", "asymmetric_lag", "rate_limit", "dead_zone", "supply_coupling"),
+        *("transport_delay", "first_order_lag", "asymmetric_lag", "rate_limit", "filling_flow"),
+        *("dead_zone", "cutoff", "supply_coupling"),
         *("hysteresis", "creep", "coulomb_friction", "sensor_delay", "sensor_scale", "backlash"),
     }
 )
@@ -186,4 +187,6 @@ def _values(rng: np.random.Generator, cls: type[Effect], kind: str, location: st
         values = {row.parameter: row.draw(rng) for row in rows}
         if cls.name == "asymmetric_lag" and abs(math.log(values["fill"] / values["vent"])) < math.log(1.5):
             continue  # that would be a symmetric lag by another name
+        if cls.name == "stribeck_friction" and values["breakaway"] < values["friction"] / 3:
+            continue  # that would be Coulomb friction by another name
         return values

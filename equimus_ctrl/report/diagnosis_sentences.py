@@ -69,6 +69,20 @@ def _rate_limit(t: _Told) -> str:
     return f"{_pressures(t)} {t.one_or('changes', 'change')} no faster than {t['rate']}: the flow is limited."
 
 
+def _filling_flow(t: _Told) -> str:
+    return (
+        f"{_pressures(t)} {t.one_or('rises', 'rise')} no faster than {t['rate']} under a command of 10 kPa, and as its "
+        f"power {t['power']} under others: the flow grows with the command."
+    )
+
+
+def _cutoff(t: _Told) -> str:
+    who = t.one_or(f"The valve of {t.at} stays", f"The valves of {t.at} stay")
+    return (
+        f"{who} shut under commands below {t['least']}, and {t.one_or('follows', 'follow')} others in full: a cutoff."
+    )
+
+
 def _dead_zone(t: _Told) -> str:
     who = t.one_or(f"The valve of {t.at} loses", f"The valves of {t.at} each lose")
     return f"{who} the first {t['threshold']} of every command: a dead zone."
@@ -165,6 +179,8 @@ SENTENCES: Mapping[str, Callable[[_Told], str]] = {
     "first_order_lag": _first_order_lag,
     "asymmetric_lag": _asymmetric_lag,
     "rate_limit": _rate_limit,
+    "filling_flow": _filling_flow,
+    "cutoff": _cutoff,
     "dead_zone": _dead_zone,
     "saturation": _saturation,
     "supply_coupling": _supply_coupling,

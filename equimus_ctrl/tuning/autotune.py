@@ -18,9 +18,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.controllers.pid import PidController, PidSettings
-from equimus_ctrl.effects import AsymmetricLag, RateLimit, TransportDelay
+from equimus_ctrl.effects import AsymmetricLag, FillingFlow, RateLimit, TransportDelay
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.effects.valves import DELAY, FILL, RATE, VENT
+from equimus_ctrl.effects.valves import DELAY, FILL, FLOW, POWER, RATE, VENT
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model, model_to_dict
@@ -344,6 +344,8 @@ def cross_check(problem: Problem, settings: PidSettings, task: int) -> CrossChec
         valves.append(AsymmetricLag(actuator, float(row[FILL]), float(row[VENT])))
         if row[RATE] < math.inf:
             valves.append(RateLimit(actuator, float(row[RATE])))
+        if row[FLOW] < math.inf:
+            valves.append(FillingFlow(actuator, float(row[FLOW]), float(row[POWER])))
     rate = 1 / t.control_dt
     plant = _Watched(
         MujocoPlant(

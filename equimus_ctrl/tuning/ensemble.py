@@ -8,7 +8,7 @@ import numpy as np
 
 from equimus_ctrl.effects.base import Effect, require_kinds
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
-from equimus_ctrl.effects.valves import ValveEffect, valve_settings
+from equimus_ctrl.effects.valves import POWER, ValveEffect, valve_settings
 from equimus_ctrl.engines.batch import KNOWN_KINDS
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
@@ -25,7 +25,7 @@ class Member:
         name: for tables.
         morphology: its numbers.
         parameters: the same as a vector.
-        valve: (na, 4), see ``effects.valves``.
+        valve: (na, 6), see ``effects.valves``.
         effects: all others; what changes bodies stands in the morphology already.
     """
 
@@ -101,11 +101,13 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
         }
         by_actuator = row[len(groups) :].reshape(na, 2)
         if has_own:
-            valve = own * (1 + settings.valve_spread * (2 * by_actuator[:, [0, 1, 1, 1]] - 1))
+            valve = own * (1 + settings.valve_spread * (2 * by_actuator[:, [0, 1, 1, 1, 1, 1]] - 1))
+            valve[:, POWER] = own[:, POWER]
         else:
             delay = settings.delay[0] + by_actuator[:, 0] * (settings.delay[1] - settings.delay[0])
             lag = settings.lag[0] + by_actuator[:, 1] * (settings.lag[1] - settings.lag[0])
-            valve = np.stack([delay, lag, lag, np.full(na, np.inf)], axis=1)
+            unlimited = np.full(na, np.inf)
+            valve = np.stack([delay, lag, lag, unlimited, unlimited, np.zeros(na)], axis=1)
         changed = m.with_parameters(values)
         members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve, others))
     return members

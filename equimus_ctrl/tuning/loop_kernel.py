@@ -117,7 +117,7 @@ def run_loop(
         last: where to stop, at most n + 1; instant n only ends the motion.
         w: work array, see ``start_lanes``.
         nominal: constants of the robot that the controller computes with, see ``compiled.prepared``.
-        valve: (k, na, 4), see ``effects.command.advance_pressure``.
+        valve: (k, na, 6), see ``effects.command.advance_pressure``.
         sensor: (k, nj, 4), see ``effects.sensors``.
         shaping: (m, 3), see ``effects.command.shape_command``.
         gains: (k, 7, nz), see ``pid_start``.

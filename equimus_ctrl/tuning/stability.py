@@ -71,7 +71,7 @@ def linear_leg(
     """Linearise a member of an ensemble about a pose it holds with its own static pressures.
 
     What is not linear counts as far as it can be: effects that push by their slopes, commands by the steepest slope
-    that shaping leaves of them. Dry friction, rate limits and play are left to simulation.
+    that shaping leaves of them. Dry friction, rate limits, filling flows, jumps and play are left to simulation.
 
     Args:
         member: the leg.
@@ -153,9 +153,12 @@ def _steepest(effects: Sequence[Effect], robot: Morphology) -> Array | None:
     na, span = len(robot.actuators), robot.command_high - robot.command_low
     tried = robot.command_low + span * latin_hypercube(SLOPES, na, np.random.default_rng(0))
     found = np.zeros((na, na))
+    here = shaped_commands(effects, robot.actuator_names, tried)
     for j, step in enumerate(1e-6 * span * np.eye(na)):
         up, down = (shaped_commands(effects, robot.actuator_names, tried + s * step) for s in (1, -1))
-        slopes = (up - down) / (2 * step[j])
+        ahead, behind = (up - here) / step[j], (here - down) / step[j]
+        # A jump is on one side alone, and no slope.
+        slopes = np.where(np.abs(ahead) < np.abs(behind), ahead, behind)
         found[:, j] = slopes[np.abs(slopes).argmax(axis=0), np.arange(na)]
     return found
 
