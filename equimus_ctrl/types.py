@@ -96,6 +96,7 @@ class PlantSpec:
         phase: ``"swing"`` (base fixed) or ``"stance"`` (foot pinned), which the model's statics depend on.
         joint_low: (n_joints,) lower end of the joint range [rad].
         joint_high: (n_joints,) upper end of the joint range [rad].
+        effects: what is known to be attached to the model (``effects.Effect``).
     """
 
     joints: tuple[str, ...]
@@ -107,6 +108,7 @@ class PlantSpec:
     joint_high: Array
     model: Any = None
     phase: Literal["swing", "stance"] = "swing"
+    effects: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -121,6 +121,22 @@ def test_margins_leave_the_room_that_was_asked_for(result: TuningResult) -> None
         assert least.gain > 1 and least.delay > 0
 
 
+def test_with_an_inverse_it_is_told_of_the_model(study: Study) -> None:
+    """The same study, whose legs are then followed closely from the first gains on, and on the plant too."""
+    model = eq.Model(eq.nominal_leg(), (eq.DeadZone("maa", 4e3), eq.SensorOffset("knee", 0.05)))
+    scenarios = [workflow.load_scenario("hold", model.morphology, search=False)]
+    results = []
+    for inverse in (False, True):
+        small = replace(study, inverse=inverse, candidates=8, ensemble=replace(study.ensemble, unseen=1))
+        results.append(autotune(small, tuning.make_problem(small, model, scenarios), RowJournal(Rows())))
+    static, informed = results
+    assert informed.settings.inverse and not static.settings.inverse
+    assert informed.best.evaluation.terms["error"] < 0.9 * static.best.evaluation.terms["error"]
+    assert informed.checks[0].difference < 1e-3
+    assert informed.record()["study"]["inverse"] is True
+    assert len(informed.unseen) == 1
+
+
 def test_other_legs_judge_it(result: TuningResult, problem: Problem, study: Study) -> None:
     assert len(result.unseen) == len(result.start_unseen) == study.ensemble.unseen
     assert all(len(e.member_costs) == 1 for e in result.unseen)
@@ -356,9 +372,9 @@ LONG = {
     **STUDY,
     "candidates": 110,
     "polish": 0.9,
-    "objectives": [{"scenario": "hold", "duration": 6.0}],
+    "objectives": [{"scenario": "hold", "duration": 10.0}],
     "limits": {"overshoot": 9.0, "saturation": 1.0, "modulus": 0.99999, "gain_margin": 1.0},
-    "ensemble": {**STUDY["ensemble"], "members": 4, "unseen": 0},
+    "ensemble": {**STUDY["ensemble"], "members": 12, "unseen": 0},
 }
 """Nelder–Mead from the 20th candidate on, one at a time, so that an interruption has something to interrupt."""
 

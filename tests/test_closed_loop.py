@@ -57,9 +57,9 @@ def course(n: int, noise: float = 0.0, start: Array | None = START) -> Task:
     return Task("hold", 1.0, np.tile(TARGET, (n, 1)), COMMAND, start, True, disturbed, DT)
 
 
-def problem_of(effects: tuple[Effect, ...], task: Task, phase: Phase = "swing") -> Problem:
+def problem_of(effects: tuple[Effect, ...], task: Task, phase: Phase = "swing", inverse: bool = False) -> Problem:
     model = eq.Model(LEG, effects, phase)
-    return Problem(model, make_ensemble(model, PLAIN, 1, 0), [task], Weights(), Limits())
+    return Problem(model, make_ensemble(model, PLAIN, 1, 0), [task], Weights(), Limits(), inverse=inverse)
 
 
 class Watched:
@@ -99,7 +99,7 @@ def agree(
     tolerance: float = SMOOTH,
 ) -> Array:
     """(n, 2) angles, once it is known that the plant's are the same."""
-    q, u, done = problem_of(effects, course(n, start=start), phase).simulate(settings, 0, 0)
+    q, u, done = problem_of(effects, course(n, start=start), phase, settings.inverse).simulate(settings, 0, 0)
     expected, command = in_mujoco(effects, settings, n, phase, start)
     assert done == n
     np.testing.assert_allclose(q, expected, rtol=0, atol=tolerance)
@@ -120,6 +120,14 @@ def test_every_effect_is_in_the_loop(name: str, kind: str) -> None:
     tolerance = KINKED.get(name, SMOOTH)
     q = agree((effect_of(name, kind),), tolerance=tolerance)
     assert np.abs(q - without()).max() > 10 * tolerance
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_with_a_controller_that_knows_it(name: str, kind: str) -> None:
+    tolerance = 4 * KINKED.get(name, SMOOTH)  # it moves more briskly
+    effects = (effect_of(name, kind),)
+    informed = agree(effects, replace(PID, inverse=True), tolerance=tolerance)
+    assert np.abs(informed - agree(effects, tolerance=tolerance)).max() > 10 * tolerance
 
 
 @pytest.mark.parametrize(("name", "kind"), CASES)
@@ -156,11 +164,13 @@ def test_all_at_once(settings: eq.PidSettings, start: Array | None) -> None:
     agree(EVERYWHERE, settings, n=240, start=start, tolerance=1e-4)
 
 
-def test_the_tuner_s_own_cross_check_sees_the_same() -> None:
-    problem = problem_of(EVERYWHERE, course(200, noise=1e-3))
-    check = cross_check(problem, PID, 0)
+@pytest.mark.parametrize("inverse", [False, True])
+def test_the_tuner_s_own_cross_check_sees_the_same(inverse: bool) -> None:
+    problem = problem_of(EVERYWHERE, course(200, noise=1e-3), inverse=inverse)
+    settings = replace(PID, inverse=inverse)
+    check = cross_check(problem, settings, 0)
     assert check.difference < 1e-4
-    q, _, _ = problem.simulate(PID, 0, 0)
+    q, _, _ = problem.simulate(settings, 0, 0)
     np.testing.assert_allclose(check.rmse, np.sqrt(((q - problem.wanted(0)) ** 2).mean(axis=0)), rtol=1e-3)
 
 
@@ -306,6 +316,18 @@ def test_a_ring_remembers_what_a_whole_motion_tells(late: float) -> None:
 
 
 # How it is judged.
+
+
+def test_a_controller_that_knows_the_sensors_is_judged_by_true_angles() -> None:
+    effects = (make("sensor_offset", "knee", {"offset": 0.05}), make("sensor_scale", "hip", {"scale": 0.9}))
+    known = problem_of(effects, course(1440), inverse=True)
+    np.testing.assert_array_equal(known.wanted(0), course(1440).reference)
+    np.testing.assert_allclose(known.seen(0)[0], TARGET * [0.9, 1.0] + [0.0, 0.05])
+    np.testing.assert_array_equal(known.poses()[0], known.seen(0)[0])
+    settings = replace(BRISK, inverse=True)
+    q, _, _ = known.simulate(settings, 0, 0)
+    np.testing.assert_allclose(q[-1], TARGET, atol=5e-3)
+    assert known.outcome(settings, 0, 0).terms[3] < 5e-3
 
 
 def test_a_sensor_s_error_is_no_fault_of_the_gains() -> None:

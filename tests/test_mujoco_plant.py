@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from morphologies import integrate, random_morphology
+from morphologies import integrate, pendulum, random_morphology
 from plant_runs import LEG, STEP, drive, positions
 
 from equimus_ctrl.effects import AsymmetricLag, FirstOrderLag, TransportDelay
@@ -266,6 +266,12 @@ def test_the_spec_tells_names_limits_and_a_nominal_model() -> None:
     np.testing.assert_array_equal([spec.joint_low, spec.joint_high], LEG.joint_range)
     assert spec.model is LEG
     assert MujocoPlant(Model(other)).spec.model is other
+    effects = (TransportDelay("maa", 0.5),)
+    assert MujocoPlant(Model(other, effects)).spec.effects == effects
+    known = MujocoPlant(Model(other), nominal=Model(LEG, effects)).spec
+    assert known.model is LEG and known.effects == effects and spec.effects == ()
+    with pytest.raises(ConfigError, match=r"nominal model \S+ has joints .*, but \S+ has hip, knee and maa, baa"):
+        MujocoPlant(Model(LEG), nominal=pendulum())
     for array in (spec.command_low, spec.command_high, spec.joint_low, spec.joint_high):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0

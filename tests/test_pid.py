@@ -384,12 +384,12 @@ NAMES = st.text(st.characters(codec="utf-8", exclude_categories=("Cs", "Cc")), m
     st.dictionaries(NAMES, st.builds(eq.PidGains, NUMBERS, NUMBERS, NUMBERS), min_size=1, max_size=4),
     st.sampled_from(sorted(SPACES)),
     st.tuples(*[NUMBERS] * 5),
-    st.booleans(),
+    st.sampled_from([(False, False), (True, False), (True, True)]),
 )
 def test_settings_survive_toml(
-    gains: dict[str, eq.PidGains], space: str, numbers: tuple[float, ...], feedforward: bool
+    gains: dict[str, eq.PidGains], space: str, numbers: tuple[float, ...], fed: tuple[bool, bool]
 ) -> None:
-    settings = eq.PidSettings(gains, space, *numbers, feedforward)  # type: ignore[arg-type]
+    settings = eq.PidSettings(gains, space, *numbers, *fed)  # type: ignore[arg-type]
     text = presets.toml_text(settings.to_dict(), "written by a test")
     assert eq.PidSettings.from_dict(tomllib.loads(text)) == settings
 
@@ -416,6 +416,8 @@ WRONG = {
     "text": ({"tracking_time": "0.2"}, "f.toml: tracking_time is '0.2', expected a number"),
     "boolean for a number": ({"start_time": True}, "f.toml: start_time is True, expected a number"),
     "number for a boolean": ({"feedforward": 1}, "f.toml: feedforward is 1, expected true or false"),
+    "text for a boolean": ({"inverse": "yes"}, "f.toml: inverse is 'yes', expected true or false"),
+    "nothing to feed": ({"feedforward": False, "inverse": True}, "f.toml: inverse is true, which is a way to feed"),
     "negative": ({"derivative_time": -0.1}, "f.toml: derivative_time is -0.1, expected a finite number of at least 0"),
     "NaN": ({"proportional_weight": math.nan}, "f.toml: proportional_weight is nan, expected a finite number"),
     "infinite": ({"derivative_weight": math.inf}, "f.toml: derivative_weight is inf, expected a finite number"),

@@ -297,6 +297,30 @@ def test_a_small_disturbance_with_effects_dies_as_the_linear_loop_says(name: str
     np.testing.assert_allclose(found / scale, predicted / scale, rtol=0, atol=6e-3)
 
 
+def test_what_is_fed_forward_need_not_be_held_by_the_integral() -> None:
+    """Torques that stand turn with the pose into other pressures; those of a model that is known do not stand."""
+    effects = (*EFFECTS["several"], make("dead_zone", "maa", {"threshold": 1e3}))
+    model = eq.Model(eq.nominal_leg(), effects)
+    still = EnsembleSettings(members=1, delay=(0.0, 0.0), lag=(0.0, 0.0))
+    (leg,) = make_ensemble(model, still, 1, 0)
+    task = Task("d", 1.0, np.tile(POSE, (2, 1)), np.zeros(2), POSE, True, np.zeros((2, 2)), DT)
+    problem = Problem(model, [leg], [task], Weights(), Limits(), inverse=True)
+    (seen,) = problem.poses()
+    static = linear_leg(leg, model.morphology, seen, "joint", "swing")
+    known = linear_leg(leg, model.morphology, seen, "joint", "swing", fed=problem.fed(seen))
+    assert np.abs(known.pose_gain).max() < 1e-6 * np.abs(static.pose_gain).max()
+    np.testing.assert_array_equal(known.a, static.a)
+
+
+def test_a_pose_beyond_a_stop_is_taken_at_its_edge() -> None:
+    stop = make("joint_stop", "knee", {"angle": 0.2, "stiffness": 100.0, "damping": 0.5})
+    model = eq.Model(eq.nominal_leg(), (stop,))
+    (leg,) = make_ensemble(model, EnsembleSettings(members=1), 1, 0)
+    found, edge = (linear_leg(leg, model.morphology, np.array([1.5, knee]), "length", "swing") for knee in (0.1, 0.2))
+    np.testing.assert_array_equal(found.a, edge.a)
+    assert np.abs(found.a).max() < 1e4
+
+
 # Margins.
 
 

@@ -86,7 +86,9 @@ def test_a_vector_holds_the_gains_channel_by_channel() -> None:
     assert [r.start for _, r in study.ranges(("maa", "baa"))] == [150, 200, 5, 150, 200, 5, 0.02]
     settings = study.settings(np.arange(1.0, 8.0), ("maa", "baa"))
     assert settings.gains == {"maa": eq.PidGains(1.0, 2.0, 3.0), "baa": eq.PidGains(4.0, 5.0, 6.0)}
-    assert settings.derivative_time == 7.0 and settings.space == "length"
+    assert settings.derivative_time == 7.0 and settings.space == "length" and not settings.inverse
+    informed = study_from_dict(changed("inverse", True)).settings(np.arange(1.0, 8.0), ("maa", "baa"))
+    assert informed.inverse
 
 
 WRONG = [
@@ -97,6 +99,7 @@ WRONG = [
     ("candidates", "many", "study: candidates is 'many', expected a whole number"),
     ("seed", -1, "study: seed is -1, expected at least 0"),
     ("seed", True, "study: seed is True, expected a whole number"),
+    ("inverse", 1, "study: inverse is 1, expected true or false"),
     ("polish", 0.95, "study: polish is 0.95, expected 0 to 0.9"),
     ("polish", math.nan, "study: polish is nan, expected 0 to 0.9"),
     ("objectives", [], "a study needs at least one [[objectives]] table"),

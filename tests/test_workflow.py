@@ -208,6 +208,23 @@ def test_effects_are_added_to_the_models_own(tmp_path: Path) -> None:
     assert one.model.effects == (own, added)
 
 
+def test_a_controller_knows_the_model_but_not_what_is_added(tmp_path: Path) -> None:
+    """An effect added is a surprise to it, one of the model is none, and so is one of what it is said to know."""
+    late, other = eq.TransportDelay("maa", 0.2), eq.Model(eq.nominal_leg().with_parameters({"maa.stiffness": 250.0}))
+    seen: list[eq.PlantSpec] = []
+
+    def watching(observation: eq.Observation, reference: eq.Reference, spec: eq.PlantSpec) -> Any:
+        seen.append(spec)
+        return np.zeros(2)
+
+    kwargs: dict[str, Any] = {"options": {"duration": "0.1"}, "recordings": tmp_path}
+    for given in ({"effects": [late]}, {"model": eq.Model(eq.nominal_leg(), (late,))}, {"nominal": other}):
+        eq.run_scenario("hold", watching, **given, **kwargs)
+    first, own, told = seen[0], seen[12], seen[24]
+    assert first.effects == () and first.model == eq.nominal_leg()
+    assert own.effects == (late,) and told.model == other.morphology
+
+
 def test_noise_and_its_seed(tmp_path: Path) -> None:
     runs = [
         eq.run_scenario("hold", options={"duration": "0.3"}, recordings=tmp_path, noise=noise, seed=seed).run

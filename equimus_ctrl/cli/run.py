@@ -35,6 +35,10 @@ def run(
         list[str] | None,
         typer.Option("--effect", metavar="NAME:PLACE:KEY=VALUE", help="Attach an effect to the simulated robot."),
     ] = None,
+    nominal: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Model file that the controller computes with; by default the model's."),
+    ] = None,
     option: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="An option of the scenario.")
     ] = None,
@@ -91,6 +95,7 @@ def run(
             settings=settings,
             noise=noise,
             seed=seed,
+            nominal=workflow.load_model(nominal) if nominal is not None else None,
             progress=show,
         )
     label = f"{done.scenario.name}, {done.controller}"

@@ -1,4 +1,4 @@
-"""PID on actuator lengths or joint angles, with the static pressures as feed-forward."""
+"""PID on actuator lengths or joint angles, fed forward by the static pressures or the inverse of the model."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from equimus_ctrl.controllers import pid_kernel
+from equimus_ctrl.controllers.inverse import Course, Inverse
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
@@ -51,7 +53,9 @@ class PidSettings:
         proportional_weight: share of the reference in the proportional term.
         derivative_weight: share of the reference in the derivative term.
         start_time: over which the first measured pose fades out of the reference (bumpless start) [s].
-        feedforward: whether the pressures that hold the reference pose at rest are added.
+        feedforward: whether pressures are added that follow from the reference alone.
+        inverse: whether these pressures are the inverse of all that is known of the plant: motion, what pushes, valves
+            and sensors (``controllers.inverse``); else they hold the reference pose at rest.
     """
 
     gains: Mapping[str, PidGains]
@@ -62,6 +66,7 @@ class PidSettings:
     derivative_weight: float = 1.0
     start_time: float = 0.3
     feedforward: bool = True
+    inverse: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", dict(self.gains))
@@ -71,6 +76,8 @@ class PidSettings:
             value = getattr(self, key)
             if not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"{key} is {value:g}, expected a finite number of at least 0")
+        if self.inverse and not self.feedforward:
+            raise ConfigError("inverse is true, which is a way to feed forward, but feedforward is false")
 
     def channels(self, spec_or_model: PlantSpec | Morphology) -> tuple[str, ...]:
         """Names of the channels on a robot: its actuators or its joints."""
@@ -113,9 +120,9 @@ class PidSettings:
             values[key] = value
             if key in ("space", "gains"):
                 continue
-            wanted: type | tuple[type, ...] = bool if key == "feedforward" else (int, float)
-            if not isinstance(value, wanted) or (key != "feedforward" and isinstance(value, bool)):
-                kind = "true or false" if key == "feedforward" else "a number"
+            switch = key in ("feedforward", "inverse")
+            if isinstance(value, bool) != switch or not isinstance(value, int | float):
+                kind = "true or false" if switch else "a number"
                 raise ConfigError(f"{where}: {key} is {value!r}, expected {kind}")
         gains = values.get("gains")
         if not isinstance(gains, Mapping) or not gains:
@@ -161,8 +168,10 @@ class PidState:
         constants: the nominal model's prepared numbers.
         gains: (7, n_channels).
         law: the compiled kernel module.
-        low: (n_actuators,) lowest command [Pa].
-        high: (n_actuators,) highest command [Pa].
+        low: (n_actuators,) lowest command of any use [Pa].
+        high: (n_actuators,) highest [Pa].
+        inverse: of the model, where it is what feeds forward.
+        course: how far that has followed the reference.
     """
 
     memory: Array
@@ -174,11 +183,13 @@ class PidState:
     law: Any
     low: Array
     high: Array
+    inverse: Inverse | None = None
+    course: Course | None = None
 
 
 @dataclass(frozen=True)
 class PidController:
-    """PID with filtered derivative, anti-windup, bumpless start and static feed-forward.
+    """PID with filtered derivative, anti-windup, bumpless start and feed-forward.
 
     Attributes:
         settings: gains and the rest.
@@ -203,35 +214,48 @@ class PidController:
                 f"a joint-space PID needs at least as many actuators as joints, this plant has {len(spec.actuators)} "
                 f'for {len(spec.joints)}; use space = "length"'
             )
+        s = self.settings
         law = compiled.load(spec.model, spec.phase, pid_kernel)
-        gains = self.settings.gain_matrix(self.settings.channels(spec))
+        gains = s.gain_matrix(s.channels(spec))
         constants = compiled.prepared(spec.model, spec.phase)
         memory = np.zeros((3, gains.shape[1]))
-        y = np.array(observation.position)
-        lengths = self.settings.space == "length"
-        law.pid_start(y, np.array(observation.command), gains, lengths, self.settings.feedforward, constants, memory)
         # Writable copies: numba compiles anew for read-only arrays.
-        low, high = np.array(spec.command_low), np.array(spec.command_high)
-        return PidState(
-            memory, np.full(len(spec.joints), np.nan), observation.time, spec, constants, gains, law, low, high
-        )
+        y, low, high = np.array(observation.position), np.array(spec.command_low), np.array(spec.command_high)
+        inverse, course = None, None
+        if s.inverse:
+            inverse = Inverse(Model(spec.model, spec.effects, spec.phase), spec.control_dt, s.start_time)
+            course = inverse.start(observation.time, y)
+            low, high = np.maximum(low, inverse.low), np.minimum(high, inverse.high)
+            surplus = inverse.surplus(course, observation.command)
+        else:
+            fed = np.empty(len(low))
+            law.static_feed(y, s.feedforward, constants, fed)
+            surplus = observation.command - fed
+        law.pid_start(y, surplus, gains, s.space == "length", constants, memory)
+        offset = np.full(len(spec.joints), np.nan)
+        return PidState(memory, offset, observation.time, spec, constants, gains, law, low, high, inverse, course)
 
     def step(self, observation: Observation, reference: Reference, state: PidState) -> tuple[Array, PidState]:
         """The next command, within the plant's limits."""
         s, spec = self.settings, state.spec
-        wanted = reference.position(observation.time)
-        offset = state.offset
-        if np.isnan(offset).any():
-            offset = observation.position - wanted
-        weight = state.law.blend(observation.time - state.begun, s.start_time)
+        offset, course, fed = state.offset, state.course, np.empty(len(spec.actuators))
+        if state.inverse is not None and course is not None:
+            shown, planned, course = state.inverse.follow(reference, np.array([observation.time]), course)
+            r, fed = shown[0], planned[0]
+        else:
+            wanted = reference.position(observation.time)
+            if np.isnan(offset).any():
+                offset = observation.position - wanted
+            r = wanted + state.law.blend(observation.time - state.begun, s.start_time) * offset
+            state.law.static_feed(r, s.feedforward, state.constants, fed)
         memory = state.memory.copy()
         command = np.empty(len(spec.actuators))
         state.law.pid_command(
-            wanted + weight * offset,
+            r,
             np.array(observation.position),
+            fed,
             state.gains,
             s.space == "length",
-            s.feedforward,
             state.low,
             state.high,
             spec.control_dt,
@@ -239,4 +263,4 @@ class PidController:
             memory,
             command,
         )
-        return frozen_array(command), replace(state, memory=memory, offset=offset)
+        return frozen_array(command), replace(state, memory=memory, offset=offset, course=course)

@@ -6,12 +6,12 @@ pose, y the measured one:
     e = z(r) − z(y)
     D ← D + dt/(T_f + dt)·(Δ(c z(r) − z(y))/dt − D)
     w = k_p (b z(r) − z(y)) + I + k_d D
-    P = clip(P_static(r) + map(w))
+    P = clip(P_fed + map(w))
     I ← I + dt k_i e + (dt/T_t) unmap(P − P_asked)     where k_i > 0
 
 where map turns a channel's effort into pressures: force/area for a length, the least-norm pressures of the joint
-torques for angles. Two-degree-of-freedom form, derivative filter and back-calculation follow Åström & Hägglund,
-"Advanced PID Control" (2006).
+torques for angles. P_fed are the static pressures of r, or come with r from ``controllers.inverse``. Two-degree-of-
+freedom form, derivative filter and back-calculation follow Åström & Hägglund, "Advanced PID Control" (2006).
 """
 
 from __future__ import annotations
@@ -84,27 +84,30 @@ def pressures_to_efforts(pressure: Array, q: Array, lengths: bool, c: Array, out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pid_start(y: Array, command: Array, gains: Array, lengths: bool, feedforward: bool, c: Array, state: Array) -> None:
+def static_feed(q: Array, feedforward: bool, c: Array, out: Array) -> None:
+    """Write the pressures that hold pose q at rest (na,) [Pa]; none where there is no feed-forward."""
+    values = static_pressure(joint_tuple(q), c)
+    for i in range(N_ACTUATORS):
+        out[i] = values[i] if feedforward else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pid_start(y: Array, surplus: Array, gains: Array, lengths: bool, c: Array, state: Array) -> None:
     """Write the state from which the first command equals the one in force (bumpless start).
 
     Args:
         y: (nj,) first measured angles [rad].
-        command: (na,) in force [Pa].
+        surplus: (na,) of the pressures in force over those fed forward [Pa].
         gains: (7, nz) rows k_p, k_i, k_d, T_f, T_t, b, c.
         lengths: whether channels are actuator lengths.
-        feedforward: whether the static pressures are added.
         c: the nominal model's constants.
         state: (3, nz) rows integral, derivative, previous c z(r) − z(y).
     """
     nz = state.shape[1]
-    extra = np.empty(N_ACTUATORS)
-    values = static_pressure(joint_tuple(y), c)
-    for i in range(N_ACTUATORS):
-        extra[i] = command[i] - values[i] if feedforward else command[i]
     z = np.empty(nz)
     effort = np.empty(nz)
     channel_values(y, lengths, c, z)
-    pressures_to_efforts(extra, y, lengths, c, effort)
+    pressures_to_efforts(surplus, y, lengths, c, effort)
     for i in range(nz):
         state[INTEGRAL, i] = effort[i] - gains[KP, i] * (gains[WEIGHT_P, i] - 1.0) * z[i]
         state[DERIVATIVE, i] = 0.0
@@ -115,9 +118,9 @@ def pid_start(y: Array, command: Array, gains: Array, lengths: bool, feedforward
 def pid_command(
     r: Array,
     y: Array,
+    fed: Array,
     gains: Array,
     lengths: bool,
-    feedforward: bool,
     low: Array,
     high: Array,
     dt: float,
@@ -125,7 +128,21 @@ def pid_command(
     state: Array,
     command: Array,
 ) -> None:
-    """One control step: write the next command (na,) [Pa] and advance ``state`` (see ``pid_start``)."""
+    """One control step: write the next command (na,) [Pa] and advance ``state`` (see ``pid_start``).
+
+    Args:
+        r: (nj,) reference of what is measured [rad].
+        y: (nj,) measured angles [rad].
+        fed: (na,) fed forward [Pa].
+        gains: see ``pid_start``.
+        lengths: whether channels are actuator lengths.
+        low: (na,) lowest command [Pa].
+        high: (na,) highest command [Pa].
+        dt: control period [s].
+        c: the nominal model's constants.
+        state: advanced.
+        command: (na,) written [Pa].
+    """
     nz = state.shape[1]
     zr, zy, w = np.empty(nz), np.empty(nz), np.empty(nz)
     asked = np.empty(N_ACTUATORS)
@@ -139,11 +156,8 @@ def pid_command(
         proportional = gains[KP, i] * (gains[WEIGHT_P, i] * zr[i] - zy[i])
         w[i] = proportional + state[INTEGRAL, i] + gains[KD, i] * state[DERIVATIVE, i]
     efforts_to_pressures(w, y, lengths, c, asked)
-    if feedforward:
-        rest = static_pressure(joint_tuple(r), c)
-        for i in range(N_ACTUATORS):
-            asked[i] += rest[i]
     for i in range(N_ACTUATORS):
+        asked[i] += fed[i]
         command[i] = min(max(asked[i], low[i]), high[i])
         asked[i] = command[i] - asked[i]
     pressures_to_efforts(asked, y, lengths, c, w)

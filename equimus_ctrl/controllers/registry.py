@@ -39,7 +39,7 @@ def _pid(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Contr
 
 CONTROLLERS: dict[str, ControllerEntry] = {
     "open_loop": ControllerEntry("the scenario's commands, or its reference's static pressures", _open_loop),
-    "pid": ControllerEntry("PID on actuator lengths or joint angles with static feed-forward", _pid, "pid.toml"),
+    "pid": ControllerEntry("PID on actuator lengths or joint angles with feed-forward", _pid, "pid.toml"),
 }
 
 

@@ -247,6 +247,60 @@ def shaped_commands(effects: Sequence[Effect], actuators: Sequence[str], command
     return shaped
 
 
+TRIES = 50
+"""How often a command is corrected by what shaping takes from it, or the range of useful ones is halved."""
+
+
+def command_for(
+    effects: Sequence[Effect], actuators: Sequence[str], pressure: Array, low: Array | float, high: Array | float
+) -> Array:
+    """(n, na) commands between low and high of which shaping leaves pressures (n, na), or comes near to them [Pa]."""
+    if not any(isinstance(effect, ShapingEffect) for effect in effects):
+        return pressure
+    command = best = np.clip(pressure, low, high)
+    least = np.full((len(pressure), 1), math.inf)
+    for _ in range(TRIES):
+        missing = pressure - shaped_commands(effects, actuators, command)
+        off = np.abs(missing).sum(axis=1, keepdims=True)
+        # Around a jump the corrections go to and fro.
+        best, least = np.where(off <= least, command, best), np.minimum(off, least)
+        command = np.clip(command + missing, low, high)
+    return np.asarray(best)
+
+
+def useful_commands(
+    effects: Sequence[Effect], actuators: Sequence[str], low: float, high: float
+) -> tuple[Array, Array]:
+    """(na,) between what each command makes a difference while the others are at their lowest [Pa].
+
+    Args:
+        effects: all of one robot; shaping is taken to fall nowhere as the command rises.
+        actuators: names of all.
+        low: lowest command [Pa].
+        high: highest command [Pa].
+    """
+    na = len(actuators)
+    least, most = np.full(na, low), np.full(na, high)
+    if not any(isinstance(effect, ShapingEffect) for effect in effects):
+        return least, most
+
+    def arrives(own: Array) -> Array:
+        commands = np.full((na, na), low)
+        np.fill_diagonal(commands, own)
+        return np.diagonal(shaped_commands(effects, actuators, commands))
+
+    nothing, everything = arrives(least), arrives(most)
+    without, whole = most.copy(), least.copy()
+    for _ in range(TRIES):
+        middle = (least + without) / 2
+        idle = arrives(middle) <= nothing
+        least, without = np.where(idle, middle, least), np.where(idle, without, middle)
+        middle = (whole + most) / 2
+        full = arrives(middle) >= everything
+        whole, most = np.where(full, whole, middle), np.where(full, middle, most)
+    return least, np.maximum(least, most)
+
+
 def shaping_laws(effects: Sequence[Effect], actuators: Sequence[str]) -> Array | None:
     """(m, 3) the shaping effects as ``effects.command.shape_command`` takes them; None where one is Python alone."""
     shapers = sorted((e for e in effects if isinstance(e, ShapingEffect)), key=lambda e: e.order)

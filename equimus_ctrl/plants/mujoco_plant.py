@@ -61,9 +61,23 @@ class PlantRates:
 
 
 def make_spec(
-    morphology: Morphology, control_dt: float, nominal: Morphology | None, phase: Phase = "swing"
+    morphology: Morphology, control_dt: float, nominal: Morphology | Model | None, phase: Phase = "swing"
 ) -> PlantSpec:
-    """What a controller may know of a robot: its names, limits, control period and a nominal model."""
+    """What a controller may know of a robot: its names, limits, control period and a nominal model with its effects.
+
+    Raises:
+        ConfigError: where the nominal model is of a robot with other joints or actuators.
+    """
+    known = nominal.morphology if isinstance(nominal, Model) else nominal
+    if known is not None and (known.joint_names, known.actuator_names) != (
+        morphology.joint_names,
+        morphology.actuator_names,
+    ):
+        raise ConfigError(
+            f"the nominal model {known.name} has joints {', '.join(known.joint_names)} and actuators "
+            f"{', '.join(known.actuator_names)}, but {morphology.name} has {', '.join(morphology.joint_names)} and "
+            f"{', '.join(morphology.actuator_names)}"
+        )
     low, high = morphology.joint_range
     n = len(morphology.actuators)
     return PlantSpec(
@@ -74,8 +88,9 @@ def make_spec(
         control_dt=control_dt,
         joint_low=low,
         joint_high=high,
-        model=nominal,
+        model=known,
         phase=phase,
+        effects=nominal.effects if isinstance(nominal, Model) else (),
     )
 
 
@@ -87,7 +102,7 @@ class MujocoPlant:
 
     Args:
         model: what is simulated, with its effects and phase.
-        nominal: what controllers may compute with; the model's own morphology by default.
+        nominal: what controllers may compute with; the model itself by default.
         rates: control, sensor and physics rates.
         noise: standard deviation of white noise on each angle [rad].
     """
@@ -96,7 +111,7 @@ class MujocoPlant:
         self,
         model: Model,
         *,
-        nominal: Morphology | None = None,
+        nominal: Morphology | Model | None = None,
         rates: PlantRates | None = None,
         noise: float = 0.0,
     ) -> None:
@@ -120,7 +135,7 @@ class MujocoPlant:
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._valve = valve_settings(model.effects, model.morphology.actuator_names)
         self._sensor = sensor_settings(model.effects, model.morphology.joint_names)
-        self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model.morphology, model.phase)
+        self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model, model.phase)
         self._step_count = -1
         self._diverged: str | None = None
 

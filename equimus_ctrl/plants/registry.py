@@ -18,18 +18,18 @@ class PlantEntry:
 
     Attributes:
         summary: one line for lists.
-        make: (model, recording or None, noise) → plant.
+        make: (model, recording or None, noise, nominal or None) → plant.
     """
 
     summary: str
-    make: Callable[[Model, Recording | None, float], Plant]
+    make: Callable[[Model, Recording | None, float, Model | None], Plant]
 
 
-def _mujoco(model: Model, recording: Recording | None, noise: float) -> Plant:
-    return MujocoPlant(model, noise=noise)
+def _mujoco(model: Model, recording: Recording | None, noise: float, nominal: Model | None) -> Plant:
+    return MujocoPlant(model, nominal=nominal, noise=noise)
 
 
-def _replay(model: Model, recording: Recording | None, noise: float) -> Plant:
+def _replay(model: Model, recording: Recording | None, noise: float, nominal: Model | None) -> Plant:
     if recording is None:
         raise NotAvailable("the replay plant plays the scenario's recording, and there is none")
     if noise:
@@ -43,8 +43,17 @@ PLANTS: dict[str, PlantEntry] = {
 }
 
 
-def make_plant(name: str, model: Model, recording: Recording | None = None, noise: float = 0.0) -> Plant:
+def make_plant(
+    name: str, model: Model, recording: Recording | None = None, noise: float = 0.0, nominal: Model | None = None
+) -> Plant:
     """A plant by name.
+
+    Args:
+        name: see ``PLANTS``.
+        model: what is simulated, or what was recorded.
+        recording: to play.
+        noise: standard deviation of white noise on each angle [rad].
+        nominal: what controllers may compute with; the model by default.
 
     Raises:
         ConfigError: for an unknown name.
@@ -52,4 +61,4 @@ def make_plant(name: str, model: Model, recording: Recording | None = None, nois
     """
     if name not in PLANTS:
         raise ConfigError(unknown_name("plant", name, PLANTS))
-    return PLANTS[name].make(model, recording, noise)
+    return PLANTS[name].make(model, recording, noise, nominal)

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis
 from equimus_ctrl.diagnosis.where import commands, speeds
@@ -197,7 +198,9 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
             if c == 0:
                 for axes in (top, bottom):
                     axes.set_xscale("log")
+                    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
                     axes.xaxis.set_major_formatter("{x:g}")
+                    axes.xaxis.set_minor_formatter(NullFormatter())
             title = f"{joint}: size of the error" if c == 0 else ""
             style.dress(top, title=title, y="RMS [mrad]" if c == 0 else "")
             style.dress(bottom, x=label, y="mean [mrad]" if c == 0 else "")

@@ -66,13 +66,13 @@ def make_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> P
         make_task(scenario, objective.weight, objective.duration, model, study.ensemble.noise, study.seed + k)
         for k, (scenario, objective) in enumerate(zip(scenarios, study.objectives, strict=True))
     ]
-    return Problem(model, members, tasks, study.weights, study.limits)
+    return Problem(model, members, tasks, study.weights, study.limits, inverse=study.inverse)
 
 
 def unseen_problem(problem: Problem, study: Study) -> Problem:
     """The same problem on legs that took no part in the tuning."""
     legs = make_ensemble(problem.model, study.ensemble, study.ensemble.unseen, study.seed + 1_000_003, fixed=False)
-    return replace(problem, members=legs, _starts={}, _legs={})
+    return replace(problem, members=legs, _starts={}, _legs={}, _plans={})
 
 
 def study_key(study: Study, problem: Problem) -> str:
@@ -303,8 +303,8 @@ def _one_by_one(problem: Problem, settings: PidSettings, pool: ThreadPoolExecuto
 
 
 def _margins_of(problem: Problem, settings: PidSettings, member: Member, pose: Array) -> list[Margins]:
-    model = problem.model
-    return margins(settings, member, model.morphology, pose, problem.tasks[0].control_dt, model.phase)
+    model, dt = problem.model, problem.tasks[0].control_dt
+    return margins(settings, member, model.morphology, pose, dt, model.phase, problem.fed(pose))
 
 
 def _least_margins(problem: Problem, settings: PidSettings) -> list[Margins]:
@@ -350,7 +350,7 @@ def cross_check(problem: Problem, settings: PidSettings, task: int) -> CrossChec
     plant = _Watched(
         MujocoPlant(
             Model(leg.morphology, (*valves, *leg.effects), model.phase),
-            nominal=model.morphology,
+            nominal=model,
             rates=PlantRates(control=rate, sensor=rate, physics=rate * problem.steps),
         ),
         t.noise,

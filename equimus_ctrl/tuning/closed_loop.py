@@ -12,15 +12,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import LATE, PLAY, sensor_settings
+from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, shaping_laws
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology, Phase, structure
+from equimus_ctrl.scenarios.references import SampledReference
 from equimus_ctrl.tuning import loop_kernel
 from equimus_ctrl.tuning.ensemble import Member
 from equimus_ctrl.types import Array
@@ -51,6 +54,43 @@ class Course(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Plan:
+    """What a controller that knows the inverse of a model does along a course, whatever its gains.
+
+    Attributes:
+        shown: (n, nj) its reference [rad].
+        command: (n, na) what it feeds forward [Pa].
+        surplus: (na,) see ``pid_kernel.pid_start`` [Pa].
+        low: (na,) lowest command of any use [Pa].
+        high: (na,) highest [Pa].
+    """
+
+    shown: Array
+    command: Array
+    surplus: Array
+    low: Array
+    high: Array
+
+
+def make_plan(model: Model, course: Course, robot: Member, position: Array, start_time: float) -> Plan:
+    """The plan for a robot that begins somewhere.
+
+    Args:
+        model: what the controller knows.
+        course: what is to be followed.
+        robot: what is driven.
+        position: (nj,) its pose at the start [rad].
+        start_time: see ``PidSettings`` [s].
+    """
+    inverse = Inverse(model, course.control_dt, start_time)
+    sensor = sensor_settings(robot.effects, model.morphology.joint_names)
+    begun = inverse.start(0.0, sensor[:, OFFSET] + sensor[:, SCALE] * position + course.noise[0])
+    times = np.asarray(np.arange(len(course.reference)) * course.control_dt, dtype=np.float64)
+    shown, command, _ = inverse.follow(SampledReference(times, course.reference), times, begun)
+    return Plan(shown, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
+
+
+@dataclass(frozen=True, eq=False)
 class Loop:
     """One closed loop.
 
@@ -58,15 +98,18 @@ class Loop:
         settings: of the PID.
         robot: the leg.
         position: (nj,) its pose at the start [rad].
+        plan: of a controller that knows an inverse.
     """
 
     settings: PidSettings
     robot: Member
     position: Array
+    plan: Plan | None = None
 
     def kind(self) -> tuple[object, ...]:
         """What loops that run side by side have in common."""
-        return self.settings.space, self.settings.feedforward, self.settings.start_time, self.robot.effects
+        s = self.settings
+        return s.space, s.feedforward, s.start_time, self.plan is not None, self.robot.effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +190,10 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
     before = np.array(course.command_before)
     reached_before = shaped_commands(effects, actuators, before[None])[0]
     shaping = shaping_laws(effects, actuators)
+    plans = [loop.plan for loop in loops if loop.plan is not None]
+    low, high = np.full(na, nominal.command_low), np.full(na, nominal.command_high)
+    for plan in plans[:1]:
+        low, high = np.maximum(low, plan.low), np.minimum(high, plan.high)
     q, command, reaches = np.zeros((k, n, nj)), np.zeros((k, n, na)), np.zeros((k, na, n))
     sound = np.full(k, n)
     parameters = np.array([np.append(loop.robot.parameters, numbers) for loop in loops])
@@ -163,11 +210,14 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
         float(settings.start_time),
         np.arange(n) * course.control_dt,
         course.reference,
+        np.array([plan.shown for plan in plans]).reshape(k, -1, nj),
+        np.array([plan.command for plan in plans]).reshape(k, -1, na),
+        np.array([plan.surplus for plan in plans]).reshape(-1, na),
         course.noise,
         before,
         reached_before,
-        np.full(na, nominal.command_low),
-        np.full(na, nominal.command_high),
+        low,
+        high,
         course.control_dt,
         steps,
         rubbing,

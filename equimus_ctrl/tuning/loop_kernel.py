@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from equimus_ctrl.controllers.pid_kernel import blend, pid_command, pid_start
+from equimus_ctrl.controllers.pid_kernel import blend, pid_command, pid_start, static_feed
 from equimus_ctrl.effects.command import advance_pressure, shape_command
 from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, recall
 from equimus_ctrl.engines.lane_functions import (
@@ -88,6 +88,9 @@ def run_loop(
     start_time: float,
     times: Array,
     reference: Array,
+    shown: Array,
+    planned: Array,
+    surplus: Array,
     noise: Array,
     command_before: Array,
     reached_before: Array,
@@ -122,10 +125,14 @@ def run_loop(
         shaping: (m, 3), see ``effects.command.shape_command``.
         gains: (k, 7, nz), see ``pid_start``.
         lengths: whether channels are actuator lengths, else joint angles.
-        feedforward: whether the controller adds the static pressures.
+        feedforward: whether the controller adds the static pressures, where nothing is planned.
         start_time: of the bumpless blend [s].
         times: (n,) control instants [s].
         reference: (n, nj) at each of them [rad].
+        shown: (k, n, nj) what the sensors show of it and (k, n, na) what is fed forward where that is planned, see
+            ``controllers.inverse`` [rad, Pa]; n is 0 where it is not.
+        planned: see ``shown``.
+        surplus: (k, na) see ``pid_start``, where it is planned [Pa].
         noise: (n, nj) added to each measurement [rad].
         command_before: (na,) in force before the start [Pa].
         reached_before: (na,) what of it reached the valves [Pa].
@@ -147,7 +154,7 @@ def run_loop(
     """
     k, n, back = len(valve), len(times), past.shape[2]
     dt = control_dt / steps
-    y, r = np.empty(N_JOINTS), np.empty(N_JOINTS)
+    y, r, fed = np.empty(N_JOINTS), np.empty(N_JOINTS), np.empty(N_ACTUATORS)
     arriving, drive = np.empty(N_ACTUATORS), np.zeros((2, N_ACTUATORS * LANES))
     drive[0] = w[ROW_PRESSURE * LANES : (ROW_PRESSURE + N_ACTUATORS) * LANES]
     for now in range(first, last):
@@ -187,15 +194,25 @@ def run_loop(
                 elif sensor[l, j, LATE] > 0.0:
                     q = recall(past[l, j], now * steps, sensor[l, j, LATE] / dt, dt)
                 y[j] = sensor[l, j, OFFSET] + sensor[l, j, SCALE] * q + noise[now, j]
-            if now == 0:
-                pid_start(y, command_before, gains[l], lengths, feedforward, nominal, memory[l])
+            if planned.shape[1] > 0:
+                if now == 0:
+                    pid_start(y, surplus[l], gains[l], lengths, nominal, memory[l])
                 for j in range(N_JOINTS):
-                    offset[l, j] = y[j] - reference[0, j]
-            for j in range(N_JOINTS):
-                r[j] = reference[now, j] + weight * offset[l, j]
-            pid_command(
-                r, y, gains[l], lengths, feedforward, low, high, control_dt, nominal, memory[l], out_command[l, now]
-            )
+                    r[j] = shown[l, now, j]
+                for i in range(N_ACTUATORS):
+                    fed[i] = planned[l, now, i]
+            else:
+                if now == 0:
+                    static_feed(y, feedforward, nominal, fed)
+                    for i in range(N_ACTUATORS):
+                        fed[i] = command_before[i] - fed[i]
+                    pid_start(y, fed, gains[l], lengths, nominal, memory[l])
+                    for j in range(N_JOINTS):
+                        offset[l, j] = y[j] - reference[0, j]
+                for j in range(N_JOINTS):
+                    r[j] = reference[now, j] + weight * offset[l, j]
+                static_feed(r, feedforward, nominal, fed)
+            pid_command(r, y, fed, gains[l], lengths, low, high, control_dt, nominal, memory[l], out_command[l, now])
             shape_command(shaping, out_command[l, now], arriving)
             for i in range(N_ACTUATORS):
                 reaches[l, i, now] = arriving[i]

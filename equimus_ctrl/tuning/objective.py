@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.controllers import precompile
+from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.effects.sensors import OFFSET, SCALE, sensor_settings
@@ -20,7 +21,7 @@ from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning import closed_loop
-from equimus_ctrl.tuning.closed_loop import Loop, Tracked, track
+from equimus_ctrl.tuning.closed_loop import Loop, Plan, Tracked, make_plan, track
 from equimus_ctrl.tuning.ensemble import Member
 from equimus_ctrl.tuning.stability import SampledLeg, largest_modulus, linear_legs, sample
 from equimus_ctrl.tuning.study import Limits, Weights
@@ -171,6 +172,7 @@ class Problem:
         weights: of the terms.
         limits: hard ones.
         steps: physics steps in each control period.
+        inverse: whether the controller knows the inverse of the model.
     """
 
     model: Model
@@ -179,8 +181,10 @@ class Problem:
     weights: Weights
     limits: Limits
     steps: int = 4
+    inverse: bool = False
     _starts: dict[tuple[int, int], Array] = field(default_factory=dict, repr=False)
     _legs: dict[tuple[str, int, int], list[SampledLeg]] = field(default_factory=dict, repr=False)
+    _plans: dict[tuple[int, int, float], Plan] = field(default_factory=dict, repr=False)
 
     def warm_up(self) -> None:
         """Compile, or load, the kernel and find every leg's rest pose."""
@@ -195,13 +199,12 @@ class Problem:
                 self._starts[i, j] = member.rest(task.command_before, self.model.phase) if pose is None else pose
 
     def poses(self, along: int = 1) -> list[Array]:
-        """Where the loops are linearised: each step-like target, and ``along`` poses of each moving reference."""
+        """What is seen where loops are linearised: each step-like target, ``along`` poses of each moving reference."""
         found: list[Array] = []
-        for task in self.tasks:
-            n = len(task.reference)
+        for index, task in enumerate(self.tasks):
+            n, seen = len(task.reference), self.seen(index)
             found += [
-                task.reference[k]
-                for k in ([n - 1] if task.step_like else [n * (2 * i + 1) // (2 * along) for i in range(along)])
+                seen[k] for k in ([n - 1] if task.step_like else [n * (2 * i + 1) // (2 * along) for i in range(along)])
             ]
         return found
 
@@ -220,7 +223,7 @@ class Problem:
             self._legs[key] = [
                 sample(leg, dt)
                 for pose in self.poses(along)
-                for leg in linear_legs(self.members[member], m, pose, settings.space, phase)
+                for leg in linear_legs(self.members[member], m, pose, settings.space, phase, self.fed(pose))
             ]
         gains = settings.gain_matrix(settings.channels(m))
         modulus = largest_modulus(self._legs[key], gains)
@@ -253,8 +256,23 @@ class Problem:
         """
         if any((member, task) not in self._starts for _, member in runs):
             self.warm_up()
-        loops = [Loop(settings, self.members[i], np.array(self._starts[i, task])) for settings, i in runs]
+        loops = [
+            Loop(
+                settings,
+                self.members[i],
+                np.array(self._starts[i, task]),
+                self._plan(i, task, settings.start_time) if self.inverse else None,
+            )
+            for settings, i in runs
+        ]
         return track(self.model.morphology, self.model.phase, self.tasks[task], loops, self.steps)
+
+    def _plan(self, member: int, task: int, start_time: float) -> Plan:
+        key = (member, task, start_time)
+        if key not in self._plans:
+            begin = self._starts[member, task]
+            self._plans[key] = make_plan(self.model, self.tasks[task], self.members[member], begin, start_time)
+        return self._plans[key]
 
     def simulate(self, settings: PidSettings, member: int, task: int) -> tuple[Array, Array, int]:
         """(angles (n, nj), commands (n, na), steps that went well) of one closed-loop run on the reduced engine."""
@@ -270,9 +288,27 @@ class Problem:
         return self.outcomes([(settings, member)], task)[0]
 
     def wanted(self, task: int) -> Array:
-        """(n, nj) the true angles that the sensors show as the reference [rad]: no gains undo a sensor's error."""
-        sensor = sensor_settings(self.model.effects, self.model.morphology.joint_names)
-        return np.asarray((self.tasks[task].reference - sensor[:, OFFSET]) / sensor[:, SCALE])
+        """(n, nj) the true angles that are to be [rad].
+
+        Where the controller knows no inverse, those that the sensors show as the reference: no gains undo a sensor.
+        """
+        reference, sensor = self.tasks[task].reference, self._sensor()
+        return reference if self.inverse else np.asarray((reference - sensor[:, OFFSET]) / sensor[:, SCALE])
+
+    def seen(self, task: int) -> Array:
+        """(n, nj) what the sensors show then, once they have caught up [rad]."""
+        reference, sensor = self.tasks[task].reference, self._sensor()
+        return np.asarray(sensor[:, OFFSET] + sensor[:, SCALE] * reference) if self.inverse else reference
+
+    def fed(self, pose: Array) -> Array | None:
+        """(na,) what is fed forward at rest where ``pose`` is seen [Pa]; None for the static pressures."""
+        if not self.inverse:
+            return None
+        known = Inverse(self.model, self.tasks[0].control_dt, 0.0)
+        return known.hold(known.start(0.0, pose))
+
+    def _sensor(self) -> Array:
+        return sensor_settings(self.model.effects, self.model.morphology.joint_names)
 
     def _judged(self, run: Tracked, task: int) -> Outcome:
         q, u, wanted = run.position, run.command, self.wanted(task)

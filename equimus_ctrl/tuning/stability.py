@@ -15,7 +15,7 @@ from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import LATE, OFFSET, SCALE, hermite, sensor_settings
-from equimus_ctrl.effects.valves import DELAY, FILL, VENT, ShapingEffect, shaped_commands
+from equimus_ctrl.effects.valves import DELAY, FILL, VENT, ShapingEffect, command_for, shaped_commands
 from equimus_ctrl.engines.rest import pushes_at_rest
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.linear import state_matrices
@@ -25,8 +25,6 @@ from equimus_ctrl.types import Array
 
 SLOPES = 64
 """At how many commands the steepest slope of what shaping leaves of them is looked for."""
-TRIES = 50
-"""How often a command is corrected by what shaping takes from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +55,24 @@ class LinearLeg:
     late: Array | None = None
 
 
-def linear_legs(member: Member, nominal: Morphology, pose: Array, space: str, phase: Phase) -> tuple[LinearLeg, ...]:
+def linear_legs(
+    member: Member, nominal: Morphology, pose: Array, space: str, phase: Phase, fed: Array | None = None
+) -> tuple[LinearLeg, ...]:
     """A member of an ensemble about a pose; twice where effects have states of their own: for quick and slow motion."""
     two = any(isinstance(effect, ForceEffect) and effect.n_states for effect in member.effects)
     return tuple(
-        linear_leg(member, nominal, pose, space, phase, quick) for quick in ((True, False) if two else (True,))
+        linear_leg(member, nominal, pose, space, phase, quick, fed) for quick in ((True, False) if two else (True,))
     )
 
 
 def linear_leg(
-    member: Member, nominal: Morphology, pose: Array, space: str, phase: Phase, quick: bool = True
+    member: Member,
+    nominal: Morphology,
+    pose: Array,
+    space: str,
+    phase: Phase,
+    quick: bool = True,
+    fed: Array | None = None,
 ) -> LinearLeg:
     """Linearise a member of an ensemble about a pose it holds with its own static pressures.
 
@@ -80,10 +86,12 @@ def linear_leg(
         space: of the channels.
         phase: base fixed or foot pinned.
         quick: see ``models.linear.state_matrices``.
+        fed: (na,) fed forward there [Pa]; the static pressures by default.
     """
     own, known = Kinematics(member.morphology, phase), Kinematics(nominal, phase)
     sensor = sensor_settings(member.effects, nominal.joint_names)
-    true = (pose - sensor[:, OFFSET]) / sensor[:, SCALE]
+    # Pressing on a stop only slows a loop down: a pose beyond one is taken at its edge.
+    true = np.clip((pose - sensor[:, OFFSET]) / sensor[:, SCALE], *member.morphology.joint_range)
     held = own.static_pressure(true)
     pushed = pushes_at_rest(member.model(phase))
     if pushed is not None:
@@ -103,8 +111,9 @@ def linear_leg(
     effort_map = np.diag(1 / area) if space == "length" else pressures_of(pose)
     turning = np.zeros((na, nj))
     if space == "joint":
-        asked = _command_for(held, member.effects, nominal)
-        standing = (jacobian.T * area) @ (asked - known.static_pressure(pose))
+        limits = nominal.command_low, nominal.command_high
+        asked = command_for(member.effects, nominal.actuator_names, held[None], *limits)[0]
+        standing = (jacobian.T * area) @ (asked - (known.static_pressure(pose) if fed is None else fed))
         for j, step in enumerate(1e-6 * np.eye(nj)):
             turning[:, j] = (pressures_of(pose + step) - pressures_of(pose - step)) @ standing / 2e-6
     c = np.hstack([channel * sensor[:, SCALE], np.zeros_like(channel)])
@@ -133,17 +142,6 @@ def linear_leg(
         _steepest(member.effects, nominal),
         sensor[:, LATE] if np.any(sensor[:, LATE] > 0) else None,
     )
-
-
-def _command_for(pressure: Array, effects: Sequence[Effect], robot: Morphology) -> Array:
-    """(na,) the command within the range of which shaping leaves a pressure, or comes near to it [Pa]."""
-    if not any(isinstance(effect, ShapingEffect) for effect in effects):
-        return pressure
-    command = pressure
-    for _ in range(TRIES):
-        missing = pressure - shaped_commands(effects, robot.actuator_names, command[None])[0]
-        command = np.clip(command + missing, robot.command_low, robot.command_high)
-    return command
 
 
 def _steepest(effects: Sequence[Effect], robot: Morphology) -> Array | None:
@@ -318,14 +316,20 @@ def loop_response(leg: LinearLeg, gains: Array, dt: float, omega: Array) -> Arra
 
 
 def margins(
-    settings: PidSettings, member: Member, nominal: Morphology, pose: Array, dt: float, phase: Phase
+    settings: PidSettings,
+    member: Member,
+    nominal: Morphology,
+    pose: Array,
+    dt: float,
+    phase: Phase,
+    fed: Array | None = None,
 ) -> list[Margins]:
     """Gain, phase and delay margin of each actuator's loop with the others closed (python-control).
 
-    Only the feedback counts: the static feed-forward depends on the reference, not on what is measured.
+    Only the feedback counts: what is fed forward depends on the reference, not on what is measured.
     """
     gains = settings.gain_matrix(settings.channels(nominal))
-    legs = linear_legs(member, nominal, pose, settings.space, phase)
+    legs = linear_legs(member, nominal, pose, settings.space, phase, fed)
     return least_margins([_margins(leg, gains, nominal.actuator_names, dt) for leg in legs])
 
 

@@ -167,6 +167,7 @@ class Study:
         objectives: scenarios the gains must do well in.
         search: kp, ki, kd (each for every channel) and derivative_time → range.
         space: of the PID.
+        inverse: of the PID: whether it is given the inverse of the model, effects included.
         seed: of the search, the ensemble and the noise.
         candidates: sets of gains tried in all.
         polish: share of them spent on the local search.
@@ -178,6 +179,7 @@ class Study:
     objectives: tuple[Objective, ...]
     search: Mapping[str, Range]
     space: Space = "length"
+    inverse: bool = False
     seed: int = 1
     candidates: int = 320
     polish: float = 0.25
@@ -213,7 +215,7 @@ class Study:
         gains = {
             channel: PidGains(*(float(v) for v in values[3 * i : 3 * i + 3])) for i, channel in enumerate(channels)
         }
-        return PidSettings(gains, self.space, derivative_time=float(values[-1]))
+        return PidSettings(gains, self.space, derivative_time=float(values[-1]), inverse=self.inverse)
 
 
 def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study:
@@ -275,8 +277,8 @@ def _from_table(cls: Any, table: Any, where: str) -> Any:
             if not (isinstance(value, list) and len(value) == 2 and all(_is_number(v) for v in value)):
                 raise ConfigError(f"{where}: {key} is {value!r}, expected two numbers")
             value = (float(value[0]), float(value[1]))
-        elif hint is str and not isinstance(value, str):
-            raise ConfigError(f"{where}: {key} is {value!r}, expected a text")
+        elif hint in (str, bool) and not isinstance(value, hint):
+            raise ConfigError(f"{where}: {key} is {value!r}, expected {'a text' if hint is str else 'true or false'}")
         values[key] = value
     for name, f in known.items():
         if name not in values and f.default is MISSING and f.default_factory is MISSING:

@@ -158,6 +158,7 @@ def run_scenario(
     settings: Path | None = None,
     noise: float = 0.0,
     seed: int = 0,
+    nominal: Model | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ScenarioRun:
     """Run a scenario and score it.
@@ -173,12 +174,14 @@ def run_scenario(
         settings: the controller's settings file.
         noise: standard deviation of white noise on the measured angles [rad].
         seed: of that noise.
+        nominal: what the controller may compute with; the model without ``effects`` by default.
         progress: called with the share done.
 
     Raises:
         EquimusError: for anything a user can get wrong, in one sentence.
     """
     model = model or nominal_model()
+    known = nominal or model
     if seed < 0:
         raise ConfigError(f"seed is {seed}, expected at least 0")
     if plant == "replay" and (effects or model.effects):
@@ -195,7 +198,7 @@ def run_scenario(
         label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
     if isinstance(plant, str):
-        plant_name, machine = plant, make_plant(plant, model, scenario.recorded, noise)
+        plant_name, machine = plant, make_plant(plant, model, scenario.recorded, noise, known)
     else:
         plant_name, machine = type(plant).__name__, plant
     duration = scenario.duration

@@ -1,0 +1,165 @@
+"""Feed-forward by the inverse of a model: what makes it follow a reference, and what its sensors show meanwhile.
+
+The reference is differentiated, the equations of motion with all effects give the pressures P (``models.inverse``), and
+valves are undone in turn: a command leads P by the transport delay and, where the valve lags, by τ dP/dt, and is what
+dead zone, supply coupling, saturation and cutoff leave P of. Held commands act half a period late on average and lead
+by that, too. Rate limits and filling flows cannot be undone. What is measured is compared with what offset, scale,
+delay and play of the sensors make of the reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from equimus_ctrl.controllers.pid_kernel import blend
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, sensor_settings
+from equimus_ctrl.effects.valves import DELAY, FILL, VENT, command_for, shaped_commands, useful_commands, valve_settings
+from equimus_ctrl.models.augmented import augmented_model, law_parameters
+from equimus_ctrl.models.inverse import inverse_dynamics
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.morphology import pack, structure
+from equimus_ctrl.types import Array, Reference
+
+SMOOTHING = 1 / 60
+"""A reference is differentiated over as much to either side [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """How far a reference has been followed.
+
+    Attributes:
+        begun: when [s].
+        pose: (nj,) where the robot was then [rad].
+        states: (k, nz) of the effects, for each of the valves' delays.
+        held: (nj,) what sensors with play show [rad].
+    """
+
+    begun: float
+    pose: Array
+    states: Array
+    held: Array
+
+
+class Inverse:
+    """The inverse of a model at a control rate.
+
+    Args:
+        model: what is known of the robot.
+        control_dt: time between two commands [s].
+        start_time: over which the first pose fades out of the reference [s].
+
+    Attributes:
+        low: (na,) lowest command of any use [Pa].
+        high: (na,) highest.
+    """
+
+    def __init__(self, model: Model, control_dt: float, start_time: float) -> None:
+        robot, effects = changed_bodies(model.effects, model.morphology), model.effects
+        laws = tuple(sorted({type(e) for e in effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+        slots = augmented_model(structure(robot), model.phase, laws).slots
+        self._law = inverse_dynamics(structure(robot), model.phase, laws)
+        own = law_parameters(slots, effects, robot.joint_names, robot.actuator_names)
+        self._parameters = np.array([*pack(robot), *own])
+        self._effects, self._actuators = effects, robot.actuator_names
+        self._sensor = sensor_settings(effects, robot.joint_names)
+        self._valve = valve_settings(effects, robot.actuator_names)
+        self._delays = np.unique(self._valve[:, DELAY])
+        self._dt, self._start_time = control_dt, start_time
+        self.low, self.high = useful_commands(effects, robot.actuator_names, robot.command_low, robot.command_high)
+
+    def start(self, time: float, measured: Array) -> Course:
+        """A robot that has long been at rest.
+
+        Args:
+            time: now [s].
+            measured: (nj,) angles [rad].
+        """
+        pose = (measured - self._sensor[:, OFFSET]) / self._sensor[:, SCALE]
+        rest = np.array(self._law.rest(pose, self._parameters)).ravel()
+        return Course(time, pose, np.tile(rest, (len(self._delays), 1)), pose)
+
+    def hold(self, course: Course) -> Array:
+        """(na,) the command that holds the robot where it starts [Pa]."""
+        return np.asarray(self._commands(self._holding(course)[None])[0])
+
+    def surplus(self, course: Course, command: Array) -> Array:
+        """(na,) by how much more pressure arrives of a command than holds the robot where it starts [Pa]."""
+        reached: Array = shaped_commands(self._effects, self._actuators, command[None])[0]
+        return np.asarray(reached - self._holding(course))
+
+    def follow(self, reference: Reference, times: Array, course: Course) -> tuple[Array, Array, Course]:
+        """What to command, and what the sensors show of a robot that follows.
+
+        Args:
+            reference: of the true angles; looked at ahead of time where valves are late.
+            times: (n,) successive control instants [s].
+            course: how far it has been followed.
+
+        Returns:
+            Angles (n, nj) that the sensors show [rad], commands (n, na) within the useful range [Pa], and the course
+            after the last of them.
+        """
+        pressure, states = np.empty((len(times), len(self._actuators))), np.empty_like(course.states)
+        for k, delay in enumerate(self._delays):
+            own = np.flatnonzero(self._valve[:, DELAY] == delay)
+            arrival = times + delay + self._dt / 2
+            q, v, a = self._motion(reference, arrival, course)
+            z, states[k] = self._states(q, v, course.states[k])
+            pressure[:, own] = self._pressures(q, v, a, z)[:, own]
+            if np.any(self._valve[own, FILL : VENT + 1] > 0):
+                around = [self._motion(reference, arrival + side * self._dt, course) for side in (-1, 1)]
+                before, after = (self._pressures(*motion, z)[:, own] for motion in around)
+                rate = (after - before) / (2 * self._dt)
+                pressure[:, own] += np.where(rate > 0, self._valve[own, FILL], self._valve[own, VENT]) * rate
+        shown, held = self._shown(reference, times, course)
+        return shown, self._commands(pressure), replace(course, states=states, held=held)
+
+    def _holding(self, course: Course) -> Array:
+        still = np.zeros_like(course.pose)
+        found = self._law.pressure(course.pose, still, still, course.states[0], self._parameters)
+        return np.array(found).ravel()
+
+    def _commands(self, pressure: Array) -> Array:
+        """(n, na) the commands within the useful range that come nearest to pressures [Pa]."""
+        command = command_for(self._effects, self._actuators, pressure, self.low, self.high)
+        return np.clip(command, self.low, self.high)
+
+    def _poses(self, reference: Reference, times: Array, course: Course) -> Array:
+        """(n, nj) where the robot is to be: the first pose fades into the reference, both at rest before [rad]."""
+        found = np.empty((len(times), len(course.pose)))
+        for k, time in enumerate(np.maximum(times, course.begun).tolist()):
+            weight = blend(time - course.begun, self._start_time)
+            found[k] = (1 - weight) * reference.position(time) + weight * course.pose
+        return found
+
+    def _motion(self, reference: Reference, times: Array, course: Course) -> tuple[Array, Array, Array]:
+        """(nj, n) angles, velocities and accelerations."""
+        before, now, after = (self._poses(reference, times + side * SMOOTHING, course).T for side in (-1, 0, 1))
+        return now, (after - before) / (2 * SMOOTHING), (after - 2 * now + before) / SMOOTHING**2
+
+    def _states(self, q: Array, v: Array, first: Array) -> tuple[Array, Array]:
+        """(nz, n) the effects' states along a motion, and after it."""
+        z = np.empty((len(first), q.shape[1]))
+        for k in range(q.shape[1] if len(first) else 0):
+            z[:, k] = first
+            first = np.array(self._law.advanced(q[:, k], v[:, k], first, self._parameters, self._dt)).ravel()
+        return z, first
+
+    def _pressures(self, q: Array, v: Array, a: Array, z: Array) -> Array:
+        return np.array(self._law.pressure(q, v, a, z, self._parameters)).T
+
+    def _shown(self, reference: Reference, times: Array, course: Course) -> tuple[Array, Array]:
+        """(n, nj) what the sensors show, and (nj,) where those with play are held in the end."""
+        shown, held = np.empty((len(times), len(course.pose))), course.held.copy()
+        for late in np.unique(self._sensor[:, LATE]):
+            own = np.flatnonzero(self._sensor[:, LATE] == late)
+            shown[:, own] = self._poses(reference, times - late, course)[:, own]
+        for j in np.flatnonzero(self._sensor[:, PLAY] > 0):
+            for k in range(len(times)):
+                shown[k, j] = held[j] = follow(held[j], shown[k, j], self._sensor[j, PLAY])
+        return self._sensor[:, OFFSET] + self._sensor[:, SCALE] * shown, held
