@@ -118,11 +118,9 @@ def _diagnose(
     progress("what is left", 0.86, found.best.label)
     rest = remainder(data, found.base, found.best, found.without)
     doubtful: tuple[Named, ...] = ()
-    if rest.superfluous:
-        doubtful = tuple(_named(found.best.hypothesis[k]) for k in rest.superfluous)
-        kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in rest.superfluous)
-        best = search.refit(found.best, kept) if kept else found.base
-        found = _again(search, found, best)
+    while rest.superfluous:
+        doubtful += tuple(_named(found.best.hypothesis[k]) for k in rest.superfluous)
+        found = _less(search, found, rest.superfluous)
         rest = remainder(data, found.base, found.best, found.without)
     progress("evidence", 0.94, found.best.label)
     judge = _Judge(data, split, found)
@@ -175,6 +173,16 @@ def _verdict(findings: Sequence[Finding], rest: Remainder) -> Verdict:
     if rest.leftovers:
         return "partly_explained" if findings else "unexplained"
     return "explained" if findings else "consistent"
+
+
+def _less(search: Search, found: Searched, places: Sequence[int]) -> Searched:
+    """The search's end without some parts, and without those that are believed no more then."""
+    while places:
+        kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)
+        found = _again(search, found, search.refit(found.best, kept) if kept else found.base)
+        pairs = enumerate(found.without)
+        places = [k for k, without in pairs if not search.believed(without, found.best)][:1]
+    return found
 
 
 def _again(search: Search, found: Searched, best: Fitted) -> Searched:
