@@ -88,9 +88,9 @@ def test_bounds_are_kept_and_named(name: str) -> None:
         for value in (meta["low"] - 0.01 * span, meta["high"] + 0.01 * span, math.nan, math.inf, -math.inf):
             with pytest.raises(ConfigError) as caught:
                 make(name, good.location, {**good.parameters(), key: value})
-            unit = meta["unit"]
-            bounds = f"expected {meta['low']:g} to {meta['high']:g} {unit}"
-            assert str(caught.value) == f"effect {name} at {good.location!r}: {key} is {value:g} {unit}, {bounds}"
+            unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
+            bounds = f"expected {meta['low']:g} to {meta['high']:g}{unit}"
+            assert str(caught.value) == f"effect {name} at {good.location!r}: {key} is {value:g}{unit}, {bounds}"
 
 
 @every_effect

@@ -16,7 +16,7 @@ import numpy as np
 from equimus_ctrl.controllers.pid_kernel import blend
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, sensor_settings
+from equimus_ctrl.effects.sensors import LATE, PLAY, behind, follow, sensor_settings, shown
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, command_for, shaped_commands, useful_commands, valve_settings
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.inverse import inverse_dynamics
@@ -29,7 +29,7 @@ SMOOTHING = 1 / 60
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class InverseState:
     """How far a reference has been followed.
 
     Attributes:
@@ -72,56 +72,56 @@ class Inverse:
         self._dt, self._start_time = control_dt, start_time
         self.low, self.high = useful_commands(effects, robot.actuator_names, robot.command_low, robot.command_high)
 
-    def start(self, time: float, measured: Array) -> Course:
+    def start(self, time: float, measured: Array) -> InverseState:
         """A robot that has long been at rest.
 
         Args:
             time: now [s].
             measured: (nj,) angles [rad].
         """
-        pose = (measured - self._sensor[:, OFFSET]) / self._sensor[:, SCALE]
+        pose = behind(self._sensor, measured)
         rest = np.array(self._law.rest(pose, self._parameters)).ravel()
-        return Course(time, pose, np.tile(rest, (len(self._delays), 1)), pose)
+        return InverseState(time, pose, np.tile(rest, (len(self._delays), 1)), pose)
 
-    def hold(self, course: Course) -> Array:
+    def hold(self, state: InverseState) -> Array:
         """(na,) the command that holds the robot where it starts [Pa]."""
-        return np.asarray(self._commands(self._holding(course)[None])[0])
+        return np.asarray(self._commands(self._holding(state)[None])[0])
 
-    def surplus(self, course: Course, command: Array) -> Array:
+    def surplus(self, state: InverseState, command: Array) -> Array:
         """(na,) by how much more pressure arrives of a command than holds the robot where it starts [Pa]."""
         reached: Array = shaped_commands(self._effects, self._actuators, command[None])[0]
-        return np.asarray(reached - self._holding(course))
+        return np.asarray(reached - self._holding(state))
 
-    def follow(self, reference: Reference, times: Array, course: Course) -> tuple[Array, Array, Course]:
+    def follow(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, InverseState]:
         """What to command, and what the sensors show of a robot that follows.
 
         Args:
             reference: of the true angles; looked at ahead of time where valves are late.
             times: (n,) successive control instants [s].
-            course: how far it has been followed.
+            state: how far it has been followed.
 
         Returns:
-            Angles (n, nj) that the sensors show [rad], commands (n, na) within the useful range [Pa], and the course
+            Angles (n, nj) that the sensors show [rad], commands (n, na) within the useful range [Pa], and the state
             after the last of them.
         """
-        pressure, states = np.empty((len(times), len(self._actuators))), np.empty_like(course.states)
+        pressure, states = np.empty((len(times), len(self._actuators))), np.empty_like(state.states)
         for k, delay in enumerate(self._delays):
             own = np.flatnonzero(self._valve[:, DELAY] == delay)
             arrival = times + delay + self._dt / 2
-            q, v, a = self._motion(reference, arrival, course)
-            z, states[k] = self._states(q, v, course.states[k])
+            q, v, a = self._motion(reference, arrival, state)
+            z, states[k] = self._states(q, v, state.states[k])
             pressure[:, own] = self._pressures(q, v, a, z)[:, own]
             if np.any(self._valve[own, FILL : VENT + 1] > 0):
-                around = [self._motion(reference, arrival + side * self._dt, course) for side in (-1, 1)]
+                around = [self._motion(reference, arrival + side * self._dt, state) for side in (-1, 1)]
                 before, after = (self._pressures(*motion, z)[:, own] for motion in around)
                 rate = (after - before) / (2 * self._dt)
                 pressure[:, own] += np.where(rate > 0, self._valve[own, FILL], self._valve[own, VENT]) * rate
-        shown, held = self._shown(reference, times, course)
-        return shown, self._commands(pressure), replace(course, states=states, held=held)
+        seen, held = self._seen(reference, times, state)
+        return seen, self._commands(pressure), replace(state, states=states, held=held)
 
-    def _holding(self, course: Course) -> Array:
-        still = np.zeros_like(course.pose)
-        found = self._law.pressure(course.pose, still, still, course.states[0], self._parameters)
+    def _holding(self, state: InverseState) -> Array:
+        still = np.zeros_like(state.pose)
+        found = self._law.pressure(state.pose, still, still, state.states[0], self._parameters)
         return np.array(found).ravel()
 
     def _commands(self, pressure: Array) -> Array:
@@ -129,17 +129,17 @@ class Inverse:
         command = command_for(self._effects, self._actuators, pressure, self.low, self.high)
         return np.clip(command, self.low, self.high)
 
-    def _poses(self, reference: Reference, times: Array, course: Course) -> Array:
+    def _poses(self, reference: Reference, times: Array, state: InverseState) -> Array:
         """(n, nj) where the robot is to be: the first pose fades into the reference, both at rest before [rad]."""
-        found = np.empty((len(times), len(course.pose)))
-        for k, time in enumerate(np.maximum(times, course.begun).tolist()):
-            weight = blend(time - course.begun, self._start_time)
-            found[k] = (1 - weight) * reference.position(time) + weight * course.pose
+        found = np.empty((len(times), len(state.pose)))
+        for k, time in enumerate(np.maximum(times, state.begun).tolist()):
+            weight = blend(time - state.begun, self._start_time)
+            found[k] = (1 - weight) * reference.position(time) + weight * state.pose
         return found
 
-    def _motion(self, reference: Reference, times: Array, course: Course) -> tuple[Array, Array, Array]:
+    def _motion(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, Array]:
         """(nj, n) angles, velocities and accelerations."""
-        before, now, after = (self._poses(reference, times + side * SMOOTHING, course).T for side in (-1, 0, 1))
+        before, now, after = (self._poses(reference, times + side * SMOOTHING, state).T for side in (-1, 0, 1))
         return now, (after - before) / (2 * SMOOTHING), (after - 2 * now + before) / SMOOTHING**2
 
     def _states(self, q: Array, v: Array, first: Array) -> tuple[Array, Array]:
@@ -153,13 +153,13 @@ class Inverse:
     def _pressures(self, q: Array, v: Array, a: Array, z: Array) -> Array:
         return np.array(self._law.pressure(q, v, a, z, self._parameters)).T
 
-    def _shown(self, reference: Reference, times: Array, course: Course) -> tuple[Array, Array]:
+    def _seen(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
         """(n, nj) what the sensors show, and (nj,) where those with play are held in the end."""
-        shown, held = np.empty((len(times), len(course.pose))), course.held.copy()
+        angles, held = np.empty((len(times), len(state.pose))), state.held.copy()
         for late in np.unique(self._sensor[:, LATE]):
             own = np.flatnonzero(self._sensor[:, LATE] == late)
-            shown[:, own] = self._poses(reference, times - late, course)[:, own]
+            angles[:, own] = self._poses(reference, times - late, state)[:, own]
         for j in np.flatnonzero(self._sensor[:, PLAY] > 0):
             for k in range(len(times)):
-                shown[k, j] = held[j] = follow(held[j], shown[k, j], self._sensor[j, PLAY])
-        return self._sensor[:, OFFSET] + self._sensor[:, SCALE] * shown, held
+                angles[k, j] = held[j] = follow(held[j], angles[k, j], self._sensor[j, PLAY])
+        return shown(self._sensor, angles), held

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from equimus_ctrl.controllers import pid_kernel
-from equimus_ctrl.controllers.inverse import Course, Inverse
+from equimus_ctrl.controllers.inverse import Inverse, InverseState
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
 from equimus_ctrl.models.model import Model
@@ -171,7 +171,7 @@ class PidState:
         low: (n_actuators,) lowest command of any use [Pa].
         high: (n_actuators,) highest [Pa].
         inverse: of the model, where it is what feeds forward.
-        course: how far that has followed the reference.
+        inverse_state: how far that has followed the reference.
     """
 
     memory: Array
@@ -184,7 +184,7 @@ class PidState:
     low: Array
     high: Array
     inverse: Inverse | None = None
-    course: Course | None = None
+    inverse_state: InverseState | None = None
 
 
 @dataclass(frozen=True)
@@ -221,26 +221,26 @@ class PidController:
         memory = np.zeros((3, gains.shape[1]))
         # Writable copies: numba compiles anew for read-only arrays.
         y, low, high = np.array(observation.position), np.array(spec.command_low), np.array(spec.command_high)
-        inverse, course = None, None
+        inverse, following = None, None
         if s.inverse:
             inverse = Inverse(Model(spec.model, spec.effects, spec.phase), spec.control_dt, s.start_time)
-            course = inverse.start(observation.time, y)
+            following = inverse.start(observation.time, y)
             low, high = np.maximum(low, inverse.low), np.minimum(high, inverse.high)
-            surplus = inverse.surplus(course, observation.command)
+            surplus = inverse.surplus(following, observation.command)
         else:
             fed = np.empty(len(low))
             law.static_feed(y, s.feedforward, constants, fed)
             surplus = observation.command - fed
         law.pid_start(y, surplus, gains, s.space == "length", constants, memory)
         offset = np.full(len(spec.joints), np.nan)
-        return PidState(memory, offset, observation.time, spec, constants, gains, law, low, high, inverse, course)
+        return PidState(memory, offset, observation.time, spec, constants, gains, law, low, high, inverse, following)
 
     def step(self, observation: Observation, reference: Reference, state: PidState) -> tuple[Array, PidState]:
         """The next command, within the plant's limits."""
         s, spec = self.settings, state.spec
-        offset, course, fed = state.offset, state.course, np.empty(len(spec.actuators))
-        if state.inverse is not None and course is not None:
-            shown, planned, course = state.inverse.follow(reference, np.array([observation.time]), course)
+        offset, following, fed = state.offset, state.inverse_state, np.empty(len(spec.actuators))
+        if state.inverse is not None and following is not None:
+            shown, planned, following = state.inverse.follow(reference, np.array([observation.time]), following)
             r, fed = shown[0], planned[0]
         else:
             wanted = reference.position(observation.time)
@@ -263,4 +263,4 @@ class PidController:
             memory,
             command,
         )
-        return frozen_array(command), replace(state, memory=memory, offset=offset, course=course)
+        return frozen_array(command), replace(state, memory=memory, offset=offset, inverse_state=following)

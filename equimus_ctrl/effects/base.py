@@ -106,9 +106,10 @@ class Effect:
             if not isinstance(value, Real):
                 raise ConfigError(f"effect {self.name} at {self.location!r}: {key} is {value!r}, expected a number")
             if not (math.isfinite(value) and meta["low"] <= value <= meta["high"]):
+                unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
                 raise ConfigError(
-                    f"effect {self.name} at {self.location!r}: {key} is {value:g} {meta['unit']}, "
-                    f"expected {meta['low']:g} to {meta['high']:g} {meta['unit']}"
+                    f"effect {self.name} at {self.location!r}: {key} is {value:g}{unit}, expected {meta['low']:g} to "
+                    f"{meta['high']:g}{unit}"
                 )
 
     def slot(self, robot: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -97,6 +98,30 @@ def sensor_settings(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
     return sensor
 
 
+def _reading(offset: Any, scale: Any, angle: Any) -> Any:
+    return offset + scale * angle
+
+
+_compiled_reading = njit(cache=True, nogil=True, error_model="numpy")(_reading)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def read(sensor: Array, angle: float) -> float:
+    """What a joint's sensor (4,) shows of its angle once it has caught up [rad]."""
+    value: float = _compiled_reading(sensor[OFFSET], sensor[SCALE], angle)
+    return value
+
+
+def shown(sensor: Array, angles: Array) -> Array:
+    """(…, nj) what sensors (nj, 4) show of angles (…, nj) once they have caught up [rad]."""
+    return np.asarray(_reading(sensor[:, OFFSET], sensor[:, SCALE], angles))
+
+
+def behind(sensor: Array, measured: Array) -> Array:
+    """(…, nj) the angles of which sensors (nj, 4) show what is measured (…, nj), at rest [rad]."""
+    return np.asarray((measured - sensor[:, OFFSET]) / sensor[:, SCALE])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def hermite(x0: float, v0: float, x1: float, v1: float, dt: float, share: float) -> float:
     """Cubic through both ends and their slopes, at a share of the step."""
@@ -167,4 +192,4 @@ def sample(q: Array, v: Array, start: float, dt: float, sensor: Array, times: Ar
         if play > 0.0:
             held = follow(held, angle, play)
             angle = held
-        out[k] = sensor[0] + sensor[1] * angle
+        out[k] = read(sensor, angle)

@@ -22,7 +22,7 @@ import casadi as ca
 import numba
 import platformdirs
 
-from equimus_ctrl.engines import lane_functions, lane_kernel, lane_math
+from equimus_ctrl.engines import lane_functions, lane_kernel, lane_math, lane_steps
 from equimus_ctrl.models import augmented, codegen, morphology, symbolic
 from equimus_ctrl.models.augmented import Laws
 from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
@@ -69,7 +69,7 @@ def load(model: Morphology, phase: Phase, kernel: ModuleType, laws: Laws = ()) -
         model: whose structure; its numbers are arguments of the kernels.
         phase: base fixed or foot pinned.
         kernel: a module written against ``engines.model_functions``; it may import from other such modules, and from
-            ``engines.lane_functions`` and ``engines.lane_kernel``.
+            ``engines.lane_functions``, ``engines.lane_steps`` and ``engines.lane_kernel``.
         laws: force laws that the lanes have wherever they can sit.
     """
     return _load(structure(model), phase, kernel, laws)
@@ -94,14 +94,23 @@ def is_marked_compiled(kernel: ModuleType) -> bool:
 @lru_cache(maxsize=64)
 def load_lanes(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
     """The batch kernel (see ``engines.lane_kernel``) of a structure with force laws wherever they can sit."""
-    return _led(lane_kernel, {_LANE_STUB: _lane_model(form, phase, laws)})
+    return _lane_modules(form, phase, laws)[lane_kernel.__name__]
+
+
+@lru_cache(maxsize=64)
+def _lane_modules(form: Structure, phase: Phase, laws: Laws) -> dict[str, ModuleType]:
+    """What takes the place of each module that is written against the lanes' functions."""
+    made = {_LANE_STUB: _lane_model(form, phase, laws)}
+    for module in (lane_steps, lane_kernel):
+        made[module.__name__] = _led(module, made)
+    return made
 
 
 @lru_cache(maxsize=64)
 def _load(form: Structure, phase: Phase, kernel: ModuleType, laws: Laws) -> ModuleType:
     replaced = {_STUB: _model(form, phase)}
     if _LANE_STUB in inspect.getsource(kernel):
-        replaced |= {_LANE_STUB: _lane_model(form, phase, laws), lane_kernel.__name__: load_lanes(form, phase, laws)}
+        replaced |= _lane_modules(form, phase, laws)
     for other in _imported(kernel):
         if _STUB in inspect.getsource(other):
             replaced[other.__name__] = _load(form, phase, other, ())

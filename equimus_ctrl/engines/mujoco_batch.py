@@ -14,7 +14,7 @@ import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import ArrayLike, NDArray
 
-from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.limits import FOLLOWED, MAX_SPEED
 from equimus_ctrl.engines.steps import STABLE, rates_at
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.mjcf import (
@@ -37,8 +37,6 @@ too long to follow a stop's push.
 
 NEAR_STOP = 5e-3
 """A run is near a stop where a joint is less than this and what it turns in a step from it [rad]."""
-PUSH_FOLLOWED = 1.4
-"""Largest |λ|·dt at which runs near a stop are simulated, λ being the fastest rate with stops pressed."""
 MOST_FINER = 64
 """Steps are not made shorter than by this for the sake of a stop."""
 FINE_NUMBERS = 2**23
@@ -375,7 +373,7 @@ def stop_divisor(morphology: Morphology, phase: Phase, pose: Array, dt: float) -
     """By which whole number a step dt [s] is to be divided to follow the push of a robot's stops.
 
     It is the least that brings the fastest rate λ with stops pressed, at the pose and at the joints' ends
-    (``engines.steps.rates_at``), to |λ|·dt ≤ ``PUSH_FOLLOWED``; ``MOST_FINER`` at most, with a warning where
+    (``engines.steps.rates_at``), to |λ|·dt ≤ ``FOLLOWED``; ``MOST_FINER`` at most, with a warning where
     the method is unstable even so.
 
     Args:
@@ -388,10 +386,10 @@ def stop_divisor(morphology: Morphology, phase: Phase, pose: Array, dt: float) -
     if rate / MOST_FINER > STABLE:
         warnings.warn(
             f"{morphology.name}: a joint stop is too stiff even for a physics step of {dt / MOST_FINER * 1e3:.2g} ms; "
-            f"expected at most {PUSH_FOLLOWED / rate * dt * 1e3:.2g} ms",
+            f"expected at most {FOLLOWED / rate * dt * 1e3:.2g} ms",
             stacklevel=3,
         )
-    return math.ceil(min(max(rate / PUSH_FOLLOWED, 1.0), MOST_FINER))
+    return math.ceil(min(max(rate / FOLLOWED, 1.0), MOST_FINER))
 
 
 def _usable_processors() -> int:

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.sensors import OFFSET, SCALE, sensor_settings
+from equimus_ctrl.effects.sensors import SCALE, behind, sensor_settings
 from equimus_ctrl.engines.batch import STEP, Trial, simulate
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
@@ -52,7 +52,7 @@ def behind_sensors(models: Sequence[Model], shown: Array) -> Array:
     found = np.array(shown)
     for row, model in zip(found, models, strict=True):
         sensor = sensor_settings(model.effects, model.morphology.joint_names)
-        row[:nj] = (row[:nj] - sensor[:, OFFSET]) / sensor[:, SCALE]
+        row[:nj] = behind(sensor, row[:nj])
         row[nj:] /= sensor[: len(row) - nj, SCALE]
     return found
 

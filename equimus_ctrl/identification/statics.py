@@ -14,7 +14,7 @@ from scipy.optimize import least_squares, lsq_linear
 from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import force_laws
-from equimus_ctrl.effects.sensors import OFFSET, SCALE, sensor_settings
+from equimus_ctrl.effects.sensors import SCALE, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.batch import KNOWN_KINDS, encode
 from equimus_ctrl.errors import ConfigError
@@ -130,7 +130,7 @@ def rest_poses(model: Model, pressure: Array, guess: Array) -> RestPoses:
     by_p = _by_parameters(form, model.phase, laws).map(n)(q.T, reached.T, columns)
     by_parameter = -np.linalg.solve(slope, np.array(by_p).reshape(nj, n, -1).transpose(1, 0, 2))
     sensor = sensor_settings(model.effects, m.joint_names)
-    position = sensor[:, OFFSET] + sensor[:, SCALE] * q
+    position = shown(sensor, q)
     by_parameter[~found] = 0.0
     return RestPoses(position, q, found, still & ~stable, by_parameter * sensor[:, SCALE][None, :, None])
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import advance_pressure
-from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, recall, sensor_settings
+from equimus_ctrl.effects.sensors import LATE, PLAY, follow, recall, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
@@ -299,7 +299,7 @@ class MujocoPlant:
         self._stamp = self._step_count * self._dt
         seen = np.array([self._held[j] if row[PLAY] > 0 else self._seen(j) for j, row in enumerate(self._sensor)])
         noise = self._rng.normal(0.0, self.noise, len(self._qpos)) if self.noise > 0 else 0.0
-        self._measured = frozen_array(self._sensor[:, OFFSET] + self._sensor[:, SCALE] * seen + noise)
+        self._measured = frozen_array(shown(self._sensor, seen) + noise)
 
     def _observation(self, applied: Array) -> Observation:
         clipped = self._clipped.copy()

@@ -16,7 +16,7 @@ from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, sensor_settings
+from equimus_ctrl.effects.sensors import LATE, PLAY, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands, shaping_laws
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.lane_functions import LANES
@@ -84,10 +84,10 @@ def make_plan(model: Model, course: Course, robot: Member, position: Array, star
     """
     inverse = Inverse(model, course.control_dt, start_time)
     sensor = sensor_settings(robot.effects, model.morphology.joint_names)
-    begun = inverse.start(0.0, sensor[:, OFFSET] + sensor[:, SCALE] * position + course.noise[0])
+    begun = inverse.start(0.0, shown(sensor, position) + course.noise[0])
     times = np.asarray(np.arange(len(course.reference)) * course.control_dt, dtype=np.float64)
-    shown, command, _ = inverse.follow(SampledReference(times, course.reference), times, begun)
-    return Plan(shown, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
+    seen, command, _ = inverse.follow(SampledReference(times, course.reference), times, begun)
+    return Plan(seen, command, inverse.surplus(begun, course.command_before), inverse.low, inverse.high)
 
 
 @dataclass(frozen=True, eq=False)

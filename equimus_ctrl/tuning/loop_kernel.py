@@ -12,7 +12,7 @@ from numba import njit
 
 from equimus_ctrl.controllers.pid_kernel import blend, pid_command, pid_start, static_feed
 from equimus_ctrl.effects.command import advance_pressure, shape_command
-from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, follow, recall
+from equimus_ctrl.effects.sensors import LATE, PLAY, follow, read, recall
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ROWS,
@@ -26,7 +26,8 @@ from equimus_ctrl.engines.lane_functions import (
     lane_rest,
     prepare_lane,
 )
-from equimus_ctrl.engines.lane_kernel import advance, copy_rows, correct_friction
+from equimus_ctrl.engines.lane_kernel import correct_friction
+from equimus_ctrl.engines.lane_steps import advance, copy_rows
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.model_functions import N_ACTUATORS, N_JOINTS
 from equimus_ctrl.types import Array
@@ -193,7 +194,7 @@ def run_loop(
                     q = held[l, j]
                 elif sensor[l, j, LATE] > 0.0:
                     q = recall(past[l, j], now * steps, sensor[l, j, LATE] / dt, dt)
-                y[j] = sensor[l, j, OFFSET] + sensor[l, j, SCALE] * q + noise[now, j]
+                y[j] = read(sensor[l, j], q) + noise[now, j]
             if planned.shape[1] > 0:
                 if now == 0:
                     pid_start(y, surplus[l], gains[l], lengths, nominal, memory[l])

@@ -16,7 +16,7 @@ from equimus_ctrl.controllers import precompile
 from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import KD
-from equimus_ctrl.effects.sensors import OFFSET, SCALE, sensor_settings
+from equimus_ctrl.effects.sensors import behind, sensor_settings, shown
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.scenarios.scenario import Scenario
@@ -293,12 +293,12 @@ class Problem:
         Where the controller knows no inverse, those that the sensors show as the reference: no gains undo a sensor.
         """
         reference, sensor = self.tasks[task].reference, self._sensor()
-        return reference if self.inverse else np.asarray((reference - sensor[:, OFFSET]) / sensor[:, SCALE])
+        return reference if self.inverse else behind(sensor, reference)
 
     def seen(self, task: int) -> Array:
         """(n, nj) what the sensors show then, once they have caught up [rad]."""
         reference, sensor = self.tasks[task].reference, self._sensor()
-        return np.asarray(sensor[:, OFFSET] + sensor[:, SCALE] * reference) if self.inverse else reference
+        return shown(sensor, reference) if self.inverse else reference
 
     def fed(self, pose: Array) -> Array | None:
         """(na,) what is fed forward at rest where ``pose`` is seen [Pa]; None for the static pressures."""

@@ -14,7 +14,7 @@ from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.effects.sensors import LATE, OFFSET, SCALE, hermite, sensor_settings
+from equimus_ctrl.effects.sensors import LATE, SCALE, behind, hermite, sensor_settings
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, ShapingEffect, command_for, shaped_commands
 from equimus_ctrl.engines.rest import pushes_at_rest
 from equimus_ctrl.models.kinematics import Kinematics
@@ -91,7 +91,7 @@ def linear_leg(
     own, known = Kinematics(member.morphology, phase), Kinematics(nominal, phase)
     sensor = sensor_settings(member.effects, nominal.joint_names)
     # Pressing on a stop only slows a loop down: a pose beyond one is taken at its edge.
-    true = np.clip((pose - sensor[:, OFFSET]) / sensor[:, SCALE], *member.morphology.joint_range)
+    true = np.clip(behind(sensor, pose), *member.morphology.joint_range)
     held = own.static_pressure(true)
     pushed = pushes_at_rest(member.model(phase))
     if pushed is not None:
