@@ -15,6 +15,7 @@ from .effects import (
     ForceEffect as ForceEffect,
     GravityTilt as GravityTilt,
     Hysteresis as Hysteresis,
+    NarrowingArea as NarrowingArea,
     NonlinearStiffness as NonlinearStiffness,
     ParallelSpring as ParallelSpring,
     PayloadMass as PayloadMass,

@@ -53,6 +53,7 @@ PLAUSIBLE: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "stribeck_friction": (("knee",), {"friction": 0.01, "breakaway": 0.012, "velocity": 0.1}),
     "hysteresis": (("maa",), {"size": 0.4, "width": 0.005}),
     "creep": (("maa", "baa"), {"stiffness": 12.0, "time_constant": 1.3}),
+    "narrowing_area": (("baa",), {"loss": 0.6}),
     "nonlinear_stiffness": (("baa",), {"cubic": -2e4, "centre": 0.29}),
     "parallel_spring": (("knee",), {"stiffness": 0.12, "rest": 0.4}),
     "joint_stop": (("knee",), {"angle": 0.2, "stiffness": 8.0, "damping": 0.1}),

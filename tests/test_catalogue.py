@@ -21,8 +21,8 @@ from equimus_ctrl.types import Array, Recording, Start
 CATALOGUE = {
     "transport_delay", "first_order_lag", "asymmetric_lag", "rate_limit", "filling_flow", "dead_zone", "saturation",
     "supply_coupling", "cutoff",
-    "coulomb_friction", "stribeck_friction", "hysteresis", "creep", "nonlinear_stiffness", "parallel_spring",
-    "joint_stop", "backlash", "payload_mass", "gravity_tilt", "sensor_offset", "sensor_scale", "sensor_delay",
+    "coulomb_friction", "stribeck_friction", "hysteresis", "creep", "narrowing_area", "nonlinear_stiffness",
+    "parallel_spring", "joint_stop", "backlash", "payload_mass", "gravity_tilt", "sensor_offset", "sensor_scale", "sensor_delay",
 }  # fmt: skip
 
 STRONG: dict[tuple[str, str], dict[str, float]] = {
@@ -38,6 +38,7 @@ STRONG: dict[tuple[str, str], dict[str, float]] = {
     ("gravity_tilt", "base"): {"angle": 0.2},
     ("hysteresis", "actuator"): {"size": 2.0, "width": 0.01},
     ("joint_stop", "joint"): {"angle": 0.65, "stiffness": 20.0, "damping": 0.05},
+    ("narrowing_area", "actuator"): {"loss": 1.0},
     ("nonlinear_stiffness", "actuator"): {"cubic": 2e4, "centre": 0.2},
     ("parallel_spring", "joint"): {"stiffness": 2.0, "rest": 1.0},
     ("payload_mass", "foot"): {"mass": 0.15},

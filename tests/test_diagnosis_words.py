@@ -29,6 +29,7 @@ SAID = {
     "stribeck_friction": "Dry friction at the knee of 0.0100 N·m (0.0095 to 0.0105) in fast motion",
     "hysteresis": "a hysteresis of ±0.40 N (0.38 to 0.42) that builds up over 5.0 mm (4.8 to 5.2)",
     "creep": "maa and baa creep: beside the modelled spring 12.0 N/m (11.4 to 12.6) relax",
+    "narrowing_area": "The area of baa shrinks as it lengthens: near the rest length by 0.60 (0.57 to 0.63) times the",
     "nonlinear_stiffness": "The spring of baa softens away from a length of 290 mm (275 to 304)",
     "parallel_spring": "A spring of 0.120 N·m/rad (0.114 to 0.126) beside the knee",
     "joint_stop": "The lower stop of the knee begins at 11.5° (10.9 to 12.0), not at −2.01°",

@@ -172,6 +172,7 @@ ACTING: dict[str, dict[str, float]] = {
     "gravity_tilt": {"angle": 0.1},
     "hysteresis": {"size": 1.0, "width": 0.01},
     "joint_stop": {"angle": 0.7, "stiffness": 20.0, "damping": 0.1},
+    "narrowing_area": {"loss": 0.5},
     "nonlinear_stiffness": {"cubic": 5e3, "centre": 0.15},
     "parallel_spring": {"stiffness": 0.5, "rest": 1.0},
     "payload_mass": {"mass": 0.1},

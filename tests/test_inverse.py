@@ -140,6 +140,7 @@ KNOWN: dict[str, tuple[Effect, ...]] = {
         make("parallel_spring", "hip", {"stiffness": 0.4, "rest": 1.2}),
         make("nonlinear_stiffness", "baa", {"cubic": 2e4, "centre": 0.28}),
     ),
+    "areas": (make("narrowing_area", "maa", {"loss": 1.0}), make("narrowing_area", "baa", {"loss": 0.4})),
     "states": (
         make("creep", "maa", {"stiffness": 60.0, "time_constant": 0.4}),
         make("hysteresis", "baa", {"size": 0.6, "width": 0.01}),

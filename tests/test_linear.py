@@ -95,6 +95,20 @@ def test_springs_stiffen_by_their_slopes() -> None:
     np.testing.assert_allclose(found[:, 2:], 0, atol=1e-9)
 
 
+def test_an_area_that_narrows_is_a_spring_and_a_weaker_drive() -> None:
+    m, loss = nominal_leg(), 1.0
+    k, maa = Kinematics(m), nominal_leg().actuators[0]
+    length, arm = k.lengths(POSE)[0], k.jacobian(POSE)[0]
+    left = 1 / (1 + loss * (length / maa.rest_length - 1))
+    effect = make("narrowing_area", "maa", {"loss": loss})
+    # The pressure that pushes as before, and how much less it does on the way out.
+    a, b = state_matrices(m, POSE, PRESSURE / [left, 1.0], "swing", (effect,))
+    plain_a, plain_b = state_matrices(m, POSE, PRESSURE, "swing")
+    slope = -maa.area * PRESSURE[0] * loss * left / maa.rest_length
+    np.testing.assert_allclose(k.mass(POSE) @ (a - plain_a)[2:, :2], slope * np.outer(arm, arm), atol=1e-9)
+    np.testing.assert_allclose(b, plain_b * [left, 1.0], rtol=1e-9)
+
+
 def test_effects_with_states_are_springs_to_quick_motion_and_what_they_are_at_rest_to_slow_motion() -> None:
     arm = Kinematics(nominal_leg()).jacobian(POSE)[1]
     for effect, stiffness in (

@@ -20,6 +20,7 @@ from equimus_ctrl.effects import (
     Effect,
     FirstOrderLag,
     Hysteresis,
+    NarrowingArea,
     NonlinearStiffness,
     ParallelSpring,
     StribeckFriction,
@@ -250,6 +251,7 @@ def test_a_run_of_the_plant_played_back_through_the_engine_is_the_run(name: str)
 
 PUSHING: dict[str, tuple[tuple[Effect, ...], float]] = {
     "springs": ((ParallelSpring("hip", 2.0, 1.1), NonlinearStiffness("maa", 2e4, 0.17)), 1.5e-4),
+    "areas": ((NarrowingArea("maa", 1.0), NarrowingArea("baa", -0.3)), 1.5e-4),
     "memories": ((Creep("maa", 150.0, 0.3), Hysteresis("baa", 1.0, 0.01)), 2e-4),
     "friction at joints": ((CoulombFriction("hip", 0.3), StribeckFriction("knee", 0.02, 0.03, 0.5)), 1e-3),
     "friction at drives": ((CoulombFriction("maa", 2.0), CoulombFriction("baa", 1.0)), 1.5e-3),

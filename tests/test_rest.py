@@ -53,6 +53,7 @@ TOGETHER = (
     ParallelSpring("hip", stiffness=0.4, rest=0.9),
     ParallelSpring("knee", stiffness=0.2, rest=0.1),
     NonlinearStiffness("maa", cubic=3e4, centre=0.21),
+    make("narrowing_area", "baa", {"loss": 0.5}),
     make("dead_zone", "maa", {"threshold": 2e3}),
     make("supply_coupling", "baa", {"share": 0.2}),
     make("cutoff", "maa", {"least": 1e3}),
@@ -103,6 +104,18 @@ def test_a_pendulum_on_a_spring_by_hand() -> None:
     torque, _ = Kinematics(robot).rest_torque([q], np.zeros(len(robot.actuators)))
     assert torque[0] == pytest.approx(0.7 * (q - 0.4), abs=1e-9)
     assert abs(q - 0.4) > 0.01
+
+
+def test_where_a_leg_rests_each_area_is_that_of_its_length() -> None:
+    losses = np.array([1.0, -0.5])
+    q = rest_pose(
+        Model(LEG, tuple(make("narrowing_area", n, {"loss": x}) for n, x in zip(("maa", "baa"), losses, strict=True))),
+        COMMAND,
+    )
+    kinematics = Kinematics(LEG)
+    gained = kinematics.lengths(q) / [a.rest_length for a in LEG.actuators] - 1
+    np.testing.assert_allclose(kinematics.rest_torque(q, COMMAND / (1 + losses * gained))[0], 0.0, atol=1e-9)
+    assert np.abs(kinematics.rest_torque(q, COMMAND)[0]).max() > 0.01
 
 
 def test_nothing_is_left_to_move_the_joints() -> None:

@@ -218,6 +218,7 @@ def test_the_largest_of_several_legs_counts() -> None:
 EFFECTS: dict[str, tuple[Effect, ...]] = {
     "spring": (make("parallel_spring", "knee", {"stiffness": 0.2, "rest": 0.1}),),
     "cubic spring": (make("nonlinear_stiffness", "maa", {"cubic": 3e4, "centre": 0.2}),),
+    "narrowing area": (make("narrowing_area", "maa", {"loss": 1.0}),),
     "late sensor": (make("sensor_delay", "knee", {"delay": 0.03}),),
     "late sensors": tuple(make("sensor_delay", joint, {"delay": s}) for joint, s in (("hip", 0.05), ("knee", DT / 3))),
     "scaled sensor": (make("sensor_scale", "hip", {"scale": 1.05}), make("sensor_offset", "knee", {"offset": 0.05})),

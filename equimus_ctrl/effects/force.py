@@ -1,7 +1,8 @@
 """Effects that push: on a joint (torque) or along an actuator (force), as CasADi expressions.
 
 The one law of each effect is written over scalars: x is the joint's angle [rad] or the actuator's length [m], rate its
-derivative, z the effect's own states. Forces count positive where they would increase x.
+derivative, z the effect's own states. Forces count positive where they would increase x. An effect may also scale what
+an actuator makes of its pressure.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ from equimus_ctrl.errors import ConfigError
 
 Parameters = Mapping[str, ca.SX]
 
-PROBE = (0.73, -1.9, 1.9)
-"""Some x, rate and speed at which a law is asked whether its neutral parameters switch it off."""
+LEAST_LEFT = 0.2
+"""A narrowing area grows to five times itself at most, however short its actuator becomes."""
+
+PROBE, REST = (0.73, -1.9, 1.9), 0.47
+"""Some x, rate, speed and rest length at which a law is asked whether its neutral parameters switch it off."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,8 @@ class ForceEffect(Effect):
     n_states: ClassVar[int] = 0
     rubs: ClassVar[bool] = False
     """Whether the effect has a ``dry_friction`` of its own; found out by itself."""
+    scales: ClassVar[bool] = False
+    """Whether it has a ``more_area`` of its own; found out by itself."""
     neutral: ClassVar[Mapping[str, float]]
     """Parameter values with which the effect does nothing; the others may be anything."""
 
@@ -36,6 +42,7 @@ class ForceEffect(Effect):
         # The compiled engine has one set of parameters for each law and place.
         super().__init_subclass__()
         cls.rubs = cls.dry_friction.__func__ is not ForceEffect.dry_friction.__func__  # type: ignore[attr-defined]
+        cls.scales = cls.more_area.__func__ is not ForceEffect.more_area.__func__  # type: ignore[attr-defined]
         if cls.exclusive is None and hasattr(cls, "name"):
             cls.exclusive = cls.name
 
@@ -51,6 +58,8 @@ class ForceEffect(Effect):
         info = cls.parameter_info()
         if not set(cls.sits_at) <= {"joint", "actuator"}:
             raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but what pushes sits at a joint or an actuator")
+        if cls.scales and set(cls.sits_at) != {"actuator"}:
+            raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but only an actuator has an area that may change")
         if not getattr(cls, "neutral", None) or not set(cls.neutral) <= set(info):
             raise ConfigError(f"{who}: neutral must give values of some of {', '.join(info)} that switch it off")
         x, rate, speed = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("speed")
@@ -59,9 +68,9 @@ class ForceEffect(Effect):
         states = ca.vertsplit(z) if cls.n_states else []
         try:
             rates, rests = list(cls.state_rate(x, rate, states, p)), list(cls.rest_state(x, p))
-            push, rub = cls.force(x, rate, states, p), cls.dry_friction(x, speed, p)
+            pushes = cls.force(x, rate, states, p), cls.dry_friction(x, speed, p), cls.more_area(x, ca.SX(REST), p)
             symbols = [x, rate, speed, z, ca.vertcat(*p.values())]
-            law = ca.Function("law", symbols, [ca.SX(push), ca.SX(rub), ca.vertcat(*rates), ca.vertcat(*rests)])
+            law = ca.Function("law", symbols, [*map(ca.SX, pushes), ca.vertcat(*rates), ca.vertcat(*rests)])
         except Exception as error:
             reason = (str(error).strip() or "no reason given").splitlines()[-1]
             raise ConfigError(
@@ -74,12 +83,17 @@ class ForceEffect(Effect):
                 f"{cls.n_states} each"
             )
         idle = [cls.neutral.get(key, meta["high"]) for key, meta in info.items()]
-        if any(float(size) != 0.0 for size in law(*PROBE, ca.DM.ones(cls.n_states) * 0.41, idle)[:2]):
+        if any(float(size) != 0.0 for size in law(*PROBE, ca.DM.ones(cls.n_states) * 0.41, idle)[:3]):
             raise ConfigError(f"{who}: it still pushes with its neutral parameters {dict(cls.neutral)}")
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         """The push [N·m] or [N]."""
+        return ca.SX(0)
+
+    @classmethod
+    def more_area(cls, x: ca.SX, rest: ca.SX, p: Parameters) -> ca.SX:
+        """By what share of its area an actuator's pressure pushes more at length x; rest is its rest length [m]."""
         return ca.SX(0)
 
     @classmethod
@@ -191,6 +205,30 @@ class NonlinearStiffness(ForceEffect):
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["cubic"] * (x - p["centre"]) ** 3
+
+
+@register
+@dataclass(frozen=True)
+class NarrowingArea(ForceEffect):
+    """Area s/(1 + loss·(x/l₀ − 1)) at length x, s at the rest length l₀; with loss 1 the actuator keeps its volume."""
+
+    name = "narrowing_area"
+    sits_at = ("actuator",)
+    summary = "the area that pressure acts on shrinks as the actuator lengthens"
+    exclusive = "narrowing_area"
+    neutral = {"loss": 0.0}  # noqa: RUF012
+    loss: float = parameter(
+        "1", -1.5, 3.0, "share of the area lost for a share of the rest length gained; below 0 it grows"
+    )
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [{"loss": loss} for loss in (0.2, 0.5, 1.0, 2.0, -0.2, -0.5)]
+
+    @classmethod
+    def more_area(cls, x: ca.SX, rest: ca.SX, p: Parameters) -> ca.SX:
+        left = 1 + p["loss"] * (x / rest - 1)
+        return 1 / ca.fmax(left, LEAST_LEFT) - 1
 
 
 @register

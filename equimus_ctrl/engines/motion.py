@@ -93,7 +93,7 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     v0 = given[nj:] if len(given) > nj else v0
     steps = max(int(np.ceil((times[-1] - trial.start) / dt - 1e-9)), 1)
     kernel = compiled.load_lanes(structure(model.morphology), model.phase, force_laws())
-    states, pressures = np.empty((steps + 1, 2 * nj + kernel.N_STATES)), np.empty((steps, 2, len(names)))
+    states, pressures = np.empty((steps + 1, kernel.N_STATE)), np.empty((steps, 2, len(names)))
     shaped = shaped_commands(model.effects, names, np.vstack([trial.before, trial.commands]))
     kernel.run_inner(
         coded.parameters,

@@ -28,7 +28,8 @@ STICKING = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 def _functions(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, ca.Function]:
     m = augmented_model(form, phase, laws)
     bound = ca.substitute(m.bound, m.v0, m.v)
-    push = ca.Function("push", [m.q, m.v, m.z, m.p], [m.torque, m.force, m.z_rate, bound])
+    force = m.force + m.more_area * m.pressure
+    push = ca.Function("push", [m.q, m.v, m.z, m.pressure, m.p], [m.torque, force, m.z_rate, bound])
     return push, ca.Function("rest", [m.q, m.p], [m.rest_state])
 
 
@@ -52,7 +53,7 @@ class ForceStepper:
         self._parameters = np.concatenate([pack(robot), law_parameters(augmented.slots, model.effects, *names)])
         push, self._rest = _functions(form, model.phase, laws)
         # Calls through buffers take a tenth of the time of calls with arrays.
-        self._arguments = [np.zeros(push.numel_in(i)) for i in range(3)]
+        self._arguments = [np.zeros(push.numel_in(i)) for i in range(4)]
         self._results = [np.zeros(push.numel_out(i)) for i in range(4)]
         self._buffer, self._evaluate = push.buffer()
         for i, array in enumerate([*self._arguments, self._parameters]):
@@ -66,6 +67,7 @@ class ForceStepper:
         self._slides = np.array([[joint.dofadr[0] for joint in pair] for pair in halves])
         self._tendons = np.array([mujoco_model.tendon(f"{name}/length").id for name in robot.actuator_names])
         self._rubbing = augmented.rubbing
+        self._actuators = np.array([mujoco_model.actuator(name).id for name in robot.actuator_names])
         dt = mujoco_model.opt.timestep
         for kind, i in self._rubbing:
             if kind == "joint":
@@ -88,8 +90,9 @@ class ForceStepper:
         if not self.active:
             return
         half = 0.5 * self._model.opt.timestep
-        own_q, own_v, own_z = self._arguments
+        own_q, own_v, own_z, pressure = self._arguments
         own_q[:], own_v[:], own_z[:] = data.qpos[self._qpos], data.qvel[self._dof], self._z
+        pressure[:] = data.ctrl[self._actuators]
         self._evaluate()
         if self._begins:
             # What stands in the data are accelerations without commands and pushes.

@@ -27,16 +27,18 @@ AT_REST = 1e-9
 SINKING = 200.0
 """How long a robot sinks at 1 rad/s for each N·m; the leg's softest mode has some 0.3 N·m/rad [s]."""
 
-Pushed = Callable[[Array], tuple[Array, Array]]
-"""Pose (nj,) of a robot at rest [rad] → torque on its joints (nj,) [N·m] and force along its actuators (na,) [N]."""
+Pushed = Callable[[Array, Array], tuple[Array, Array]]
+"""Pose (nj,) of a robot at rest [rad] and pressures (na,) [Pa] → torque on its joints (nj,) [N·m] and force along its
+actuators (na,) [N] beside what the pressures exert on their own areas."""
 
 
 @lru_cache(maxsize=16)
 def _at_rest(form: Structure, phase: Phase, laws: Laws) -> ca.Function:
-    """(q, p) → torque on the joints and force along the actuators that effects exert after a long rest."""
+    """(q, pressure, p) → torque on the joints and force along the actuators that effects exert after a long rest."""
     m = augmented_model(form, phase, laws)
-    pushes = ca.substitute([m.torque, m.force], [m.v, m.z], [ca.SX.zeros(m.v.shape), m.rest_state])
-    return ca.Function("at_rest", [m.q, m.p], pushes)
+    force = m.force + m.more_area * m.pressure
+    pushes = ca.substitute([m.torque, force], [m.v, m.z], [ca.SX.zeros(m.v.shape), m.rest_state])
+    return ca.Function("at_rest", [m.q, m.pressure, m.p], pushes)
 
 
 def pushes_at_rest(model: Model) -> Pushed | None:
@@ -50,8 +52,8 @@ def pushes_at_rest(model: Model) -> Pushed | None:
     numbers = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]
     function = _at_rest(form, model.phase, laws)
 
-    def pushed(q: Array) -> tuple[Array, Array]:
-        torque, force = function(q, numbers)
+    def pushed(q: Array, pressure: Array) -> tuple[Array, Array]:
+        torque, force = function(q, pressure, numbers)
         return np.array(torque).ravel(), np.array(force).ravel()
 
     return pushed
@@ -70,7 +72,7 @@ def rest_pose(model: Model, command: ArrayLike) -> Array:
     if pushed is None:
         return kinematics.equilibrium(pressure)
     q0, rests = _unpushed(kinematics, pressure)
-    if rests and not any(np.any(push) for push in pushed(q0)):
+    if rests and not any(np.any(push) for push in pushed(q0, pressure)):
         return q0
     return _settle(kinematics, pressure, pushed, q0)
 
@@ -101,7 +103,7 @@ def _unpushed(kinematics: Kinematics, pressure: Array) -> tuple[Array, bool]:
 def _settle(kinematics: Kinematics, pressure: Array, pushed: Pushed, q0: Array) -> Array:
     def torque(q: Array) -> Array:
         jacobian = kinematics.jacobian(q)
-        joint, force = pushed(q)
+        joint, force = pushed(q, pressure)
         return np.asarray(kinematics.rest_torque(q, pressure)[0] + joint + jacobian.T @ force)
 
     def rests(q: Array, slope: Array) -> bool:

@@ -1,9 +1,10 @@
 """A structure's equations of motion with pushing effects at every place where they can sit, in CasADi.
 
-    M(q) a + h(q, v) = Jᵀ (area·P + F(l, l̇, z) + φ_drive) + T(q, v, z) + φ_joint,    dz/dt = g
+    M(q) a + h(q, v) = Jᵀ (A(l)·P + F(l, l̇, z) + φ_drive) + T(q, v, z) + φ_joint,    dz/dt = g
 
-F and T are the effects' own forces and torques, z their states. φ is dry friction; it is held over a time step and
-found at velocity level (see ``engines.lane_kernel``), for it is no function of the state where something sticks.
+A is an actuator's area, which effects may change. F and T are the effects' own forces and torques, z their states.
+φ is dry friction; it is held over a time step and found at velocity level (see ``engines.lane_kernel``), for it is no
+function of the state where something sticks.
 """
 
 from __future__ import annotations
@@ -55,7 +56,9 @@ class AugmentedModel:
         slots: the laws in the order of their parameters.
         rubbing: (kind, index) of the place of each row of dry friction.
         torque: (nj,) what the effects exert on the joints, friction left out [N·m].
-        force: (na,) what they exert along the actuators [N].
+        force: (na,) what they exert along the actuators whatever the pressures [N].
+        area: (na,) force per pressure [m²].
+        more_area: (na,) how much of it comes of effects [m²].
         acceleration: (nj,) [rad/s²].
         smooth_acceleration: (nj,) the same with the stops that ``pressed`` says [rad/s²].
         z_rate: (nz,) dz/dt.
@@ -81,6 +84,8 @@ class AugmentedModel:
     rubbing: tuple[tuple[str, int], ...]
     torque: ca.SX
     force: ca.SX
+    area: ca.SX
+    more_area: ca.SX
     acceleration: ca.SX
     smooth_acceleration: ca.SX
     z_rate: ca.SX
@@ -121,6 +126,7 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     lengths, jacobian = m.lengths, m.jacobian
     coordinates = {"joint": (m.q, m.v), "actuator": (lengths, jacobian @ m.v)}
     push = {"joint": [ca.SX(0)] * nj, "actuator": [ca.SX(0)] * na}
+    shares = [ca.SX(0)] * na
     speed = {"joint": m.v, "actuator": jacobian @ m.v}
     mean = {kind: ca.fabs(ca.substitute(rate, m.v, (m.v + v0) / 2)) for kind, rate in speed.items()}
     bounds: dict[tuple[str, int], ca.SX] = {}
@@ -132,6 +138,8 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
         x, rate = coordinates[kind][0][i], coordinates[kind][1][i]
         states = [z[len(rates) + k] for k in range(law.n_states)]
         push[kind][i] = push[kind][i] + law.force(x, rate, states, own)
+        if law.scales:
+            shares[i] = shares[i] + law.more_area(x, m.rest_length[i], own)
         rates += law.state_rate(x, rate, states, own)
         rests += law.rest_state(x, own)
         if law.rubs:
@@ -142,7 +150,9 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
         *[ca.SX.eye(nj)[i, :] if kind == "joint" else jacobian[i, :] for kind, i in rubbing], ca.SX(0, nj)
     )
     torque, force = ca.vertcat(*push["joint"]), ca.vertcat(*push["actuator"])
-    drive = jacobian.T @ (m.area * pressure + force)
+    more_area = ca.vertcat(*shares) * m.area
+    area = m.area + more_area
+    drive = jacobian.T @ (area * pressure + force)
     pressed = ca.SX.sym("pressed", 2 * nj)
     stops = [stops_in_mode(m.q[i], m.v[i], joint_stops(m.p, i), pressed[2 * i : 2 * i + 2]) for i in range(nj)]
     load = drive + torque + gradient.T @ phi
@@ -155,6 +165,8 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     outputs = [
         torque,
         force,
+        area,
+        more_area,
         acceleration,
         smooth_acceleration,
         ca.vertcat(*rates, ca.SX(0, 1)),

@@ -1,9 +1,10 @@
 """A structure's equations of motion solved for the pressures, effects that push included, in CasADi.
 
-    P = (Jᵀ diag(area))⁺ (M(q) a + h(q, v) − T(q, v, z) − JᵀF(l, l̇, z) + Gᵀ b tanh(G v / s)),    dz/dt = g
+    P = (Jᵀ diag(A))⁺ (M(q) a + h(q, v) − T(q, v, z) − JᵀF(l, l̇, z) + Gᵀ b tanh(G v / s)),    dz/dt = g
 
-T and F are what effects exert, z their states; b is the size of dry friction, which works against the rates G v. Joint
-stops are left out, as in the static pressures: what presses on one needs no pressure to stay there.
+A is the area with what effects make of it; T and F are what they exert, z their states; b is the size of dry friction,
+which works against the rates G v. Joint stops are left out, as in the static pressures: what presses on one needs no
+pressure to stay there.
 """
 
 from __future__ import annotations
@@ -42,16 +43,14 @@ def inverse_dynamics(form: Structure, phase: Phase, laws: Laws) -> InverseDynami
     m, base = augmented_model(form, phase, laws), build(form, phase)
     a, dt = ca.SX.sym("a", m.q.numel()), ca.SX.sym("dt")
     own = ca.vertcat(base.q, base.v, base.p), ca.vertcat(m.q, m.v, m.p[: base.p.numel()])
-    mass, bias, jacobian, area = (
-        ca.substitute(x, *own) for x in (base.mass, base.smooth_bias, base.jacobian, base.area)
-    )
+    mass, bias, jacobian = (ca.substitute(x, *own) for x in (base.mass, base.smooth_bias, base.jacobian))
     slow = ca.DM([SLIDING[kind] for kind, _ in m.rubbing])
     rubbing = ca.substitute(m.bound, m.v0, m.v) * ca.tanh(m.rows / slow)
     torque = mass @ a + bias - m.torque - jacobian.T @ m.force + ca.jacobian(m.rows, m.v).T @ rubbing
     # An implicit step, for states may follow faster than commands are given.
     system = ca.SX.eye(m.z.numel()) - dt * ca.jacobian(m.z_rate, m.z)
     return InverseDynamics(
-        ca.Function("pressure", [m.q, m.v, a, m.z, m.p], [pseudo_solve(jacobian.T @ ca.diag(area), torque)]),
+        ca.Function("pressure", [m.q, m.v, a, m.z, m.p], [pseudo_solve(jacobian.T @ ca.diag(m.area), torque)]),
         ca.Function("advanced", [m.q, m.v, m.z, m.p, dt], [m.z + dt * ca.solve(system, m.z_rate)]),
         ca.Function("rest", [m.q, m.p], [m.rest_state]),
     )

@@ -48,6 +48,7 @@ class SymbolicModel:
         kinetic: T [J].
         potential: V [J], without the stops.
         area: (na,) force per pressure [m²].
+        rest_length: (na,) [m].
         stop_torque: (nj,) what the joint stops exert [N·m].
     """
 
@@ -68,6 +69,7 @@ class SymbolicModel:
     kinetic: ca.SX
     potential: ca.SX
     area: ca.SX
+    rest_length: ca.SX
     stop_torque: ca.SX
 
     @property
@@ -187,10 +189,10 @@ def build(form: Structure, phase: Phase) -> SymbolicModel:
     bias = smooth_bias - stop_torque
     acceleration = ldl_solve(mass_matrix, jacobian.T @ f + tau - bias)
     knots = ca.horzcat(ca.SX.zeros(2), *[along(i, joints[i][9]) for i in range(nj)])
-    area = ca.vertcat(*[a[8] for a in actuators])
+    area, rest_length = (ca.vertcat(*[a[k] for a in actuators]) for k in (8, 7))
     return SymbolicModel(
         q, v, f, tau, p, mass_matrix, bias, smooth_bias, static_bias, acceleration, length, jacobian, foot, knots,
-        kinetic, potential, area, stop_torque,
+        kinetic, potential, area, rest_length, stop_torque,
     )  # fmt: skip
 
 

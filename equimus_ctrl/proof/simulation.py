@@ -79,7 +79,7 @@ def _pushes(reality: Reality, robot: Morphology) -> _Pushes | None:
         dict(zip(names, rates, strict=True)),
         dict(zip(actuators, ca.vertsplit(m.pressure), strict=True)),
     )
-    torque, force = ca.SX(m.torque), ca.SX(m.force)
+    torque, force = ca.SX(m.torque), ca.SX(m.force + m.more_area * m.pressure)
     for effect in free:
         for name, value in effect.push(at).items():
             if name in joints:
@@ -112,7 +112,7 @@ def settled(kinematics: Kinematics, pushes: _Pushes | None, pressure: Array, bia
         return kinematics.equilibrium(pressure)
     nj = len(kinematics.morphology.joints)
 
-    def pushed(q: Array) -> tuple[Array, Array]:
+    def pushed(q: Array, pressure: Array) -> tuple[Array, Array]:
         found = pushes.push(q, np.zeros(nj), pushes.rest(q), pressure, 0.0)
         joint, force, _, bound = (np.array(part).ravel() for part in found)
         for (kind, i), size in zip(pushes.rubbing, bound, strict=True):

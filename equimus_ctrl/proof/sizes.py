@@ -90,6 +90,7 @@ CATALOGUE = (
     Size("nonlinear_stiffness", "cubic", 1e3, 1e5, "0.03 N to 2.7 N at 3 cm from the centre", "either sign"),
     Size("nonlinear_stiffness", "centre", 0.20, 0.27, "within the stroke", "linear", "maa"),
     Size("nonlinear_stiffness", "centre", 0.24, 0.33, "within the stroke", "linear", "baa"),
+    Size("narrowing_area", "loss", 0.05, 1.2, "to a little more than a bag that keeps its volume"),
     Size("parallel_spring", "stiffness", 0.1, 3.0, "up to the hip's own; the actuators' take up most of it", at="hip"),
     Size("parallel_spring", "stiffness", 6e-3, 0.25, "0.8 to 30 % of the knee's own", at="knee"),
     Size("parallel_spring", "rest", 1.0, 2.0, "about the hip's middle", "linear", "hip"),

@@ -152,6 +152,8 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
     place, seen = best.location, scene.seen[best.location]
     joint = place in scene.model.morphology.joint_names
     long, short = ("rad", "angle") if joint else ("m", "length")
+    if best.scales:
+        return [_area_panel(scene, best, others)]
     law, rest = _Law.of(best), [_Law.of(o) for o in others]
     middle, half = (seen.low + seen.high) / 2, seen.span / 2
     x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
@@ -214,6 +216,25 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
     if varies(still):
         found.append(panel(f"against the {short}", axis, x * far.factor, at_rest, data))
     return found
+
+
+def _area_panel(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) -> Panel:
+    """The area against the length, as a share of what it is without the effect."""
+    place, seen = best.location, scene.seen[best.location]
+    actuator = next(a for a in scene.model.morphology.actuators if a.name == place)
+    x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
+
+    def area(effect: ForceEffect) -> Array:
+        length, p = ca.SX.sym("length"), {key: ca.SX(value) for key, value in effect.parameters().items()}
+        share = 1 + ca.SX(effect.more_area(length, ca.SX(actuator.rest_length), p))
+        return np.array(ca.Function("area", [length], [share])(x[None, :])).ravel()
+
+    far = reading("m", float(np.abs(x).max()))
+    along, curve = x * far.factor, area(best)
+    lines = Line(along[[0, -1]], np.ones(2), "without", True), Line(along, curve, name_of([best]))
+    axes = f"length of {place} {far.bracket}", "area, share of that at the rest length"
+    around = band(along, curve, [area(o) for o in others])
+    return Panel("area against the length", *axes, lines, around, scene.position(place) * far.factor)
 
 
 def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:

@@ -123,6 +123,18 @@ def _nonlinear_stiffness(t: _Told) -> str:
     )
 
 
+def _narrowing_area(t: _Told) -> str:
+    loss = t.value("loss")
+    what = f"{t.one_or('shrinks', 'shrink')} as {t.one_or('it lengthens', 'they lengthen')}"
+    if loss < 0:
+        what = f"{t.one_or('grows', 'grow')} with {t.one_or('its length', 'their lengths')}"
+    area = t.one_or(f"The area of {t.at}", f"The areas of {t.at}")
+    return (
+        f"{area} {what}: near the rest length by {t['loss']} times the share of length gained, by "
+        f"{abs(1 - 1 / (1 + loss / 5)):.0%} at a fifth more."
+    )
+
+
 def _hysteresis(t: _Told) -> str:
     force = t.one_or(f"The force of {t.at} depends", f"The forces of {t.at} depend")
     return f"{force} on the path of the length: a hysteresis of ±{t['size']} that builds up over {t['width']}."
@@ -187,6 +199,7 @@ SENTENCES: Mapping[str, Callable[[_Told], str]] = {
     "coulomb_friction": _coulomb_friction,
     "stribeck_friction": _stribeck_friction,
     "parallel_spring": _parallel_spring,
+    "narrowing_area": _narrowing_area,
     "nonlinear_stiffness": _nonlinear_stiffness,
     "hysteresis": _hysteresis,
     "creep": _creep,

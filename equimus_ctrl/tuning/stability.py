@@ -95,9 +95,10 @@ def linear_leg(
     held = own.static_pressure(true)
     pushed = pushes_at_rest(member.model(phase))
     if pushed is not None:
-        torque, force = pushed(true)
-        moment = own.jacobian(true).T
-        held = held - np.linalg.pinv(moment * [x.area for x in member.morphology.actuators]) @ (torque + moment @ force)
+        moment, areas = own.jacobian(true).T, np.array([x.area for x in member.morphology.actuators])
+        torque, force = pushed(true, np.zeros(len(areas)))
+        areas += pushed(true, np.ones(len(areas)))[1] - force
+        held = -np.linalg.pinv(moment * areas) @ (own.rest_torque(true)[0] + torque + moment @ force)
     a, b = state_matrices(member.morphology, true, held, phase, member.effects, quick)
     n, na = b.shape
     jacobian = known.jacobian(pose)

@@ -44,7 +44,7 @@ class Plan:
     poses: int = 10_000
     pairs: int = 10_000
     duration: float = 3.0
-    stance_runs: int = 200
+    stance_runs: int = 80
     three_dof_robots: int = 10
     robots_per_shape: int = 4
     runs_per_robot: int = 6
