@@ -1,8 +1,6 @@
-"""Runs of robots with the batch of MuJoCo, for several tests."""
+"""Runs of robots with the batch of MuJoCo."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,10 +9,6 @@ from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.types import Array
 
 FINE = SolverSettings(timestep=1 / 480, integrator="RK4", softness=0.01)
-
-
-def without_stops(m: Morphology) -> Morphology:
-    return replace(m, joints=tuple(replace(j, lower=None, upper=None) for j in m.joints))
 
 
 def rms(error: Array) -> float:

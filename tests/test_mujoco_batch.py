@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 from morphologies import STRUCTURES, integrate, random_morphology, random_poses
-from mujoco_runs import FINE, rms, varied, without_stops
+from mujoco_runs import FINE, rms, varied
 
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
 from equimus_ctrl.errors import ConfigError, ModelError
@@ -38,7 +38,7 @@ def some_runs(m: Morphology, n: int, steps: int, seed: int = 0) -> tuple[Array, 
 @pytest.mark.parametrize("make", [nominal_leg, ideal_leg])
 def test_swing_step_responses_are_those_of_the_exact_model(make: Callable[[], Morphology]) -> None:
     """From rest in one pose of the workspace to the pressures that hold another, clear of the stops."""
-    m = without_stops(make())
+    m = make().without_stops()
     k = Kinematics(m)
     poses = [([0.8, 0.4], [1.6, 0.6]), ([1.9, 1.2], [1.3, 0.8]), ([1.4, 0.9], [1.2, 0.4])]
     q0 = np.array([start for start, _ in poses])
@@ -77,7 +77,7 @@ def test_a_free_second_of_any_structure_is_that_of_the_exact_model(name: str, ph
 
 
 def test_stance_needs_the_harder_equalities_and_has_them() -> None:
-    m = without_stops(nominal_leg())
+    m = nominal_leg().without_stops()
     k = Kinematics(m, "stance")
     q0, v0 = np.array([[1.5, 0.5]]), np.zeros((1, 2))
     p = np.repeat(k.static_pressure([1.4, 0.6])[None, None], 120, axis=1)
@@ -196,7 +196,7 @@ def test_a_run_that_diverges_is_marked_and_the_others_go_on(threads: int, quiet:
 
 def test_what_mujoco_repeats_after_a_divergence_is_not_taken_for_rest(quiet: Callable[[], None]) -> None:
     """A step far too long for a damper: no row may equal the one before it."""
-    m = without_stops(nominal_leg()).with_parameters({"baa.damping": 600.0})
+    m = nominal_leg().without_stops().with_parameters({"baa.damping": 600.0})
     q0, v0, p = some_runs(m, 6, 90)
     q, _ = MujocoBatch(m).run(q0, v0, p)
     lost = np.isnan(q).any(axis=2)
@@ -321,7 +321,7 @@ def test_runs_may_have_stops_at_other_joints_and_on_other_sides(phase: Phase) ->
     m = nominal_leg()
     hip, knee = m.joints
     tight = replace(knee, lower=JointStop(0.79, 40.0, 0.1), upper=JointStop(0.82, 90.0, 0.4))
-    robots = [m, without_stops(m), replace(m, joints=(replace(hip, upper=None), tight))]
+    robots = [m, m.without_stops(), replace(m, joints=(replace(hip, upper=None), tight))]
     robots.append(replace(m, joints=(hip, replace(knee, lower=None))))
     q0, v0, p = np.tile([1.3, 0.8], (4, 1)), np.zeros((4, 2)), np.tile([15e3, 2e3], (4, 480, 1))
     settings = replace(FAST_SETTINGS, timestep=1 / 480)
@@ -361,7 +361,7 @@ def test_wrong_inputs_end_in_a_sentence() -> None:
 
 
 def test_an_actuator_without_length_is_named() -> None:
-    m = without_stops(nominal_leg())
+    m = nominal_leg().without_stops()
     ends = m.actuators[0]
     folded = replace(ends, insertion=replace(ends.insertion, radius=0.06, angle=0.0))
     batch = MujocoBatch(replace(m, actuators=(folded, m.actuators[1])))

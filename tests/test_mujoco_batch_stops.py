@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mujoco_runs import rms, varied, without_stops
+from mujoco_runs import rms, varied
 
 from equimus_ctrl.effects import ParallelSpring
 from equimus_ctrl.engines import mujoco_batch
@@ -60,7 +60,7 @@ def test_each_run_is_on_stops_of_its_own(phase: Phase) -> None:
     m = nominal_leg()
     hip, knee = m.joints
     stiff = replace(knee, lower=JointStop(-0.02, 900.0, 3.0), upper=JointStop(1.7, 40.0, 0.2))
-    runs = onto_stops(phase, replace(m, joints=(hip, stiff)), without_stops(m), m)
+    runs = onto_stops(phase, replace(m, joints=(hip, stiff)), m.without_stops(), m)
     assert stop_divisor(runs.morphologies[0], phase, runs.start[0], 1 / 120) > stop_divisor(
         m, phase, runs.start[2], 1 / 120
     )
@@ -123,7 +123,7 @@ def test_a_stop_between_two_samples_is_near() -> None:
     q[2, 1, 0] = 0.5  # beyond the hip's lower stop
     q[3, 1:] = v[3, 1:] = np.nan
     assert near_stop([m], q, v, dt).tolist() == [False, True, True, False]
-    assert near_stop([without_stops(m), m, without_stops(m), m], q, v, dt).tolist() == [False, True, False, False]
+    assert near_stop([m.without_stops(), m, m.without_stops(), m], q, v, dt).tolist() == [False, True, False, False]
 
 
 @every_phase

@@ -13,13 +13,13 @@ from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.morphology import Phase
-from equimus_ctrl.validation.experiment import Experiment, any_force, undamped, without_stops
+from equimus_ctrl.validation.experiment import Experiment, any_force, undamped
 from equimus_ctrl.validation.poses import OMEGA, holding_pressure, slowest_rate, workspace
 from equimus_ctrl.validation.reference import evaluate, integrate, own_error, reference_runs, shortest
 
 
 def switched(phase: Phase = "swing", n: int = 3) -> Experiment:
-    m = without_stops(nominal_leg())
+    m = nominal_leg().without_stops()
     rng = np.random.default_rng(4)
     start = rng.uniform([1.2, 0.4], [1.8, 1.0], (n, 2))
     return Experiment((m,), phase, start, np.array([0.0, 0.15]), rng.uniform(0, 3e4, (n, 2, 2)), 0.3)
@@ -91,7 +91,7 @@ def test_touching_a_stop_and_short_actuators_are_seen() -> None:
 
 
 def test_pressures_from_the_statics_hold_the_pose() -> None:
-    m = without_stops(nominal_leg())
+    m = nominal_leg().without_stops()
     poses = np.random.default_rng(0).uniform(*OMEGA, (20, 2))
     pressure, left = holding_pressure(m, poses)
     assert left.max() < 1e-12
@@ -106,7 +106,7 @@ def test_too_few_actuators_hold_no_pose() -> None:
 
 
 def test_slowest_rate_is_that_of_newtons_motion() -> None:
-    m = without_stops(nominal_leg())
+    m = nominal_leg().without_stops()
     pose = np.array([1.3, 0.6])
     pressure, _ = holding_pressure(m, pose[None])
     h, zero = 1e-6, np.zeros(2)

@@ -299,10 +299,11 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
         free = best.fit.parameters.free[first + i]
         value, width = float(best.fit.theta[first + i]), float(best.fit.uncertainty.half_width[first + i])
         low, high = value - width, value + width
-        inside = math.isfinite(width)
-        found[key] = Estimate(
-            value, max(low, free.low) if inside else -math.inf, min(high, free.high) if inside else math.inf, free.unit
-        )
+        if first + i in data.jumps(best.hypothesis):
+            low, high = data.span(best, first + i)
+        low = max(low, free.low) if math.isfinite(low) else -math.inf
+        high = min(high, free.high) if math.isfinite(high) else math.inf
+        found[key] = Estimate(value, low, high, free.unit)
     return found
 
 

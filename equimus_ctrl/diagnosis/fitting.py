@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Hypothesis, parameters_of, refined
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, Simulator, fit
+from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, Problem, Simulator, fit
 from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, rough_noise, white_noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.segments import Segment
@@ -19,6 +20,13 @@ ROUNDS = 4
 """How often noise and parameters are estimated in turn, at most."""
 STRONG = 4.0
 """So many times the noise."""
+LOOKS, WIDTH, NARROWER, LEVELS = 16, 0.4, 5.0, 4
+"""Around a parameter that acts in steps so many values are looked at, so far to either side in its logarithm, then
+around the best of them nearer by a factor, and so on."""
+APART = 1e-5 * 3.0 ** np.arange(11)
+"""Logarithms of factors by which such a parameter is moved to see where it fits no more."""
+WORSE = 3.84
+"""Gain of 2 log L at which it does not, with a chance of 5 %."""
 SETTLED = 0.5
 """Gain of 2 log L at which they are taken to have settled."""
 
@@ -111,7 +119,53 @@ class Data:
     def _fit(self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, settings: FitSettings) -> Fit:
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
-        return fit(parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside)
+        found = fit(parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside)
+        jumps = self.jumps(hypothesis)
+        if jumps:  # the others have to have come near first
+            after = self._looked_around(parameters, jumps, (found.theta, found.starts), noise)
+            again = fit(
+                parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise,
+                begin=[(after, found.starts)],
+            )  # fmt: skip
+            found = min(found, again, key=lambda f: f.cost)
+        return found
+
+    def jumps(self, hypothesis: Hypothesis) -> list[int]:
+        """Where parameters that act in steps stand among all that are free."""
+        keys = [(part.candidate.effect.jumps, key) for part in hypothesis for key in part.values]
+        return [len(self.free.free) + k for k, (jumps, key) in enumerate(keys) if key in jumps]
+
+    def costs(
+        self, parameters: FreeParameters, thetas: Sequence[Array], starts: Sequence[Array], noise: Noise
+    ) -> Array:
+        """(k,) sums of squares of parameter sets (p,) with the same starts, in units of the noise."""
+        points = Problem(parameters, self.segments, self.simulator, noise).points(thetas, [[starts]] * len(thetas))
+        return np.array([point.cost for point in points])
+
+    def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
+        """Between what a parameter that acts in steps fits nearly as well, the others as they are; from outside."""
+        fit = fitted.fit
+        found = []
+        for side in (-1.0, 1.0):
+            values = fit.theta[place] * np.exp(side * np.append(0.0, APART))
+            values = np.clip(values, fit.parameters.low[place], fit.parameters.high[place])
+            thetas = [np.where(np.arange(len(fit.theta)) == place, value, fit.theta) for value in values]
+            costs = self.costs(fit.parameters, thetas, fit.starts, fitted.noise)
+            beyond = values[np.flatnonzero(costs > costs[0] + WORSE)]
+            found.append(float(beyond[0]) if len(beyond) else math.inf * side)
+        return found[0], found[1]
+
+    def _looked_around(self, parameters: FreeParameters, jumps: Sequence[int], begin: Begin, noise: Noise) -> Array:
+        theta, starts = begin
+        for place in jumps:
+            width = WIDTH
+            for _ in range(LEVELS):
+                factors = np.exp(np.append(0.0, np.linspace(-width, width, LOOKS)))
+                values = np.clip(theta[place] * factors, parameters.low[place], parameters.high[place])
+                thetas = [np.where(np.arange(len(theta)) == place, value, theta) for value in values]
+                theta = thetas[int(np.argmin(self.costs(parameters, thetas, starts, noise)))]
+                width /= NARROWER
+        return theta
 
     def _judged(self, hypothesis: Hypothesis, found: Fit) -> Fitted:
         noise = estimate_noise(self.times, found.residuals)

@@ -95,6 +95,8 @@ class Effect:
     """Whether it is worth trying with the same numbers at all places of a kind: what is built alike ails alike."""
     nothing: ClassVar[float | None] = 0.0
     """See ``grows_from``."""
+    jumps: ClassVar[tuple[str, ...]] = ()
+    """Parameters on which what is seen depends in steps, so that no slope leads to them: fits look around instead."""
     exclusive: ClassVar[str | None] = None
     """Of effects that share this word one place can have only one; see ``slot``."""
 

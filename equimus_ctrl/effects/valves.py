@@ -216,11 +216,11 @@ class Cutoff(CompiledShaping):
     nothing = None
     exclusive = "cutoff"
     order = CUTOFF
+    jumps = ("least",)
     least: float = parameter("Pa", 0.0, 5e4, "the smallest command that the valve follows")
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        # The law jumps: between two commands that were given any threshold is as good.
         return [{"least": share * seen.command} for share in (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32)]
 
 

@@ -183,6 +183,17 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     return AugmentedModel(m.q, m.v, z, pressure, phi, v0, pressed, p, slots, tuple(rubbing), *outputs)
 
 
+SLIDING = {"joint": 0.02, "actuator": 0.002}
+"""Rate on which three quarters of dry friction are counted where it is smoothed [rad/s, m/s]."""
+
+
+def sliding_friction(m: AugmentedModel) -> ca.SX:
+    """(nj,) torque of dry friction as a smooth function of the rates, −Gᵀ b tanh(G v / s) [N·m]; none at rest."""
+    slow = ca.DM([SLIDING[kind] for kind, _ in m.rubbing])
+    rubbing = ca.substitute(m.bound, m.v0, m.v) * ca.tanh(m.rows / slow)
+    return -ca.jacobian(m.rows, m.v).T @ rubbing
+
+
 def _quickness(by_speed: ca.SX, springs: ca.SX) -> ca.SX:
     """How fast damping and the stops' springs may make a motion, (1,) [1/s].
 

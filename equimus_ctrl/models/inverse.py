@@ -14,12 +14,9 @@ from functools import lru_cache
 
 import casadi as ca
 
-from equimus_ctrl.models.augmented import Laws, augmented_model
+from equimus_ctrl.models.augmented import Laws, augmented_model, sliding_friction
 from equimus_ctrl.models.morphology import Phase
 from equimus_ctrl.models.symbolic import Structure, build, pseudo_solve
-
-SLIDING = {"joint": 0.02, "actuator": 0.002}
-"""Rate s at which three quarters of dry friction are counted on [rad/s, m/s]; at rest it may hold either way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +41,7 @@ def inverse_dynamics(form: Structure, phase: Phase, laws: Laws) -> InverseDynami
     a, dt = ca.SX.sym("a", m.q.numel()), ca.SX.sym("dt")
     own = ca.vertcat(base.q, base.v, base.p), ca.vertcat(m.q, m.v, m.p[: base.p.numel()])
     mass, bias, jacobian = (ca.substitute(x, *own) for x in (base.mass, base.smooth_bias, base.jacobian))
-    slow = ca.DM([SLIDING[kind] for kind, _ in m.rubbing])
-    rubbing = ca.substitute(m.bound, m.v0, m.v) * ca.tanh(m.rows / slow)
-    torque = mass @ a + bias - m.torque - jacobian.T @ m.force + ca.jacobian(m.rows, m.v).T @ rubbing
+    torque = mass @ a + bias - m.torque - jacobian.T @ m.force - sliding_friction(m)
     # An implicit step, for states may follow faster than commands are given.
     system = ca.SX.eye(m.z.numel()) - dt * ca.jacobian(m.z_rate, m.z)
     return InverseDynamics(

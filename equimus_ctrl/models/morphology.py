@@ -324,6 +324,10 @@ class Morphology:
         high = [j.upper.angle if j.upper else math.inf for j in self.joints]
         return frozen_array(low, 1), frozen_array(high, 1)
 
+    def without_stops(self) -> Morphology:
+        """The same robot with joints that turn freely."""
+        return replace(self, joints=tuple(replace(joint, lower=None, upper=None) for joint in self.joints))
+
     def link(self, name: str) -> Link:
         """The link called ``name``."""
         return self.links[[link.name for link in self.links].index(name)]

@@ -274,7 +274,7 @@ def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence
 
 def _torque(robot: Morphology, model: Model, what: str, poses: Array) -> Array:
     """(n, nj) the part of the torque at rest that comes of weight, springs or stops [N·m]."""
-    free = replace(robot, joints=tuple(replace(j, lower=None, upper=None) for j in robot.joints))
+    free = robot.without_stops()
     loose = replace(free, actuators=tuple(replace(a, stiffness=0.0) for a in robot.actuators))
     more, less = {"stops": (robot, free), "springs": (free, loose), "gravity": (loose, None)}[what]
 

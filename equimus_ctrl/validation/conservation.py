@@ -17,7 +17,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.engines import Progress, finer, silent
-from equimus_ctrl.validation.experiment import undamped, without_stops
+from equimus_ctrl.validation.experiment import undamped
 from equimus_ctrl.validation.generator import FLOATING, hanging, random_robot
 from equimus_ctrl.validation.plan import Plan
 from equimus_ctrl.validation.poses import holding_pressure, workspace
@@ -133,7 +133,7 @@ def conservation_case(
         momentum[name] = _drift(motion, about, float(abs(about[0])))
     progress(0.75)
 
-    free = without_stops(morphology)
+    free = morphology.without_stops()
     work = {}
     for name, motion in _motions(free, middle + SWING_OUT, still, pressure / 2, duration, threads):
         stored, _ = _energy(free, motion, pressure / 2)

@@ -69,7 +69,7 @@ class Experiment:
 
     def without_stops(self) -> Experiment:
         """The same robots with joints that turn freely."""
-        return replace(self, morphologies=tuple(map(without_stops, self.morphologies)))
+        return replace(self, morphologies=tuple(m.without_stops() for m in self.morphologies))
 
     def touches(self, q: Array, margin: float = 1e-4) -> NDArray[np.bool_]:
         """(n,) whether a run (n, m, nj) comes within ``margin`` [rad] of a stop; a NaN does not."""
@@ -78,14 +78,9 @@ class Experiment:
             return np.asarray(((q <= ranges[:, 0] + margin) | (q >= ranges[:, 1] - margin)).any(axis=(1, 2)))
 
 
-def without_stops(morphology: Morphology) -> Morphology:
-    """A robot whose joints have no stops."""
-    return replace(morphology, joints=tuple(replace(j, lower=None, upper=None) for j in morphology.joints))
-
-
 def undamped(morphology: Morphology) -> Morphology:
     """A robot in which nothing is lost: no stops, no damping in joints or actuators."""
-    free = without_stops(morphology)
+    free = morphology.without_stops()
     return replace(
         free,
         joints=tuple(replace(j, damping=0.0) for j in free.joints),
