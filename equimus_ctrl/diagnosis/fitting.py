@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Hypothesis, parameters_of, refined
+from equimus_ctrl.diagnosis.weighing import weigh
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, Problem, Simulator, fit
+from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, Simulator, fit
 from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, rough_noise, white_noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.segments import Segment
@@ -20,9 +21,10 @@ ROUNDS = 4
 """How often noise and parameters are estimated in turn, at most."""
 STRONG = 4.0
 """So many times the noise."""
-LOOKS, WIDTH, NARROWER, LEVELS = 16, 0.4, 5.0, 4
-"""Around a parameter that acts in steps so many values are looked at, so far to either side in its logarithm, then
-around the best of them nearer by a factor, and so on."""
+TURNS, LOOKS, WIDTH, NARROWER, LEVELS = 3, (15, 47), 0.4, 5.0, 4
+"""Around a parameter that acts in steps so many values are looked at, in a first look or a thorough one, so far to
+either side in its logarithm, then around the best of them nearer by a factor, and so on; and all again from where the
+fit goes from there."""
 APART = 1e-5 * 3.0 ** np.arange(11)
 """Logarithms of factors by which such a parameter is moved to see where it fits no more."""
 WORSE = 3.84
@@ -94,7 +96,7 @@ class Data:
         self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, steps: int, tolerance: float = 1e-4
     ) -> Fitted:
         """A few steps of a search under a noise that is given; the deviance is of the noise that is left."""
-        found = self._fit(hypothesis, begin, noise, FitSettings(tolerance, steps))
+        found = self._fit(hypothesis, begin, noise, FitSettings(tolerance, steps), thorough=False)
         return self._judged(hypothesis, found)
 
     def settle(self, fitted: Fitted, noise: Noise | None = None) -> Fitted:
@@ -116,18 +118,24 @@ class Data:
                 break
         return best
 
-    def _fit(self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, settings: FitSettings) -> Fit:
+    def _fit(
+        self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, settings: FitSettings, thorough: bool = True
+    ) -> Fit:
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
         found = fit(parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside)
         jumps = self.jumps(hypothesis)
-        if jumps:  # the others have to have come near first
-            after = self._looked_around(parameters, jumps, (found.theta, found.starts), noise)
+        for _ in range((TURNS if thorough else 1) if jumps else 0):
+            after = self._looked_around(jumps, found, noise, LOOKS[thorough])
+            if np.array_equal(after, found.theta):
+                break
             again = fit(
                 parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise,
                 begin=[(after, found.starts)],
             )  # fmt: skip
-            found = min(found, again, key=lambda f: f.cost)
+            if again.cost >= found.cost:
+                break
+            found = again
         return found
 
     def jumps(self, hypothesis: Hypothesis) -> list[int]:
@@ -135,37 +143,40 @@ class Data:
         keys = [(part.candidate.effect.jumps, key) for part in hypothesis for key in part.values]
         return [len(self.free.free) + k for k, (jumps, key) in enumerate(keys) if key in jumps]
 
-    def costs(
-        self, parameters: FreeParameters, thetas: Sequence[Array], starts: Sequence[Array], noise: Noise
-    ) -> Array:
-        """(k,) sums of squares of parameter sets (p,) with the same starts, in units of the noise."""
-        points = Problem(parameters, self.segments, self.simulator, noise).points(thetas, [[starts]] * len(thetas))
-        return np.array([point.cost for point in points])
-
     def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
-        """Between what a parameter that acts in steps fits nearly as well, the others as they are; from outside."""
-        fit = fitted.fit
-        found = []
+        """Between what a parameter that acts in steps fits nearly as well, from outside; ±inf where there is no end."""
+        found, value = [], fitted.fit.theta[place]
         for side in (-1.0, 1.0):
-            values = fit.theta[place] * np.exp(side * np.append(0.0, APART))
-            values = np.clip(values, fit.parameters.low[place], fit.parameters.high[place])
-            thetas = [np.where(np.arange(len(fit.theta)) == place, value, fit.theta) for value in values]
-            costs = self.costs(fit.parameters, thetas, fit.starts, fitted.noise)
-            beyond = values[np.flatnonzero(costs > costs[0] + WORSE)]
+            values = value * np.exp(side * APART)
+            costs = self._profile(fitted.fit, fitted.noise, place, np.append(value, values))
+            beyond = values[np.flatnonzero(costs[1:] > costs[0] + WORSE)]
             found.append(float(beyond[0]) if len(beyond) else math.inf * side)
         return found[0], found[1]
 
-    def _looked_around(self, parameters: FreeParameters, jumps: Sequence[int], begin: Begin, noise: Noise) -> Array:
-        theta, starts = begin
+    def _looked_around(self, jumps: Sequence[int], found: Fit, noise: Noise, looks: int) -> Array:
+        theta = found.theta.copy()
         for place in jumps:
             width = WIDTH
             for _ in range(LEVELS):
-                factors = np.exp(np.append(0.0, np.linspace(-width, width, LOOKS)))
-                values = np.clip(theta[place] * factors, parameters.low[place], parameters.high[place])
-                thetas = [np.where(np.arange(len(theta)) == place, value, theta) for value in values]
-                theta = thetas[int(np.argmin(self.costs(parameters, thetas, starts, noise)))]
+                values = theta[place] * np.exp(np.append(0.0, np.linspace(-width, width, looks)))
+                theta[place] = values[int(np.argmin(self._profile(found, noise, place, values)))]
                 width /= NARROWER
-        return theta
+        return np.clip(theta, found.parameters.low, found.parameters.high)
+
+    def _profile(self, found: Fit, noise: Noise, place: int, values: Array) -> Array:
+        """(k,) sums of squares with one parameter at other values and all others moved along, these to first order."""
+        own = found.parameters
+        inside = np.clip(values, own.low[place], own.high[place])
+        models = [own.model_at(np.where(np.arange(len(found.theta)) == place, v, found.theta)) for v in inside]
+        starts = [np.tile(start, (len(models) + 1, 1)) for start in found.starts]
+        predicted = (self.coarse or self.simulator)([found.model, *models], self.segments, starts)
+        changes = [np.moveaxis(p.position[1:] - p.position[0], 0, -1) for p in predicted]
+        weighing = weigh(self.times, found, noise)
+        left = weighing.residual[:, None] - weighing.columns(self.times, changes)
+        moves = np.delete(weighing.slopes, place, axis=1)
+        basis = np.linalg.qr(moves[:, np.abs(moves).max(axis=0) > 0])[0]
+        left = left - basis @ (basis.T @ left)
+        return np.where(np.isfinite(left).all(axis=0), (left**2).sum(axis=0), np.inf)
 
     def _judged(self, hypothesis: Hypothesis, found: Fit) -> Fitted:
         noise = estimate_noise(self.times, found.residuals)

@@ -11,7 +11,7 @@ from equimus_ctrl.diagnosis.explained import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group, groups, harmonics, responses
 from equimus_ctrl.diagnosis.response import linearise
-from equimus_ctrl.diagnosis.screening import Weighing, weigh
+from equimus_ctrl.diagnosis.weighing import Weighing, weigh
 from equimus_ctrl.engines.motion import Motion, motion
 from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.errors import SimulationDiverged
@@ -62,7 +62,7 @@ class Linear:
 def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = 2e-3) -> Linear | None:
     """The linear model about a fit; None where its motion cannot be followed."""
     model = fitted.fit.model
-    weighing = weigh(data, fitted, noise)
+    weighing = weigh(data.times, fitted.fit, noise)
     motions = []
     try:
         for segment, start in zip(data.segments, fitted.fit.starts, strict=True):

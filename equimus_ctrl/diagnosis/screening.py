@@ -9,9 +9,10 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Hypothesis, Part, model_of, with_part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.weighing import Weighing, weigh
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.identification.noise import Noise, white_noise, whiten
+from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
@@ -46,30 +47,6 @@ class Screened:
 
 
 @dataclass(frozen=True, eq=False)
-class Weighing:
-    """Residuals and derivatives as one noise weighs them, what starts can do taken out.
-
-    Attributes:
-        residual: (N,).
-        slopes: (N, p) in units of the parameters' scale.
-        starts: for each segment an orthonormal basis of what its start can do.
-    """
-
-    noise: Noise
-    residual: Array
-    slopes: Array
-    starts: list[Array]
-
-    def columns(self, times: Sequence[Array], changes: Sequence[Array]) -> Array:
-        """(N, k) changes (m, nj, k) of predictions, weighed."""
-        rows = []
-        for time, change, basis in zip(times, changes, self.starts, strict=True):
-            flat = whiten(self.noise, time, change).reshape(basis.shape[0], -1)
-            rows.append(flat - basis @ (basis.T @ flat))
-        return np.concatenate(rows)
-
-
-@dataclass(frozen=True, eq=False)
 class _Tried:
     """A guess.
 
@@ -90,22 +67,6 @@ class _Tried:
     left: float
     theta: Array
     kept: tuple[int, ...]
-
-
-def weigh(data: Data, fitted: Fitted, noise: Noise) -> Weighing:
-    """The residuals of a fit under a noise."""
-    scale = fitted.fit.parameters.scale
-    residuals, slopes, starts = [], [], []
-    rows = zip(data.times, fitted.fit.residuals, fitted.fit.jacobians, fitted.fit.start_jacobians, strict=True)
-    for time, r, j, s in rows:
-        count = r.size
-        basis = np.linalg.qr(whiten(noise, time, s).reshape(count, -1))[0]
-        both = whiten(noise, time, np.concatenate([r[:, :, None], j * scale], axis=2)).reshape(count, -1)
-        both = both - basis @ (basis.T @ both)
-        residuals.append(both[:, 0])
-        slopes.append(both[:, 1:])
-        starts.append(basis)
-    return Weighing(noise, np.concatenate(residuals), np.concatenate(slopes), starts)
 
 
 def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screened]:
@@ -129,7 +90,7 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
     if not entries:
         return []
     changes = _changes(data, fitted, entries)
-    weighings = [weigh(data, fitted, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)]
+    weighings = [weigh(data.times, fitted.fit, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)]
     columns = [w.columns(data.times, changes) for w in weighings]
     owners = _owners(len(data.free.free), fitted.hypothesis)
     found: dict[int, list[_Tried]] = {}
