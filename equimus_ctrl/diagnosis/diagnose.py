@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from scipy.stats import chi2
@@ -38,10 +39,15 @@ from equimus_ctrl.types import Array
 
 ALIKE = 10.0
 """Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
+BLUR = 60.0
+"""So far the errors of the physics step may take deviances apart."""
 BLURRED = 0.05
 """Where something stays unexplained, rivals within this share of a finding's gain cannot be told apart either."""
 COARSE = 2 * STEP
 """Physics step of the reduced engine where candidates are screened [s], where the robot allows it."""
+FINE = STEP / 3
+"""The same where rivals are told apart."""
+Finely = Callable[[Fitted], Fitted]
 CARRIES_OVER = 0.25
 """Least gain on held-out trials for each sample, as a share of that on the trials fitted, of what is believed."""
 
@@ -87,11 +93,12 @@ def diagnose(
     begun = time.perf_counter()
     settings = settings or DiagnosisSettings()
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
-        engine, coarse = simulator, simulator
-        if engine is None:
-            engine = reduced_simulator(threads=settings.threads)
-            coarse = reduced_simulator(threads=settings.threads, longest=COARSE)
-        return _diagnose(Data(free, split.train, engine, coarse), split, settings, designs, progress, begun)
+        if simulator is not None:
+            data = Data(free, split.train, simulator)
+        else:
+            engines = [reduced_simulator(threads=settings.threads, longest=step) for step in (STEP, COARSE, FINE)]
+            data = Data(free, split.train, *engines)
+        return _diagnose(data, split, settings, designs, progress, begun)
 
 
 def _diagnose(
@@ -124,7 +131,9 @@ def _diagnose(
         rest = remainder(data, found.base, found.best, found.without)
     progress("evidence", 0.94, found.best.label)
     judge = _Judge(data, split, found)
-    findings = tuple(_finding(search, found, judge, k, bool(rest.leftovers)) for k in range(len(found.best.hypothesis)))
+    finely = cache(data.settle_finely)
+    parts = range(len(found.best.hypothesis))
+    findings = tuple(_finding(search, found, judge, k, bool(rest.leftovers), finely) for k in parts)
     findings = tuple(sorted(findings, key=lambda f: -f.evidence.gain))
     verdict = _verdict(findings, rest)
     experiment = None
@@ -262,7 +271,7 @@ class _Judge:
         return float(np.clip((before - after) / whole, -1.0, 1.0)) if whole > 0 else 0.0
 
 
-def _finding(search: Search, found: Searched, judge: _Judge, k: int, left: bool) -> Finding:
+def _finding(search: Search, found: Searched, judge: _Judge, k: int, left: bool, finely: Finely) -> Finding:
     best, without = found.best, found.without[k]
     part = best.hypothesis[k]
     gain = without.deviance - best.deviance
@@ -280,7 +289,7 @@ def _finding(search: Search, found: Searched, judge: _Judge, k: int, left: bool)
         part,
         _estimates(search.data, best, k),
         evidence,
-        _equivalent(search, found, k, max(ALIKE, BLURRED * gain) if left else ALIKE),
+        _equivalent(search, found, k, max(ALIKE, BLURRED * gain) if left else ALIKE, finely),
     )
 
 
@@ -307,17 +316,26 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
     return found
 
 
-def _equivalent(search: Search, found: Searched, k: int, margin: float) -> tuple[Named, ...]:
-    """What could stand in the part's place as well; not what takes more numbers, which can imitate anything simpler."""
+def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: Finely) -> tuple[Named, ...]:
+    """What could stand in the part's place as well; not what takes more numbers, which can imitate anything simpler.
+
+    What is near is looked at with fine steps: where commands jump, the errors of longer ones can tell alike from alike.
+    """
     rest = {id(p.candidate) for p in found.without[k].hypothesis}
     own = found.best.hypothesis[k].candidate.label
     named: dict[str, Named] = {}
-    limit = search.score(found.best) + margin
+    near = search.score(found.best) + margin + BLUR
     for rival in sorted(found.rivals[k], key=search.score):
         other = [p for p in rival.hypothesis if id(p.candidate) not in rest]
-        simple = rival.n_parameters <= found.best.n_parameters
-        if simple and search.score(rival) < limit and len(other) == 1 and other[0].candidate.label != own:
-            named.setdefault(other[0].candidate.label, _named(other[0]))
+        if rival.n_parameters > found.best.n_parameters or len(other) != 1 or search.score(rival) >= near:
+            continue
+        label = other[0].candidate.label
+        if (
+            label != own
+            and label not in named
+            and search.score(finely(rival)) < search.score(finely(found.best)) + margin
+        ):
+            named[label] = _named(other[0])
     return tuple(named.values())
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ APART = 1e-5 * 3.0 ** np.arange(11)
 """Logarithms of factors by which such a parameter is moved to see where it fits no more."""
 WORSE = 3.84
 """Gain of 2 log L at which it does not, with a chance of 5 %."""
+NO_STEP = FitSettings(1e-5, 0)
 SETTLED = 0.5
 """Gain of 2 log L at which they are taken to have settled."""
 
@@ -75,12 +76,14 @@ class Data:
         simulator: the engine.
         coarse: a faster one for what need not be exact, whose predictions are compared with its own alone; the same
             by default.
+        fine: a slower one whose errors tell hypotheses less apart; the same by default.
     """
 
     free: FreeParameters
     segments: Sequence[Segment]
     simulator: Simulator
     coarse: Simulator | None = None
+    fine: Simulator | None = None
 
     @property
     def times(self) -> list[Array]:
@@ -117,6 +120,15 @@ class Data:
             if gain < SETTLED:
                 break
         return best
+
+    def settle_finely(self, fitted: Fitted) -> Fitted:
+        """The same with the fine engine, from where it is."""
+        if self.fine is None:
+            return fitted
+        own = replace(self, simulator=self.fine, coarse=None, fine=None)
+        return own.settle(
+            own._judged(fitted.hypothesis, own._fit(fitted.hypothesis, [fitted.begin], fitted.noise, NO_STEP))
+        )
 
     def _fit(
         self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, settings: FitSettings, thorough: bool = True
