@@ -1,4 +1,5 @@
 # What `import equimus_ctrl as eq` offers; read at run time too, so this list is the only one.
+from .controllers.lqr import LqrController as LqrController, LqrSettings as LqrSettings
 from .controllers.open_loop import OpenLoopController as OpenLoopController
 from .controllers.pid import PidController as PidController, PidGains as PidGains, PidSettings as PidSettings
 from .effects import (
@@ -45,6 +46,7 @@ from .errors import (
     RecordingError as RecordingError,
     SimulationDiverged as SimulationDiverged,
 )
+from .estimation.observer import Observer as Observer, ObserverSettings as ObserverSettings
 from .models.kinematics import Kinematics as Kinematics
 from .models.leg import ideal_leg as ideal_leg, nominal_leg as nominal_leg
 from .models.mjcf import (

@@ -151,3 +151,18 @@ def test_the_pid_holds_a_pose_better_than_open_loop() -> None:
         run = drive(plant, workflow.load_controller(name, held), held)
         errors[name] = np.abs(run.position[-60:] - [1.4, 0.5]).max()
     assert errors["pid"] < 0.25 * errors["open_loop"]
+
+
+def test_the_lqr_needs_no_settings_and_holds_a_pose_of_a_leg_it_does_not_know() -> None:
+    other = eq.nominal_leg().with_parameters({"baa.area": 0.00036, "maa.stiffness": 240.0})
+    held = eq.Scenario("hold", "", 5.0, eq.HoldReference([1.4, 0.5]), start=eq.Start(command=[14e3, 6e3]))
+    plant = eq.MujocoPlant(eq.Model(other), nominal=eq.nominal_leg())
+    run = drive(plant, make_controller("lqr"), held)
+    assert np.abs(run.position[-60:] - [1.4, 0.5]).max() < 5e-3
+    assert eq.LqrSettings.from_dict(presets_table("lqr.toml")) == eq.LqrSettings()
+
+
+def presets_table(name: str) -> dict[str, object]:
+    path = presets.find("controllers", name)
+    assert path is not None
+    return dict(presets.read_toml(path))

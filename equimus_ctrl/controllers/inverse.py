@@ -45,6 +45,23 @@ class InverseState:
     held: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where a robot that follows a reference is when the next command arrives, all that is late waited for.
+
+    Attributes:
+        position: (nj,) [rad].
+        velocity: (nj,) [rad/s].
+        pressure: (na,) behind the valves [Pa].
+        feed: (na,) what is to reach the valves, each at its own arrival [Pa].
+    """
+
+    position: Array
+    velocity: Array
+    pressure: Array
+    feed: Array
+
+
 class Inverse:
     """The inverse of a model at a control rate.
 
@@ -56,6 +73,7 @@ class Inverse:
     Attributes:
         low: (na,) lowest command of any use [Pa].
         high: (na,) highest.
+        actuators: their names.
     """
 
     def __init__(self, model: Model, control_dt: float, start_time: float) -> None:
@@ -65,7 +83,7 @@ class Inverse:
         self._law = inverse_dynamics(structure(robot), model.phase, laws)
         own = law_parameters(slots, effects, robot.joint_names, robot.actuator_names)
         self._parameters = np.array([*pack(robot), *own])
-        self._effects, self._actuators = effects, robot.actuator_names
+        self._effects, self.actuators = effects, robot.actuator_names
         self._sensor = sensor_settings(effects, robot.joint_names)
         self._valve = valve_settings(effects, robot.actuator_names)
         self._delays = np.unique(self._valve[:, DELAY])
@@ -85,11 +103,11 @@ class Inverse:
 
     def hold(self, state: InverseState) -> Array:
         """(na,) the command that holds the robot where it starts [Pa]."""
-        return np.asarray(self._commands(self._holding(state)[None])[0])
+        return np.asarray(self.commands(self._holding(state)[None])[0])
 
     def surplus(self, state: InverseState, command: Array) -> Array:
         """(na,) by how much more pressure arrives of a command than holds the robot where it starts [Pa]."""
-        reached: Array = shaped_commands(self._effects, self._actuators, command[None])[0]
+        reached: Array = shaped_commands(self._effects, self.actuators, command[None])[0]
         return np.asarray(reached - self._holding(state))
 
     def follow(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, InverseState]:
@@ -104,7 +122,30 @@ class Inverse:
             Angles (n, nj) that the sensors show [rad], commands (n, na) within the useful range [Pa], and the state
             after the last of them.
         """
-        pressure, states = np.empty((len(times), len(self._actuators))), np.empty_like(state.states)
+        feed, states = self._feed(reference, times, state)
+        seen, held = self._seen(reference, times, state)
+        return seen, self.commands(feed), replace(state, states=states, held=held)
+
+    def target(self, reference: Reference, time: float, state: InverseState) -> tuple[Target, InverseState]:
+        """Where a robot that follows is when a command that is given now first arrives.
+
+        Args:
+            reference: of the true angles; looked at ahead of time where valves are late.
+            time: of the control instant [s].
+            state: how far it has been followed.
+
+        Returns:
+            That, and the state after it.
+        """
+        instant = np.array([time])
+        feed, states = self._feed(reference, instant, state)
+        q, v, a = self._motion(reference, instant + self._delays[0], state)
+        pressure = self._pressures(q, v, a, state.states[0][:, None])
+        return Target(q[:, 0], v[:, 0], pressure[0], feed[0]), replace(state, states=states)
+
+    def _feed(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
+        """(n, na) what is to reach the valves [Pa], and the effects' states afterwards."""
+        pressure, states = np.empty((len(times), len(self.actuators))), np.empty_like(state.states)
         for k, delay in enumerate(self._delays):
             own = np.flatnonzero(self._valve[:, DELAY] == delay)
             arrival = times + delay + self._dt / 2
@@ -116,17 +157,16 @@ class Inverse:
                 before, after = (self._pressures(*motion, z)[:, own] for motion in around)
                 rate = (after - before) / (2 * self._dt)
                 pressure[:, own] += np.where(rate > 0, self._valve[own, FILL], self._valve[own, VENT]) * rate
-        seen, held = self._seen(reference, times, state)
-        return seen, self._commands(pressure), replace(state, states=states, held=held)
+        return pressure, states
 
     def _holding(self, state: InverseState) -> Array:
         still = np.zeros_like(state.pose)
         found = self._law.pressure(state.pose, still, still, state.states[0], self._parameters)
         return np.array(found).ravel()
 
-    def _commands(self, pressure: Array) -> Array:
+    def commands(self, pressure: Array) -> Array:
         """(n, na) the commands within the useful range that come nearest to pressures [Pa]."""
-        command = command_for(self._effects, self._actuators, pressure, self.low, self.high)
+        command = command_for(self._effects, self.actuators, pressure, self.low, self.high)
         return np.clip(command, self.low, self.high)
 
     def _poses(self, reference: Reference, times: Array, state: InverseState) -> Array:

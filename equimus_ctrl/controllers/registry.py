@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from equimus_ctrl.controllers.lqr import LqrController, LqrSettings
 from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.controllers.pid import PidController, PidSettings
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
@@ -37,9 +38,14 @@ def _pid(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Contr
     return PidController(PidSettings.from_dict(settings, where))
 
 
+def _lqr(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Controller:
+    return LqrController(LqrSettings.from_dict(settings or {}, where))
+
+
 CONTROLLERS: dict[str, ControllerEntry] = {
     "open_loop": ControllerEntry("the scenario's commands, or its reference's static pressures", _open_loop),
     "pid": ControllerEntry("PID on actuator lengths or joint angles with feed-forward", _pid, "pid.toml"),
+    "lqr": ControllerEntry("LQR along the reference on an observer's state, with integral action", _lqr, "lqr.toml"),
 }
 
 

@@ -13,10 +13,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
 
-from equimus_ctrl.models.augmented import Laws, augmented_model, sliding_friction
-from equimus_ctrl.models.morphology import Phase
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.morphology import Phase, pack, structure
 from equimus_ctrl.models.symbolic import Structure, build, pseudo_solve
+from equimus_ctrl.types import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +38,20 @@ class InverseDynamics:
     pressure: ca.Function
     advanced: ca.Function
     rest: ca.Function
+
+
+def holding_pressure(model: Model, pose: ArrayLike) -> Array:
+    """(na,) pressures behind the valves that hold a model at rest at a pose (nj,) [rad], its effects included [Pa].
+
+    They may lie outside the range; stops take no part, dry friction neither.
+    """
+    robot = changed_bodies(model.effects, model.morphology)
+    laws = tuple(sorted({type(e) for e in model.effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+    form = structure(robot)
+    slots = augmented_model(form, model.phase, laws).slots
+    numbers = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]
+    law, q, still = inverse_dynamics(form, model.phase, laws), np.array(pose), np.zeros(len(robot.joints))
+    return np.array(law.pressure(q, still, still, law.rest(q, numbers), numbers)).ravel()
 
 
 @lru_cache(maxsize=16)

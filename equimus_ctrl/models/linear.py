@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.sensors import SCALE, sensor_settings
+from equimus_ctrl.effects.valves import FILL, VENT, valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, slots_of
+from equimus_ctrl.models.inverse import holding_pressure
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.models.symbolic import Structure, build, joint_stops, ldl_solve, stops_in_mode
 from equimus_ctrl.types import Array
+
+if TYPE_CHECKING:
+    import control
 
 
 @lru_cache(maxsize=32)
@@ -76,6 +85,70 @@ def state_matrices(
     a = np.block([[np.zeros((nj, nj)), np.eye(nj)], [by_q, by_v]])
     b = np.vstack([np.zeros((nj, na)), by_p])
     return a, b
+
+
+def with_valves(a: Array, b: Array, lag: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+    """(A, B) with the pressures behind lagging valves as further states, dP/dt = (u − P)/lag; others act at once.
+
+    Args:
+        a: (n, n).
+        b: (n, na) of pressures.
+        lag: (na,) time constants [s], 0 for none.
+
+    Returns:
+        A (n + k, n + k), B (n + k, na), and the actuators (k,) that the last k states belong to.
+    """
+    n, slow = len(a), np.flatnonzero(lag > 0)
+    whole = np.zeros((n + len(slow), n + len(slow)))
+    inputs = np.zeros((n + len(slow), b.shape[1]))
+    whole[:n, :n], inputs[:n] = a, b
+    for k, i in enumerate(slow):
+        inputs[:n, i] = 0.0
+        whole[:n, n + k] = b[:, i]
+        whole[n + k, n + k] = -1 / lag[i]
+        inputs[n + k, i] = 1 / lag[i]
+    return whole, inputs, slow
+
+
+def valve_lag(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
+    """(na,) time constants of valves [s]; of those that fill and vent unlike, the mean."""
+    valve = valve_settings(effects, actuators)
+    return np.asarray((valve[:, FILL] + valve[:, VENT]) / 2)
+
+
+def linearise(model: Model, pose: ArrayLike, pressure: ArrayLike | None = None) -> control.StateSpace:
+    """A model about a pose at rest, as python-control takes it: from what reaches its valves to its angles.
+
+    States are angles, velocities and the pressures behind valves with a lag, all as departures from rest. Delays of
+    valves and sensors, dry friction, limited rates and play take no part; effects with states of their own act as they
+    do in quick motion.
+
+    Args:
+        model: the robot with its effects.
+        pose: (nj,) [rad].
+        pressure: (na,) that holds it there [Pa]; by default the one that does, wherever it lies.
+
+    Returns:
+        Continuous, its states called ``pos_hip``, ``vel_hip``, ``pressure_maa``, its inputs ``cmd_maa``, its outputs
+        ``pos_hip`` as the sensors show them; python-control's names have no dots.
+    """
+    import control  # takes half a second, which most commands can do without
+
+    robot = changed_bodies(model.effects, model.morphology)
+    held = holding_pressure(model, pose) if pressure is None else np.asarray(pressure, dtype=np.float64)
+    a, b = state_matrices(robot, pose, held, model.phase, model.effects)
+    joints, actuators = robot.joint_names, robot.actuator_names
+    a, b, slow = with_valves(a, b, valve_lag(model.effects, actuators))
+    c = np.zeros((len(joints), len(a)))
+    c[:, : len(joints)] = np.diag(sensor_settings(model.effects, joints)[:, SCALE])
+    states = [f"{kind}_{name}" for kind in ("pos", "vel") for name in joints]
+    return control.ss(
+        a, b, c, np.zeros((len(joints), len(actuators))),
+        states=[*states, *(f"pressure_{actuators[i]}" for i in slow)],
+        inputs=[f"cmd_{name}" for name in actuators],
+        outputs=[f"pos_{name}" for name in joints],
+        name=robot.name,
+    )  # fmt: skip
 
 
 def fastest_rates(morphology: Morphology, pose: ArrayLike, phase: Phase = "swing") -> tuple[float, float]:

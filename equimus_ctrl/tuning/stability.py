@@ -16,9 +16,9 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import LATE, SCALE, behind, hermite, sensor_settings
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, ShapingEffect, command_for, shaped_commands
-from equimus_ctrl.engines.rest import pushes_at_rest
+from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.linear import state_matrices
+from equimus_ctrl.models.linear import state_matrices, with_valves
 from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.tuning.ensemble import Member, latin_hypercube
 from equimus_ctrl.types import Array
@@ -88,17 +88,11 @@ def linear_leg(
         quick: see ``models.linear.state_matrices``.
         fed: (na,) fed forward there [Pa]; the static pressures by default.
     """
-    own, known = Kinematics(member.morphology, phase), Kinematics(nominal, phase)
+    known = Kinematics(nominal, phase)
     sensor = sensor_settings(member.effects, nominal.joint_names)
     # Pressing on a stop only slows a loop down: a pose beyond one is taken at its edge.
     true = np.clip(behind(sensor, pose), *member.morphology.joint_range)
-    held = own.static_pressure(true)
-    pushed = pushes_at_rest(member.model(phase))
-    if pushed is not None:
-        moment, areas = own.jacobian(true).T, np.array([x.area for x in member.morphology.actuators])
-        torque, force = pushed(true, np.zeros(len(areas)))
-        areas += pushed(true, np.ones(len(areas)))[1] - force
-        held = -np.linalg.pinv(moment * areas) @ (own.rest_torque(true)[0] + torque + moment @ force)
+    held = holding_pressure(member.model(phase), true)
     a, b = state_matrices(member.morphology, true, held, phase, member.effects, quick)
     n, na = b.shape
     jacobian = known.jacobian(pose)
@@ -119,17 +113,7 @@ def linear_leg(
             turning[:, j] = (pressures_of(pose + step) - pressures_of(pose - step)) @ standing / 2e-6
     c = np.hstack([channel * sensor[:, SCALE], np.zeros_like(channel)])
     lag = (member.valve[:, FILL] + member.valve[:, VENT]) / 2
-    slow = np.flatnonzero(lag > 0)
-    # Pressures behind a lag become states; the others act at once.
-    full_a = np.zeros((n + len(slow), n + len(slow)))
-    full_b = np.zeros((n + len(slow), na))
-    full_a[:n, :n] = a
-    full_b[:n] = b
-    for k, i in enumerate(slow):
-        full_b[:n, i] = 0.0
-        full_a[:n, n + k] = b[:, i]
-        full_a[n + k, n + k] = -1 / lag[i]
-        full_b[n + k, i] = 1 / lag[i]
+    full_a, full_b, slow = with_valves(a, b, lag)
     pose_gain = np.zeros((na, len(full_a)))
     pose_gain[:, :nj] = turning * sensor[:, SCALE]
     full_c = np.hstack([c, np.zeros((c.shape[0], len(slow)))])

@@ -1,0 +1,303 @@
+"""A linear quadratic regulator along a reference, on what an observer knows from angles and commands.
+
+    u = w + c − K(q_r) (x̂ − x_r),    K minimises ½ Σ (xᵀQx + uᵀRu) dt    about q_r, sampled
+
+x are angles, velocities, pressures behind valves with a lag, commands still under way and the integral of the angles'
+errors; w is what the inverse model asks of the valves along the reference, and c holds against the torque that the
+observer cannot explain. x̂ is predicted to when the command arrives. Gains are worked out on a grid of poses and
+interpolated in between.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from equimus_ctrl.controllers.inverse import Inverse, InverseState
+from equimus_ctrl.controllers.settings import settings_from, table_of
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.valves import DELAY, shaped_commands, valve_settings
+from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.estimation.observer import Observer, ObserverSettings, ObserverState
+from equimus_ctrl.models.inverse import holding_pressure
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.linear import state_matrices, valve_lag, with_valves
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
+
+FORMAT = "equimus-ctrl/lqr/1"
+CALM = 0.005
+"""What unknown torques walk in a second, see ``ObserverSettings``."""
+MISSED = 1.0
+"""A command by so much off what was asked for is no longer taken as given [Pa]."""
+
+
+@dataclass(frozen=True)
+class LqrSettings:
+    """Settings of the regulator. An error as large as its allowance costs as much as an effort as large as its own.
+
+    Attributes:
+        angle: allowance of angles [rad].
+        rate: of velocities [rad/s].
+        pressure: of commands beyond what the reference asks for [Pa].
+        integral: of the integral of an angle's error [rad·s]; 0 for none, which leaves the way to no offset at rest to
+            ``disturbance``: an integral also keeps what gathered while nothing could be done, as before a first command
+            has arrived.
+        disturbance: whether torques that the observer cannot explain are held against.
+        spacing: of the grid of poses that gains are worked out at [rad].
+        start_time: over which the first pose fades out of the reference [s].
+        observer: how much is believed; by default unknown torques walk slowly, for what is held against them is an
+            integral, which valves that are later than the model knows would swing.
+
+    Raises:
+        ConfigError: for numbers that are none of these.
+    """
+
+    angle: float = 0.03
+    rate: float = 1.0
+    pressure: float = 1e3
+    integral: float = 0.0
+    disturbance: bool = True
+    spacing: float = 0.2
+    start_time: float = 0.3
+    observer: ObserverSettings = field(default_factory=lambda: ObserverSettings(disturbance=CALM))
+
+    def __post_init__(self) -> None:
+        for key in ("angle", "rate", "pressure", "spacing"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value > 0):
+                raise ConfigError(f"{key} is {value:g}, expected more than 0")
+        for key in ("integral", "start_time"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value >= 0):
+                raise ConfigError(f"{key} is {value:g}, expected at least 0")
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], where: str = "LQR settings") -> LqrSettings:
+        """From what a TOML file holds.
+
+        Raises:
+            ConfigError: for a key that there is not, or a value that does not fit.
+        """
+        return settings_from(cls, data, where, FORMAT)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a TOML file of these settings holds."""
+        return table_of(self, FORMAT)
+
+
+@dataclass(frozen=True, eq=False)
+class Regulator:
+    """The regulator about one pose.
+
+    Attributes:
+        a: (n, n) of the sampled robot: angles, velocities, pressures behind a lag, commands under way (the next to
+            arrive first), integrals.
+        b: (n, na).
+        q: (n, n) cost of a sample's state, times dt.
+        r: (na, na) of its command.
+        gain: (na, n) K.
+        cost: (n, n) P: from a state x on it all costs ½ xᵀPx.
+    """
+
+    a: Array
+    b: Array
+    q: Array
+    r: Array
+    gain: Array
+    cost: Array
+
+
+def regulator(model: Model, pose: Array, settings: LqrSettings, dt: float) -> Regulator:
+    """The regulator of a model about a pose (nj,) [rad], sampled with dt [s].
+
+    Raises:
+        ControllerError: where no gains make the robot stable there.
+    """
+    import control  # takes half a second, which most commands can do without
+
+    robot = changed_bodies(model.effects, model.morphology)
+    names = robot.actuator_names
+    held = holding_pressure(model, pose)
+    a, b = state_matrices(robot, pose, held, model.phase, model.effects)
+    nj, na = len(pose), len(names)
+    a, b, _ = with_valves(a, b, valve_lag(model.effects, names))
+    n = len(a)
+    both = np.zeros((n + na, n + na))
+    both[:n, :n], both[:n, n:] = a, b
+    sampled = expm(both * dt)
+    under_way = waiting(model, dt)
+    m = n + int(under_way.sum()) + (nj if settings.integral else 0)
+    full_a, full_b, q = np.zeros((m, m)), np.zeros((m, na)), np.zeros((m, m))
+    full_a[:n, :n] = sampled[:n, :n]
+    first = n
+    for i, count in enumerate(under_way):
+        if count:
+            full_a[:n, first] = sampled[:n, n + i]
+            full_a[first : first + count - 1, first + 1 : first + count] = np.eye(count - 1)
+            full_b[first + count - 1, i] = 1.0
+        else:
+            full_b[:n, i] = sampled[:n, n + i]
+        first += count
+    if settings.integral:
+        full_a[first:, :nj], full_a[first:, first:] = dt * np.eye(nj), np.eye(nj)
+        q[first:, first:] = np.eye(nj) / settings.integral**2
+    q[:nj, :nj] = np.eye(nj) / settings.angle**2
+    q[nj : 2 * nj, nj : 2 * nj] = np.eye(nj) / settings.rate**2
+    q, r = q * dt, np.eye(na) * dt / settings.pressure**2
+    try:
+        gain, cost, _ = control.dlqr(full_a, full_b, q, r)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        shown = ", ".join(f"{value:.3g}" for value in pose)
+        raise ControllerError(f"{model.name}: no regulator was found about the pose {shown} rad ({error})") from error
+    return Regulator(full_a, full_b, q, r, np.asarray(gain), np.asarray(cost))
+
+
+def waiting(model: Model, dt: float) -> NDArray[np.int64]:
+    """(na,) how many samples longer a command is under way than one of the quickest actuator."""
+    delay = valve_settings(model.effects, model.morphology.actuator_names)[:, DELAY]
+    return np.asarray(np.rint((delay - delay.min()) / dt), dtype=np.int64)
+
+
+class Schedule:
+    """Gains between the poses of a grid, each worked out when it is first asked for.
+
+    Args:
+        model: what is known of the robot.
+        settings: of the regulator.
+        dt: of the sampling [s].
+    """
+
+    def __init__(self, model: Model, settings: LqrSettings, dt: float) -> None:
+        self.model, self.settings, self.dt = model, settings, dt
+        self._low, self._high = (np.clip(side, -np.pi, np.pi) for side in model.morphology.joint_range)
+        self._cells = np.maximum(np.ceil((self._high - self._low) / settings.spacing), 1).astype(int)
+        self._known: dict[tuple[int, ...], Array] = {}
+
+    def at(self, pose: Array) -> Array:
+        """(na, n) gains at a pose (nj,) [rad], or at the nearest within the joint ranges."""
+        place = np.clip((pose - self._low) / (self._high - self._low), 0, 1) * self._cells
+        below = np.minimum(place.astype(int), self._cells - 1)
+        share = place - below
+        found = []
+        for corner in itertools.product((0, 1), repeat=len(pose)):
+            weight = float(np.prod(np.where(corner, share, 1 - share)))
+            if weight > 0:
+                found.append(weight * self._node(tuple((below + corner).tolist())))
+        return np.asarray(sum(found))
+
+    def _node(self, key: tuple[int, ...]) -> Array:
+        if key not in self._known:
+            pose = self._low + (self._high - self._low) * np.array(key) / self._cells
+            self._known[key] = regulator(self.model, pose, self.settings, self.dt).gain
+        return self._known[key]
+
+
+@dataclass(frozen=True, eq=False)
+class LqrState:
+    """What the regulator carries from step to step.
+
+    Attributes:
+        observer: what is known of the robot.
+        inverse: how far the reference has been followed.
+        integral: (nj,) of the angles' errors [rad·s].
+        under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
+        tools: made for the plant once.
+    """
+
+    observer: ObserverState
+    inverse: InverseState
+    integral: Array
+    under_way: tuple[Array, ...]
+    tools: LqrTools
+
+
+@dataclass(frozen=True, eq=False)
+class LqrTools:
+    """What is made once for a plant."""
+
+    observer: Observer
+    inverse: Inverse
+    schedule: Schedule
+    kinematics: Kinematics
+    lagging: NDArray[np.intp]
+    dt: float
+
+
+class LqrController:
+    """The regulator; its state is a ``LqrState``.
+
+    Args:
+        settings: of it.
+    """
+
+    name = "lqr"
+
+    def __init__(self, settings: LqrSettings | None = None) -> None:
+        self.settings = settings or LqrSettings()
+
+    def init(self, spec: PlantSpec, observation: Observation) -> LqrState:
+        """A robot that has long been at rest.
+
+        Raises:
+            ControllerError: where the plant offers no model.
+        """
+        s = self.settings
+        observer = Observer.of(spec, s.observer)
+        model, robot = observer.model, changed_bodies(observer.model.effects, observer.model.morphology)
+        inverse = Inverse(model, spec.control_dt, s.start_time)
+        tools = LqrTools(
+            observer,
+            inverse,
+            Schedule(model, s, spec.control_dt),
+            Kinematics(robot, spec.phase),
+            np.flatnonzero(valve_lag(model.effects, spec.actuators) > 0),
+            spec.control_dt,
+        )
+        position = np.array(observation.position)
+        under_way = tuple(np.zeros(count) for count in waiting(model, spec.control_dt))
+        begun = observer.init(observation)
+        return LqrState(begun, inverse.start(observation.time, position), np.zeros(len(position)), under_way, tools)
+
+    def step(self, observation: Observation, reference: Reference, state: LqrState) -> tuple[Array, LqrState]:
+        """The next command, within the plant's limits.
+
+        Raises:
+            ObserverFault: where a joint was not measured for longer than the observer has patience.
+        """
+        t, s = state.tools, self.settings
+        model = t.observer.model
+        known = t.observer.update(observation, state.observer)
+        t.observer.require_sound(known)
+        ahead = t.observer.foresee(known, observation.time + float(t.observer.delays.min()))
+        target, followed = t.inverse.target(reference, observation.time, state.inverse)
+        against = np.zeros(len(t.observer.delays))
+        if s.disturbance:
+            area = np.array([a.area for a in t.kinematics.morphology.actuators])
+            against = -np.linalg.pinv(t.kinematics.jacobian(ahead.position).T * area) @ ahead.disturbance
+        error = ahead.position - target.position
+        off = [error, ahead.velocity - target.velocity, (ahead.pressure - target.pressure - against)[t.lagging]]
+        off += list(state.under_way)
+        if s.integral:
+            off.append(state.integral)
+        more = -t.schedule.at(target.position) @ np.concatenate(off)
+        asked = target.feed + against + more
+        command = t.inverse.commands(asked[None])[0]
+        arriving = shaped_commands(model.effects, t.inverse.actuators, command[None])[0]
+        integral = state.integral
+        if np.abs(arriving - asked).max() < MISSED:  # else it would wind up against a limit
+            integral = integral + t.dt * error
+        beyond = arriving - target.feed - against
+        under_way = tuple(
+            np.append(old[1:], new) if len(old) else old for old, new in zip(state.under_way, beyond, strict=True)
+        )
+        return frozen_array(command), replace(
+            state, observer=known, inverse=followed, integral=integral, under_way=under_way
+        )

@@ -1,0 +1,1 @@
+"""What a controller may know of a robot from angles and commands alone."""

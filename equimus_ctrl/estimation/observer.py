@@ -1,0 +1,342 @@
+"""An extended Kalman filter: velocities, pressures and unknown torques from measured angles and commands.
+
+The state is that of ``models.prediction`` with a torque on each joint that walks at random, the constant disturbance of
+offset-free control (Pannocchia and Rawlings, 2003). Commands count when they have passed their valves' delay, angles
+when they were measured: the filter stands where the latest of all sensors has arrived, and predicts from there.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.sensors import LATE, OFFSET, SCALE, behind
+from equimus_ctrl.effects.valves import DELAY, shaped_commands
+from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.models.buffered import Buffered
+from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.linear import fastest_rates
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.prediction import Prediction, prediction
+from equimus_ctrl.types import Array, Observation, PlantSpec
+
+Status = Literal["tracking", "coasting", "fault"]
+
+STABLE = 2.0
+"""Fastest rate times step that a Runge–Kutta step is given; it would be stable to 2.78."""
+AT_REST = 1e-2
+"""How sure it is at the start that nothing moves [rad/s]."""
+FIRST = 0.3
+"""Standard deviation of the unknown torques at the start, in shares of the largest that the actuators can exert."""
+EARLY = 1e-9
+"""Times that differ by less are the same [s]."""
+
+
+@dataclass(frozen=True)
+class ObserverSettings:
+    """How much is believed; shares are of the largest torque that the actuators can exert on a joint.
+
+    Attributes:
+        noise: standard deviation of a measured angle [rad].
+        torque: of what pushes the joints at random, in shares times √s.
+        disturbance: of what the unknown torques walk in a second, in shares.
+        pressure: of what pressures stray in a second, in shares of the commands' range.
+        patience: how long it goes on without a measurement of some joint before that is a fault [s].
+
+    Raises:
+        ConfigError: for a number that is none of these.
+    """
+
+    noise: float = 2e-3
+    torque: float = 5e-4
+    disturbance: float = 0.02
+    pressure: float = 0.05
+    patience: float = 0.1
+
+    def __post_init__(self) -> None:
+        for key, least in (
+            ("noise", 1e-9),
+            ("torque", 0.0),
+            ("disturbance", 0.0),
+            ("pressure", 0.0),
+            ("patience", 0.0),
+        ):
+            value = getattr(self, key)
+            if not (isinstance(value, int | float) and math.isfinite(value) and value >= least):
+                raise ConfigError(f"observer: {key} is {value!r}, expected a number of at least {least:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What is known of a robot at one instant.
+
+    Attributes:
+        time: [s].
+        position: (nj,) [rad].
+        velocity: (nj,) [rad/s].
+        pressure: (na,) behind the valves [Pa].
+        disturbance: (nj,) torque that the model does not explain [N·m].
+        state: (nx,) of ``models.prediction``.
+        covariance: (nx + nj, nx + nj) of the state and the disturbance.
+    """
+
+    time: float
+    position: Array
+    velocity: Array
+    pressure: Array
+    disturbance: Array
+    state: Array
+    covariance: Array
+
+    @property
+    def deviation(self) -> Array:
+        """(nx + nj,) standard deviations of the state and the disturbance."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True, eq=False)
+class Sent:
+    """Commands that may still be on their way.
+
+    Attributes:
+        times: (n,) from when each was in force [s].
+        values: (n, na) what reaches the valves of them, see ``effects.valves.shaped_commands`` [Pa].
+    """
+
+    times: Array
+    values: Array
+
+    def at(self, time: float, actuator: int) -> float:
+        """In force at a time, the first before all [Pa]."""
+        k = int(np.searchsorted(self.times, time + EARLY, side="right")) - 1
+        return float(self.values[max(k, 0), actuator])
+
+
+@dataclass(frozen=True, eq=False)
+class ObserverState:
+    """All that an observer remembers.
+
+    Attributes:
+        time: where the filter stands [s].
+        mean: (nx + nj,) state and disturbance there.
+        covariance: (nx + nj, nx + nj).
+        now: the latest control instant [s].
+        sent: commands.
+        stamp: of the latest measurement [s].
+        seen: (nj,) when each joint was last measured [s].
+        waiting: (time, joint, angle) of measurements newer than where the filter stands.
+        status: ``"tracking"``; ``"coasting"`` while some joint was not measured anew, ``"fault"`` after too long.
+    """
+
+    time: float
+    mean: Array
+    covariance: Array
+    now: float
+    sent: Sent
+    stamp: float
+    seen: Array
+    waiting: tuple[tuple[float, int, float], ...] = ()
+    status: Status = "tracking"
+
+
+class ObserverFault(ControllerError):
+    """A joint was not measured for too long."""
+
+
+class Observer:
+    """The filter of one model.
+
+    Args:
+        model: what is known of the robot.
+        control_dt: time between two control instants [s].
+        settings: how much is believed.
+
+    Attributes:
+        prediction: the model's step.
+        delays: (na,) of the valves [s].
+    """
+
+    def __init__(self, model: Model, control_dt: float, settings: ObserverSettings | None = None) -> None:
+        self.settings = s = settings or ObserverSettings()
+        self.prediction: Prediction = prediction(model)
+        p, robot = self.prediction, changed_bodies(model.effects, model.morphology)
+        self.model, self._names = model, robot.actuator_names
+        self.delays: Array = p.valve[:, DELAY].copy()
+        self._late: Array = p.sensor[:, LATE].copy()
+        low, high = (np.clip(side, -np.pi, np.pi) for side in robot.joint_range)
+        middle = (low + high) / 2
+        self._substep = min(control_dt, STABLE / max(fastest_rates(robot, middle, model.phase)))
+        area = np.array([a.area for a in robot.actuators])
+        span = robot.command_high - robot.command_low
+        torque: Array = np.abs(Kinematics(robot, model.phase).jacobian(middle).T * area) @ np.full(p.na, span)
+        self._torque = torque
+        walk = np.zeros(p.nx + p.nj)
+        walk[2 * p.nj : 2 * p.nj + p.na] = s.pressure * span
+        walk[p.nx :] = s.disturbance * torque
+        self._walk = np.diag(walk**2)
+        self._kick = (s.torque * torque) ** 2
+        self._pressure_span = span
+        self._step, self._slopes = Buffered(p.step), Buffered(p.slopes)
+
+    @classmethod
+    def of(cls, spec: PlantSpec, settings: ObserverSettings | None = None) -> Observer:
+        """For what a controller may know of a plant.
+
+        Raises:
+            ControllerError: where the plant offers no model.
+        """
+        if spec.model is None:
+            raise ControllerError("the observer needs a model of the robot, but the plant's spec has none")
+        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings)
+
+    def init(self, observation: Observation) -> ObserverState:
+        """A robot that has long been at rest under the command in force.
+
+        Raises:
+            ControllerError: where the first angles are no numbers.
+        """
+        p, s = self.prediction, self.settings
+        if not np.all(np.isfinite(observation.position)):
+            raise ControllerError(
+                f"the first measured angles are {observation.position.tolist()}, expected numbers in rad"
+            )
+        q = behind(p.sensor, observation.position)
+        arriving = shaped_commands(self.model.effects, self._names, observation.command[None])
+        mean: Array = np.concatenate([p.at_rest(q, arriving[0]), np.zeros(p.nj)])
+        deviation = np.full(p.nx + p.nj, 1e-6)
+        deviation[: p.nj] = s.noise
+        deviation[p.nj : 2 * p.nj] = AT_REST
+        deviation[2 * p.nj : 2 * p.nj + p.na] = s.pressure * self._pressure_span
+        deviation[p.nx :] = FIRST * self._torque
+        start = observation.stamp - float(self._late.max())
+        sent = Sent(np.array([-math.inf]), arriving)
+        seen = np.full(p.nj, observation.stamp)
+        return ObserverState(start, mean, np.diag(deviation**2), observation.time, sent, observation.stamp, seen)
+
+    def update(self, observation: Observation, state: ObserverState) -> ObserverState:
+        """What is known after one more control instant."""
+        arriving = shaped_commands(self.model.effects, self._names, observation.command[None])[0]
+        state = replace(state, sent=self._remembered(state, arriving), now=observation.time)
+        fresh = observation.stamp > state.stamp
+        good = np.isfinite(observation.position) & fresh
+        seen = np.where(good, observation.stamp, state.seen)
+        new = tuple(
+            (observation.stamp - float(self._late[j]), int(j), float(observation.position[j]))
+            for j in np.flatnonzero(good)
+        )
+        waiting = tuple(sorted((*state.waiting, *new)))
+        stamp = observation.stamp if fresh else state.stamp
+        ready = stamp - float(self._late.max()) + EARLY
+        mean, covariance, time = state.mean, state.covariance, state.time
+        for at, joint, angle in (w for w in waiting if w[0] <= ready):
+            mean, covariance = self._ahead(mean, covariance, time, at, state.sent)
+            time = max(time, at)
+            mean, covariance = self._corrected(mean, covariance, joint, angle)
+        status: Status = "tracking" if good.all() else "coasting"
+        if observation.time - seen.min() > self.settings.patience:
+            status = "fault"
+        return replace(
+            state, time=time, mean=mean, covariance=covariance, stamp=stamp, seen=seen, status=status,
+            waiting=tuple(w for w in waiting if w[0] > ready),
+        )  # fmt: skip
+
+    def require_sound(self, state: ObserverState) -> None:
+        """Nothing where it goes on.
+
+        Raises:
+            ObserverFault: where a joint was not measured for longer than there is patience.
+        """
+        if state.status == "fault":
+            joint = int(np.argmin(state.seen))
+            raise ObserverFault(
+                f"{self.model.morphology.joint_names[joint]} was last measured at {state.seen[joint]:.3f} s and it is "
+                f"{state.now:.3f} s, expected a number at least every {self.settings.patience:g} s"
+            )
+
+    def estimate(self, state: ObserverState, time: float | None = None) -> Estimate:
+        """What is known of an instant.
+
+        Args:
+            state: what is remembered.
+            time: not before where the filter stands, by default the latest control instant [s]; the commands sent so
+                far are taken to stay in force.
+        """
+        until = state.now if time is None else time
+        mean, covariance = self._ahead(state.mean, state.covariance, state.time, until, state.sent)
+        return self._told(max(until, state.time), mean, covariance)
+
+    def foresee(self, state: ObserverState, time: float) -> Estimate:
+        """As ``estimate``, several times as fast: the covariance is that of where the filter stands."""
+        x, u, d, h = self._step.arguments
+        x[:], d[:] = np.split(state.mean, [self.prediction.nx])
+        for part, span, steps in self._parts(state.time, time, state.sent):
+            u[:], h[:] = part, span
+            for _ in range(steps):
+                self._step()
+                x[:] = self._step.results[0]
+        return self._told(max(time, state.time), np.concatenate([x, d]), state.covariance)
+
+    def _told(self, time: float, mean: Array, covariance: Array) -> Estimate:
+        p = self.prediction
+        x = mean[: p.nx]
+        q, v, pressure = x[: p.nj], x[p.nj : 2 * p.nj], x[2 * p.nj : 2 * p.nj + p.na]
+        return Estimate(time, q, v, pressure, mean[p.nx :], x, covariance)
+
+    def _remembered(self, state: ObserverState, arriving: Array) -> Sent:
+        """The commands with what was in force since the last instant, those forgotten that have all arrived."""
+        times, values = state.sent.times, state.sent.values
+        if times[-1] < state.now - EARLY:
+            if not np.array_equal(values[-1], arriving):
+                times, values = np.append(times, state.now), np.vstack([values, arriving])
+        else:
+            values = np.vstack([values[:-1], arriving])
+        oldest = state.time - float(self.delays.max())
+        first = max(int(np.searchsorted(times, oldest, side="right")) - 1, 0)
+        return Sent(times[first:], values[first:])
+
+    def _parts(self, start: float, until: float, sent: Sent) -> Iterator[tuple[list[float], float, int]]:
+        """(what reaches the valves, step, how many steps) from start to until, each time a command arrives anew."""
+        arrivals = (sent.times[:, None] + self.delays[None, :]).ravel()
+        inside = np.sort(arrivals[(arrivals > start + EARLY) & (arrivals < until - EARLY)])
+        edges = [start, *inside[np.diff(inside, prepend=start) > EARLY].tolist(), until]
+        for begin, end in itertools.pairwise(edges):
+            if end > begin + EARLY:
+                steps = max(math.ceil((end - begin) / self._substep - 1e-6), 1)
+                yield [sent.at(begin - delay, i) for i, delay in enumerate(self.delays)], (end - begin) / steps, steps
+
+    def _ahead(self, mean: Array, covariance: Array, start: float, until: float, sent: Sent) -> tuple[Array, Array]:
+        """Mean and covariance at ``until``."""
+        n, m = self.prediction.nx, len(mean)
+        x, u, d, h = self._slopes.arguments
+        after, by_x, _, by_d = self._slopes.results
+        f = np.eye(m)
+        for part, span, steps in self._parts(start, until, sent):
+            u[:], h[:] = part, span
+            for _ in range(steps):
+                x[:], d[:] = mean[:n], mean[n:]
+                self._slopes()
+                f[:n, :n], f[:n, n:] = by_x, by_d
+                mean = np.concatenate([after, d])
+                noise = self._walk * span
+                # A random torque over the step moves the velocities as the disturbance does over it.
+                gain = by_d / math.sqrt(span)
+                noise[:n, :n] += (gain * self._kick) @ gain.T
+                covariance = f @ covariance @ f.T + noise
+        return mean, covariance
+
+    def _corrected(self, mean: Array, covariance: Array, joint: int, angle: float) -> tuple[Array, Array]:
+        """After a measured angle; the covariance in Joseph's form."""
+        offset, scale = self.prediction.sensor[joint, [OFFSET, SCALE]]
+        row = scale * covariance[joint]
+        gain = row / (scale * row[joint] + self.settings.noise**2)
+        mean = mean + gain * (angle - offset - scale * mean[joint])
+        keep = np.eye(len(mean))
+        keep[:, joint] -= gain * scale
+        covariance = keep @ covariance @ keep.T + self.settings.noise**2 * np.outer(gain, gain)
+        return mean, (covariance + covariance.T) / 2
