@@ -73,6 +73,8 @@ NEAR, CLOSE = 0.5, 50.0
 """Share of the best gain of deviance, and deviance, that a hypothesis may lack to be fitted to the end."""
 ROUGH, LONG = 5, 15
 """Steps of a first look, and of a search for the few that are best by then."""
+BESIDE, SECOND = 0.7, 2
+"""Least share of the best first part's gain, and how many others with as much are given a second part as well."""
 INSTEAD = 3
 """Candidates fitted, for each way to weigh the residuals, to take the place of a part."""
 MOVES = 8
@@ -133,6 +135,9 @@ class Search:
                 break
             if self._outdone(best, top):
                 break
+            if len(best.hypothesis) == 1:
+                options += self._beside(base, best, rivals[0])
+                top = min(options, key=self.score)
             others = tuple(o for o in options if o is not top)
             before, best = best, top
             without, rivals = (before,), (others,)
@@ -141,6 +146,16 @@ class Search:
             if not best.hypothesis:
                 break
         return Searched(base, best, without, rivals, self._first, tuple(self.fitted))
+
+    def _beside(self, base: Fitted, best: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
+        """What the second part could be beside others than the best first one: of two together the lesser may lead."""
+        least = BESIDE * (self.score(base) - self.score(best))
+        near = [r for r in sorted(rivals, key=self.score) if self.score(base) - self.score(r) > least]
+        found = []
+        for rival in near[:SECOND]:
+            self.notify("what could be missing beside another", rival.label)
+            found += [o for o in self.challenge(rival) if len(o.hypothesis) <= self.settings.most_parts]
+        return found
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
         """Whether a flexible push would explain far more than the next effect: then that is not what is missing."""
