@@ -24,7 +24,7 @@ from equimus_ctrl.validation import conservation, static
 from equimus_ctrl.validation import validate as whole
 from equimus_ctrl.validation.conservation import conservation_case
 from equimus_ctrl.validation.engines import finer, mujoco_equilibrium, mujoco_runs, native_runs
-from equimus_ctrl.validation.experiment import Experiment, any_force, without_stops
+from equimus_ctrl.validation.experiment import Experiment, any_force
 from equimus_ctrl.validation.plan import ACCURACY_GOALS, QUICK, STAGES, Errors, Plan
 from equimus_ctrl.validation.poses import holding_pressure, workspace
 from equimus_ctrl.validation.reference import integrate
@@ -48,7 +48,7 @@ def steps(m: Morphology, n: int = 8, duration: float = 0.5) -> tuple[Experiment,
     low, high = workspace(m)
     start = np.random.default_rng(1).uniform(low + 0.2, high - 0.2, (n, 2))
     pressure, _ = holding_pressure(m, start[::-1])
-    runs = Experiment((any_force(without_stops(m)),), "swing", start, np.zeros(1), pressure[:, None], duration)
+    runs = Experiment((any_force(m.without_stops()),), "swing", start, np.zeros(1), pressure[:, None], duration)
     return runs, integrate(runs)[0]
 
 
@@ -96,7 +96,7 @@ def test_poses_that_a_simulation_would_leave_are_found_by_newton(monkeypatch: py
 
 
 def test_newton_holds_an_upright_pendulum_that_falls_when_simulated() -> None:
-    m = replace(any_force(without_stops(nominal_leg())), gravity=30.0)
+    m = replace(any_force(nominal_leg().without_stops()), gravity=30.0)
     m = m.with_parameters({"maa.stiffness": 0.0, "baa.stiffness": 0.0})
     pose = np.array([[-1.2, 0.3]])  # both links point up
     pressure, _ = holding_pressure(m, pose)
