@@ -379,6 +379,10 @@ LONG = {
 """Nelder–Mead from the 20th candidate on, one at a time, so that an interruption has something to interrupt."""
 
 
+TRIES = 8
+"""How often an interruption is tried that came too late."""
+
+
 class Command:
     """``equimus-ctrl autotune-pid`` on the long study, in a folder of its own."""
 
@@ -404,13 +408,16 @@ class Command:
         return max(self.journal.read_bytes().count(b"\n") - 1, 0) if self.journal.exists() else 0
 
     def at(self, rows: int, act: Callable[[subprocess.Popen[str]], None]) -> tuple[int, str, str]:
-        """Start it, act once so many evaluations are on disk, and wait: (exit code, stdout, stderr)."""
+        """Start it, act once so many evaluations are on disk, and wait: (exit code, stdout, stderr).
+
+        On a busy machine it may be done before anything was seen on disk; the exit code then is 0.
+        """
         process = self.start()
         try:
             while process.poll() is None and self.rows() < rows:
                 time.sleep(0.005)
-            assert process.poll() is None, f"it ended too soon: {process.communicate()}"
-            act(process)
+            if process.poll() is None:
+                act(process)
             out, err = process.communicate(timeout=120)
         finally:
             process.kill()
@@ -437,8 +444,11 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def test_a_killed_command_goes_on_where_it_was(tmp_path: Path, uninterrupted: dict[str, Any]) -> None:
-    command = Command(tmp_path)
-    code, out, _ = command.at(30, subprocess.Popen.kill)
+    for attempt in range(TRIES):
+        command = Command(tmp_path / str(attempt))
+        code, out, _ = command.at(30, subprocess.Popen.kill)
+        if code != 0 and command.rows() < 110:  # else it was done before
+            break
     assert code == -signal.SIGKILL and out == ""
     assert not command.settings.exists() and not command.record.exists()
     kept = command.rows()
@@ -454,10 +464,10 @@ def test_a_killed_command_goes_on_where_it_was(tmp_path: Path, uninterrupted: di
 
 
 def test_ctrl_c_keeps_the_best(tmp_path: Path, uninterrupted: dict[str, Any]) -> None:
-    for attempt in range(5):
+    for attempt in range(TRIES):
         command = Command(tmp_path / str(attempt))
         code, out, err = command.at(30, lambda process: process.send_signal(signal.SIGINT))
-        if code != 0:  # else the interrupt came when all was done, as it may on a busy machine
+        if code != 0:  # else it was done before
             break
     assert code == 130 and "Traceback" not in err, err
     said, record = json.loads(out), json.loads(command.record.read_text())
