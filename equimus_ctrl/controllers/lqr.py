@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from equimus_ctrl.controllers.inverse import Inverse, InverseState
 from equimus_ctrl.controllers.settings import settings_from, table_of
@@ -26,9 +25,8 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.valves import DELAY, shaped_commands, valve_settings
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Observer, ObserverSettings, ObserverState
-from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.linear import state_matrices, valve_lag, with_valves
+from equimus_ctrl.models.linear import linearise, valve_lag
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
@@ -123,28 +121,20 @@ def regulator(model: Model, pose: Array, settings: LqrSettings, dt: float) -> Re
     """
     import control  # takes half a second, which most commands can do without
 
-    robot = changed_bodies(model.effects, model.morphology)
-    names = robot.actuator_names
-    held = holding_pressure(model, pose)
-    a, b = state_matrices(robot, pose, held, model.phase, model.effects)
-    nj, na = len(pose), len(names)
-    a, b, _ = with_valves(a, b, valve_lag(model.effects, names))
-    n = len(a)
-    both = np.zeros((n + na, n + na))
-    both[:n, :n], both[:n, n:] = a, b
-    sampled = expm(both * dt)
+    sampled = control.c2d(linearise(model, pose), dt)
+    n, na, nj = sampled.nstates, sampled.ninputs, len(pose)
     under_way = waiting(model, dt)
     m = n + int(under_way.sum()) + (nj if settings.integral else 0)
     full_a, full_b, q = np.zeros((m, m)), np.zeros((m, na)), np.zeros((m, m))
-    full_a[:n, :n] = sampled[:n, :n]
+    full_a[:n, :n] = sampled.A
     first = n
     for i, count in enumerate(under_way):
         if count:
-            full_a[:n, first] = sampled[:n, n + i]
+            full_a[:n, first] = sampled.B[:, i]
             full_a[first : first + count - 1, first + 1 : first + count] = np.eye(count - 1)
             full_b[first + count - 1, i] = 1.0
         else:
-            full_b[:n, i] = sampled[:n, n + i]
+            full_b[:n, i] = sampled.B[:, i]
         first += count
     if settings.integral:
         full_a[first:, :nj], full_a[first:, first:] = dt * np.eye(nj), np.eye(nj)
@@ -258,7 +248,7 @@ class LqrController:
             inverse,
             Schedule(model, s, spec.control_dt),
             Kinematics(robot, spec.phase),
-            np.flatnonzero(valve_lag(model.effects, spec.actuators) > 0),
+            np.flatnonzero(valve_lag(observer.prediction.valve) > 0),
             spec.control_dt,
         )
         position = np.array(observation.position)

@@ -110,9 +110,8 @@ def with_valves(a: Array, b: Array, lag: Array) -> tuple[Array, Array, NDArray[n
     return whole, inputs, slow
 
 
-def valve_lag(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
-    """(na,) time constants of valves [s]; of those that fill and vent unlike, the mean."""
-    valve = valve_settings(effects, actuators)
+def valve_lag(valve: Array) -> Array:
+    """(na,) time constants of valves (na, 6), see ``effects.valves`` [s]; the mean where filling and venting differ."""
     return np.asarray((valve[:, FILL] + valve[:, VENT]) / 2)
 
 
@@ -138,7 +137,7 @@ def linearise(model: Model, pose: ArrayLike, pressure: ArrayLike | None = None) 
     held = holding_pressure(model, pose) if pressure is None else np.asarray(pressure, dtype=np.float64)
     a, b = state_matrices(robot, pose, held, model.phase, model.effects)
     joints, actuators = robot.joint_names, robot.actuator_names
-    a, b, slow = with_valves(a, b, valve_lag(model.effects, actuators))
+    a, b, slow = with_valves(a, b, valve_lag(valve_settings(model.effects, actuators)))
     c = np.zeros((len(joints), len(a)))
     c[:, : len(joints)] = np.diag(sensor_settings(model.effects, joints)[:, SCALE])
     states = [f"{kind}_{name}" for kind in ("pos", "vel") for name in joints]

@@ -15,10 +15,10 @@ from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import LATE, SCALE, behind, hermite, sensor_settings
-from equimus_ctrl.effects.valves import DELAY, FILL, VENT, ShapingEffect, command_for, shaped_commands
+from equimus_ctrl.effects.valves import DELAY, ShapingEffect, command_for, shaped_commands
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.linear import state_matrices, with_valves
+from equimus_ctrl.models.linear import state_matrices, valve_lag, with_valves
 from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.tuning.ensemble import Member, latin_hypercube
 from equimus_ctrl.types import Array
@@ -112,8 +112,7 @@ def linear_leg(
         for j, step in enumerate(1e-6 * np.eye(nj)):
             turning[:, j] = (pressures_of(pose + step) - pressures_of(pose - step)) @ standing / 2e-6
     c = np.hstack([channel * sensor[:, SCALE], np.zeros_like(channel)])
-    lag = (member.valve[:, FILL] + member.valve[:, VENT]) / 2
-    full_a, full_b, slow = with_valves(a, b, lag)
+    full_a, full_b, slow = with_valves(a, b, valve_lag(member.valve))
     pose_gain = np.zeros((na, len(full_a)))
     pose_gain[:, :nj] = turning * sensor[:, SCALE]
     full_c = np.hstack([c, np.zeros((c.shape[0], len(slow)))])
