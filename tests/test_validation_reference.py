@@ -161,3 +161,14 @@ def test_poses_come_from_the_published_workspace_or_from_between_the_stops() -> 
     low, high = workspace(other)
     assert other.joint_range[0] < low < high < other.joint_range[1]
     assert np.isfinite(workspace(random_morphology("branched", 0))).all()
+
+
+def test_threads_change_nothing() -> None:
+    runs = switched(n=6)
+    near = np.array([True, False, True, False, False, True])
+    one = reference_runs(runs, near, threads=1)
+    np.testing.assert_array_equal(reference_runs(runs, near, threads=2), one)
+    told: list[float] = []
+    reference_runs(runs, near, told.append, threads=2)
+    assert told == sorted(told)
+    assert told[-1] == 1.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.machine import processors
 from equimus_ctrl.models.augmented import augmented_model, law_parameters, slots_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import pack, structure
@@ -227,7 +227,7 @@ def simulate(
         results[index].reached[block] = reached
 
     tasks = [(index, first) for index in range(len(trials)) for first in range(0, k, LANES)]
-    count = min(threads or os.cpu_count() or 1, len(tasks))
+    count = min(threads or processors(), len(tasks))
     if count <= 1:
         for task in tasks:
             work(task)

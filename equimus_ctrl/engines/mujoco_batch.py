@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from equimus_ctrl.engines.limits import FOLLOWED, MAX_SPEED
 from equimus_ctrl.engines.steps import STABLE, rates_at
 from equimus_ctrl.errors import ConfigError, ModelError
+from equimus_ctrl.machine import processors
 from equimus_ctrl.models.mjcf import (
     ABSENT_STOP,
     POINT_INERTIA,
@@ -78,7 +78,7 @@ class MujocoBatch:
         self.morphologies: tuple[Morphology, ...] = (morphology,)
         self.phase: Phase = phase
         self.settings = settings or FAST_SETTINGS
-        self.threads = threads or _usable_processors()
+        self.threads = threads or processors()
         self._model_of = morphology
         self.mujoco_model = compile_model(morphology, phase, self.settings)
         # A reset would hide a divergence; there is only one island to find.
@@ -390,12 +390,6 @@ def stop_divisor(morphology: Morphology, phase: Phase, pose: Array, dt: float) -
             stacklevel=3,
         )
     return math.ceil(min(max(rate / FOLLOWED, 1.0), MOST_FINER))
-
-
-def _usable_processors() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _split(m: Morphology, numbers: Array) -> tuple[Array, Array]:

@@ -6,7 +6,6 @@ import hashlib
 import inspect
 import json
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -23,6 +22,7 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.valves import DELAY, FILL, FLOW, POWER, RATE, VENT
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.scenarios.references import SampledReference
@@ -220,7 +220,7 @@ def autotune(
     interrupted = False
     # Linear algebra keeps to one thread each: the cores are busy with candidates, and the bits stay the same on any
     # number of them.
-    threads = workers or os.cpu_count() or 1
+    threads = workers or processors()
     with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
         search.evaluate = lambda batch: problem.evaluate([study.settings(v, channels) for v in batch], pool, threads)
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.effects.sensors import behind, sensor_settings, shown
 from equimus_ctrl.engines.lane_functions import LANES
+from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning import closed_loop
@@ -422,7 +422,7 @@ class Problem:
 
         def submit(runs: Sequence[tuple[PidSettings, int]]) -> list[Future[list[LegOutcome]]]:
             # Few runs are shared out over all threads rather than put side by side.
-            size = max(min(LANES, math.ceil(len(runs) / (workers or os.cpu_count() or 1))), 1)
+            size = max(min(LANES, math.ceil(len(runs) / (workers or processors()))), 1)
             own = [pool.submit(self.leg_outcomes, runs[k : k + size], False) for k in range(0, len(runs), size)]
             jobs.extend(own)
             return own

@@ -7,7 +7,9 @@ Nothing that is generated or compiled for the engines takes part: Dormand and Pr
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import lru_cache
 
 import casadi as ca
@@ -15,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from equimus_ctrl.machine import processors
 from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.models.symbolic import Structure, SymbolicModel, build
 from equimus_ctrl.types import Array
@@ -157,8 +160,9 @@ def reference_runs(
     near_stop: NDArray[np.bool_] | None = None,
     progress: Callable[[float], None] = lambda share: None,
     factor: float = 1.0,
+    threads: int | None = None,
 ) -> Array:
-    """(n, m, nj) angles of all runs [rad], integrated in blocks.
+    """(n, m, nj) angles of all runs [rad], integrated in blocks side by side; they do not depend on the threads.
 
     Args:
         experiment: its runs.
@@ -166,23 +170,46 @@ def reference_runs(
             their kinks would cost all of a block their steps.
         progress: called with the share done.
         factor: on all tolerances.
+        threads: at most; all usable processors by default. CasADi's interpreter lets go of Python's lock.
     """
     near = np.zeros(experiment.size, dtype=bool) if near_stop is None else near_stop
     out = np.full((experiment.size, len(experiment.times), experiment.start.shape[1]), np.nan)
     blocks = []
     for rows, size, slack in (
-        (np.flatnonzero(~near), BLOCK, factor),
         (np.flatnonzero(near), STOP_BLOCK, factor * STOP_TOLERANCE),
+        (np.flatnonzero(~near), BLOCK, factor),
     ):
-        blocks += [(rows[i : i + size], slack) for i in range(0, len(rows), size)]
-    for i, (rows, slack) in enumerate(blocks):
+        blocks += [(part, slack) for part in _evenly(rows, size)]
+
+    def work(rows: NDArray[np.int64], slack: float) -> None:
         out[rows] = integrate(experiment.part(rows), rtol=RTOL * slack, atol=ATOL * slack)[0]
-        progress((i + 1) / len(blocks))
+
+    with ThreadPoolExecutor(threads or processors()) as pool:
+        tasks = [pool.submit(work, *block) for block in blocks]
+        try:
+            for i, task in enumerate(as_completed(tasks)):
+                task.result()
+                progress((i + 1) / len(tasks))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     return out
 
 
+def _evenly(rows: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+    """Rows in parts of at most ``size``, an even number of them where there are enough rows for two."""
+    if len(rows) == 0:
+        return []
+    parts = min(2 * math.ceil(len(rows) / (2 * size)), len(rows))
+    return np.array_split(rows, parts)
+
+
 def own_error(
-    experiment: Experiment, q: Array, rows: NDArray[np.int64], near_stop: NDArray[np.bool_] | None = None
+    experiment: Experiment,
+    q: Array,
+    rows: NDArray[np.int64],
+    near_stop: NDArray[np.bool_] | None = None,
+    threads: int | None = None,
 ) -> float:
     """The largest difference [rad] between some of ``reference_runs`` q and the same at a hundredth of the tolerances.
 
@@ -190,7 +217,8 @@ def own_error(
     """
     if len(rows) == 0:
         return float("nan")
-    tight = reference_runs(experiment.part(rows), None if near_stop is None else near_stop[rows], factor=TIGHT)
+    near = None if near_stop is None else near_stop[rows]
+    tight = reference_runs(experiment.part(rows), near, factor=TIGHT, threads=threads)
     return float(np.abs(tight - q[rows]).max())
 
 

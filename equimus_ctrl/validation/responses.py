@@ -111,7 +111,7 @@ def swing_case(
     runs = Experiment((morphology,), "swing", start, np.zeros(1), pressure[:, None], plan.duration).part(allowed)
     reduced = reduced_runs(runs, dt, threads)
     near = runs.touches(reduced, NEAR)
-    exact = reference_runs(runs, near, lambda share: progress(0.7 * share))
+    exact = reference_runs(runs, near, lambda share: progress(0.7 * share), threads=threads)
     scored = shortest(runs, exact) >= SHORTEST
     touching = runs.touches(exact)
     found = {
@@ -126,7 +126,7 @@ def swing_case(
         "scored": int(scored.sum()),
         "touching_a_stop": int((scored & touching).sum()),
     }
-    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near)
+    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near, threads)
     progress(1.0)
     return Responses(runs, exact, found, scored, touching, checked, counts)
 
@@ -205,7 +205,7 @@ def _stance_runs(runs: Experiment, plan: Plan, dt: float, threads: int | None, p
         found["reduced"] = reduced_runs(runs, dt, threads)
     progress(0.1)
     near = runs.touches(found["mujoco"], NEAR)
-    exact = reference_runs(runs, near, lambda share: progress(0.1 + 0.7 * share))
+    exact = reference_runs(runs, near, lambda share: progress(0.1 + 0.7 * share), threads=threads)
     scored = shortest(runs, exact) >= SHORTEST
     touching = runs.touches(exact)
     progress(0.8, _worst(found["mujoco"], exact, scored))
@@ -215,7 +215,7 @@ def _stance_runs(runs: Experiment, plan: Plan, dt: float, threads: int | None, p
         "scored": int(scored.sum()),
         "touching_a_stop": int((scored & touching).sum()),
     }
-    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near)
+    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near, threads)
     progress(1.0)
     return Responses(runs, exact, found, scored, touching, checked, counts)
 

@@ -145,14 +145,14 @@ def robots_case(
 
 
 def _responses(runs: Experiment, plan: Plan, dt: float, threads: int | None, progress: Progress) -> Responses:
-    exact = reference_runs(runs, progress=lambda share: progress(0.6 * share))
+    exact = reference_runs(runs, progress=lambda share: progress(0.6 * share), threads=threads)
     scored = (shortest(runs, exact) >= SHORTEST) & (_turned(exact) <= MOST_ANGLE)
     found = {"mujoco": _stepped(runs, FAST_SETTINGS.timestep, lambda r, k: mujoco_runs(r, finer(k), threads))}
     progress(0.8)
     if plan.more_kernels:
         found["reduced"] = _stepped(runs, dt, lambda r, k: reduced_runs(r, dt / k, threads))
     counts = {"runs": runs.size, "beyond_sense": int((~scored).sum()), "scored": int(scored.sum())}
-    checked = own_error(runs, exact, np.flatnonzero(scored)[: plan.checked_robots])
+    checked = own_error(runs, exact, np.flatnonzero(scored)[: plan.checked_robots], threads=threads)
     progress(1.0)
     return Responses(runs, exact, found, scored, runs.touches(exact), checked, counts)
 

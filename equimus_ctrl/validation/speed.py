@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import statistics
 import time
 from collections.abc import Callable
@@ -13,6 +12,7 @@ import numpy as np
 
 from equimus_ctrl.engines.batch import Trial, encode, simulate
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
+from equimus_ctrl.machine import processors
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.validation.engines import Progress, finer, mujoco_runs, reduced_runs, silent
@@ -92,11 +92,6 @@ class SpeedResult:
         }
 
 
-def usable_processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def speed_case(
     swing: Responses,
     stance: Responses,
@@ -116,7 +111,7 @@ def speed_case(
         threads: what "all threads" means; all usable processors by default.
         progress: called with the share done.
     """
-    all_threads = threads or usable_processors()
+    all_threads = threads or processors()
     clear = np.flatnonzero(swing.clear)
     runs = swing.experiment.part(clear[np.arange(plan.timed) % len(clear)])
     one = mujoco_speed(runs, FAST_SETTINGS, 1, plan.repeats)

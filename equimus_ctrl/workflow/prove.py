@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any
 
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError, EquimusError
+from equimus_ctrl.machine import processors
 from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.apart import each_apart
@@ -118,11 +118,6 @@ def put_to_proof(
     others = [_read(request.baselines(case))["answers"] if baselines else {} for case in range(cases)]
     found = score(truths, reports, others, nominal_leg())
     return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun)
-
-
-def processors() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _check(cases: int, seed: int, trials: int, duration: float, workers: int | None) -> None:
