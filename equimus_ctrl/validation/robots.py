@@ -116,11 +116,13 @@ def robots_case(
     *,
     shapes: Sequence[str] = tuple(SHAPES),
     threads: int | None = None,
+    ready: Callable[[str], None] = lambda shape: None,
     progress: Progress = silent,
 ) -> RobotsResult:
     """Random robots of every shape under pulses, each with errors of its own.
 
-    Args: as of ``three_dof_case``; ``shapes`` are names of ``generator.SHAPES``.
+    Args: as of ``three_dof_case``; ``shapes`` are names of ``generator.SHAPES``, and ``ready`` returns when the reduced
+        engine may run one of them.
     """
     found: list[RobotErrors] = []
     responses: dict[str, Responses] = {}
@@ -133,6 +135,7 @@ def robots_case(
             worst = max((robot.worst("mujoco") for robot in found), default=None)
             progress((k + share) / len(shapes), worst)
 
+        ready(shape)
         done = _responses(runs, plan, dt, threads, part)
         responses[shape] = done
         counts.update(done.counts)

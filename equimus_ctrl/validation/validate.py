@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
+from equimus_ctrl.engines.ahead import CompiledAhead
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.models.morphology import Morphology, structure
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.conservation import ConservationResult, conservation_case
 from equimus_ctrl.validation.engines import Progress
+from equimus_ctrl.validation.generator import FLOATING, SHAPES, random_robot
 from equimus_ctrl.validation.plan import (
     ACCURACY_GOALS,
     PUBLISHED,
@@ -226,31 +229,58 @@ def validate(
     def done(stage: str, error: float | None) -> None:
         notify(stage, 1.0, error)
 
-    static = static_case(robot, plan.poses, rngs["static"], threads=threads, progress=telling("static"))
-    done("static", float(static.errors.rmse.max()))
-    swing = swing_case(robot, plan, rngs["swing"], dt, threads=threads, progress=telling("swing"))
-    if not swing.clear.any():
-        raise ConfigError(
-            f"{robot.name}: none of {plan.pairs} random step responses clear of the stops could be scored "
-            f"({swing.counts}); a robot whose poses need pressures between its lowest and highest command would do"
+    needed = _kernels(robot, plan)
+
+    def ready(name: str) -> None:
+        if name in needed:
+            ahead.wait(list(needed).index(name))
+
+    with CompiledAhead(list(needed.values()), threads or processors()) as ahead:
+        static = static_case(robot, plan.poses, rngs["static"], threads=threads, progress=telling("static"))
+        done("static", float(static.errors.rmse.max()))
+        ready("swing")
+        swing = swing_case(robot, plan, rngs["swing"], dt, threads=threads, progress=telling("swing"))
+        if not swing.clear.any():
+            raise ConfigError(
+                f"{robot.name}: none of {plan.pairs} random step responses clear of the stops could be scored "
+                f"({swing.counts}); a robot whose poses need pressures between its lowest and highest command would do"
+            )
+        done("swing", float(swing.errors("mujoco").rmse.max()))
+        ready("stance")
+        stance = stance_case(robot, plan, rngs["stance"], dt, threads=threads, progress=telling("stance"))
+        done("stance", float(stance.errors.rmse.max()))
+        ready("three_joints")
+        three_dof = three_dof_case(plan, rngs["three_dof"], dt, threads=threads, progress=telling("three_dof"))
+        done("three_dof", float(three_dof.errors("mujoco").rmse.max()))
+        robots = robots_case(
+            plan, rngs["morphologies"], dt, threads=threads, ready=ready, progress=telling("morphologies")
         )
-    done("swing", float(swing.errors("mujoco").rmse.max()))
-    stance = stance_case(robot, plan, rngs["stance"], dt, threads=threads, progress=telling("stance"))
-    done("stance", float(stance.errors.rmse.max()))
-    three_dof = three_dof_case(plan, rngs["three_dof"], dt, threads=threads, progress=telling("three_dof"))
-    done("three_dof", float(three_dof.errors("mujoco").rmse.max()))
-    robots = robots_case(plan, rngs["morphologies"], dt, threads=threads, progress=telling("morphologies"))
-    done("morphologies", robots.worst("mujoco"))
-    kept = conservation_case(robot, plan, rngs["conservation"], threads=threads, progress=telling("conservation"))
-    done("conservation", None)
-    tell = telling("baseline")
-    at_rest = native_static(static, robot, BASELINE_RUNS, threads)
-    tell(0.7)
-    stepped, error = native_swing(swing, BASELINE_RUNS, threads)
-    baseline = Baseline(at_rest, stepped, error)
-    done("baseline", float(baseline.static.rmse.max()))
-    speed = speed_case(swing, stance.robot, plan, dt, threads=threads, progress=telling("speed"))
-    done("speed", None)
+        done("morphologies", robots.worst("mujoco"))
+        ready("floating")
+        kept = conservation_case(robot, plan, rngs["conservation"], threads=threads, progress=telling("conservation"))
+        done("conservation", None)
+        tell = telling("baseline")
+        at_rest = native_static(static, robot, BASELINE_RUNS, threads)
+        tell(0.7)
+        stepped, error = native_swing(swing, BASELINE_RUNS, threads)
+        baseline = Baseline(at_rest, stepped, error)
+        done("baseline", float(baseline.static.rmse.max()))
+        speed = speed_case(swing, stance.robot, plan, dt, threads=threads, progress=telling("speed"))
+        done("speed", None)
     return Validation(
         robot, plan, seed, left_out, static, swing, stance, three_dof, robots, kept, baseline, speed
     )  # fmt: skip
+
+
+def _kernels(robot: Morphology, plan: Plan) -> dict[str, Model]:
+    """What is run on the reduced engine → a model with its kernel, in the order of need."""
+    found = {"swing": Model(robot)}
+    if plan.more_kernels:
+        found["stance"] = Model(robot, phase="stance")
+        own = structure(robot)
+        for shape in sorted(SHAPES, key=lambda shape: shape != "three_joints"):
+            other = random_robot(shape, np.random.default_rng(0))
+            if structure(other) != own:
+                found[shape] = Model(other)
+    found["floating"] = Model(random_robot(FLOATING, np.random.default_rng(0)))
+    return found
