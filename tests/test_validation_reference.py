@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,8 @@ from morphologies import integrate as integrate_alone
 from morphologies import newton_acceleration, random_morphology
 
 from equimus_ctrl.engines.steps import step_divisor
+from equimus_ctrl.errors import NotAvailable
+from equimus_ctrl.machine import processes
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.morphology import Phase
@@ -163,12 +166,24 @@ def test_poses_come_from_the_published_workspace_or_from_between_the_stops() -> 
     assert np.isfinite(workspace(random_morphology("branched", 0))).all()
 
 
-def test_threads_change_nothing() -> None:
+def test_processes_change_nothing() -> None:
     runs = switched(n=6)
     near = np.array([True, False, True, False, False, True])
-    one = reference_runs(runs, near, threads=1)
-    np.testing.assert_array_equal(reference_runs(runs, near, threads=2), one)
+    alone = reference_runs(runs, near)
     told: list[float] = []
-    reference_runs(runs, near, told.append, threads=2)
+    with processes(2) as pool:
+        assert pool is not None
+        np.testing.assert_array_equal(reference_runs(runs, near, told.append, pool=pool), alone)
     assert told == sorted(told)
     assert told[-1] == 1.0
+
+
+def test_one_process_is_this_one() -> None:
+    with processes(1) as pool:
+        assert pool is None
+
+
+def test_a_process_that_was_ended_is_told_in_a_sentence() -> None:
+    with pytest.raises(NotAvailable, match="2 processes .* ended from outside"), processes(2) as pool:
+        assert pool is not None
+        pool.submit(os._exit, 9).result()

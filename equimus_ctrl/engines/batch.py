@@ -243,6 +243,14 @@ def simulate(
     return results
 
 
+def compile_kernel(model: Model) -> None:
+    """Compile what ``simulate`` needs for a model's structure and force laws, or find it in the cache of kernels."""
+    nj, na = len(model.morphology.joints), len(model.morphology.actuators)
+    rest = np.zeros((1, na))
+    trial = Trial("first", np.zeros(1), rest, rest[0], 0.0, np.full(nj, 0.5), np.array([0.0, 1e-3]))
+    simulate([model], [trial], dt=1e-3, threads=1, check=False)
+
+
 def _shaped(effects: Sequence[Effect], actuators: Sequence[str], trial: Trial) -> Array:
     """(1 + n, na) what reaches the valves: before the first row, then row by row [Pa]."""
     return shaped_commands(effects, actuators, np.vstack([trial.before, trial.commands]))

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, as_completed
 from functools import lru_cache
 
 import casadi as ca
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.models.symbolic import Structure, SymbolicModel, build
 from equimus_ctrl.types import Array
@@ -160,9 +159,9 @@ def reference_runs(
     near_stop: NDArray[np.bool_] | None = None,
     progress: Callable[[float], None] = lambda share: None,
     factor: float = 1.0,
-    threads: int | None = None,
+    pool: Executor | None = None,
 ) -> Array:
-    """(n, m, nj) angles of all runs [rad], integrated in blocks side by side; they do not depend on the threads.
+    """(n, m, nj) angles of all runs [rad], integrated in blocks; where they are integrated makes no difference.
 
     Args:
         experiment: its runs.
@@ -170,7 +169,7 @@ def reference_runs(
             their kinks would cost all of a block their steps.
         progress: called with the share done.
         factor: on all tolerances.
-        threads: at most; all usable processors by default. CasADi's interpreter lets go of Python's lock.
+        pool: processes for the blocks; this one by default.
     """
     near = np.zeros(experiment.size, dtype=bool) if near_stop is None else near_stop
     out = np.full((experiment.size, len(experiment.times), experiment.start.shape[1]), np.nan)
@@ -180,23 +179,32 @@ def reference_runs(
         (np.flatnonzero(~near), BLOCK, factor),
     ):
         blocks += [(part, slack) for part in _evenly(rows, size)]
-
-    def work(rows: NDArray[np.int64], slack: float) -> None:
-        out[rows] = integrate(experiment.part(rows), rtol=RTOL * slack, atol=ATOL * slack)[0]
-
-    with ThreadPoolExecutor(threads or processors()) as pool:
-        tasks = [pool.submit(work, *block) for block in blocks]
-        try:
-            for i, task in enumerate(as_completed(tasks)):
-                task.result()
-                progress((i + 1) / len(tasks))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    for i, (rows, q) in enumerate(_integrated(experiment, blocks, pool)):
+        out[rows] = q
+        progress((i + 1) / len(blocks))
     return out
 
 
-def _evenly(rows: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+_Rows = NDArray[np.int64]
+
+
+def _integrated(
+    experiment: Experiment, blocks: list[tuple[_Rows, float]], pool: Executor | None
+) -> Iterator[tuple[_Rows, Array]]:
+    """Each block's rows and their angles, as they are ready."""
+    if pool is None or len(blocks) < 2:
+        yield from ((rows, _angles(experiment.part(rows), slack)) for rows, slack in blocks)
+        return
+    tasks = {pool.submit(_angles, experiment.part(rows), slack): rows for rows, slack in blocks}
+    for task in as_completed(tasks):
+        yield tasks[task], task.result()
+
+
+def _angles(runs: Experiment, slack: float) -> Array:
+    return integrate(runs, rtol=RTOL * slack, atol=ATOL * slack)[0]
+
+
+def _evenly(rows: _Rows, size: int) -> list[_Rows]:
     """Rows in parts of at most ``size``, an even number of them where there are enough rows for two."""
     if len(rows) == 0:
         return []
@@ -209,7 +217,7 @@ def own_error(
     q: Array,
     rows: NDArray[np.int64],
     near_stop: NDArray[np.bool_] | None = None,
-    threads: int | None = None,
+    pool: Executor | None = None,
 ) -> float:
     """The largest difference [rad] between some of ``reference_runs`` q and the same at a hundredth of the tolerances.
 
@@ -218,7 +226,7 @@ def own_error(
     if len(rows) == 0:
         return float("nan")
     near = None if near_stop is None else near_stop[rows]
-    tight = reference_runs(experiment.part(rows), near, factor=TIGHT, threads=threads)
+    tight = reference_runs(experiment.part(rows), near, factor=TIGHT, pool=pool)
     return float(np.abs(tight - q[rows]).max())
 
 

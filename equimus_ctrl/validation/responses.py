@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -88,6 +89,7 @@ def swing_case(
     dt: float,
     *,
     threads: int | None = None,
+    pool: Executor | None = None,
     progress: Progress = silent,
 ) -> Responses:
     """Step responses: from rest at one random pose, under the pressures that hold another.
@@ -101,6 +103,7 @@ def swing_case(
         rng: where poses come from.
         dt: step of the reduced engine [s].
         threads: at most.
+        pool: processes for the reference; this one by default.
         progress: called with the share done.
     """
     low, high = workspace(morphology)
@@ -111,7 +114,7 @@ def swing_case(
     runs = Experiment((morphology,), "swing", start, np.zeros(1), pressure[:, None], plan.duration).part(allowed)
     reduced = reduced_runs(runs, dt, threads)
     near = runs.touches(reduced, NEAR)
-    exact = reference_runs(runs, near, lambda share: progress(0.7 * share), threads=threads)
+    exact = reference_runs(runs, near, lambda share: progress(0.7 * share), pool=pool)
     scored = shortest(runs, exact) >= SHORTEST
     touching = runs.touches(exact)
     found = {
@@ -126,7 +129,7 @@ def swing_case(
         "scored": int(scored.sum()),
         "touching_a_stop": int((scored & touching).sum()),
     }
-    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near, threads)
+    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near, pool)
     progress(1.0)
     return Responses(runs, exact, found, scored, touching, checked, counts)
 
@@ -180,6 +183,7 @@ def stance_case(
     dt: float,
     *,
     threads: int | None = None,
+    pool: Executor | None = None,
     progress: Progress = silent,
 ) -> StanceResult:
     """Runs on the pinned foot: the published one first, then random starts under random pressures.
@@ -194,18 +198,20 @@ def stance_case(
     pressure = rng.uniform(morphology.command_low, morphology.command_high, (plan.stance_runs, na))
     start[0], pressure[0] = published_stance(morphology)
     robot = Experiment((morphology,), "stance", start, np.zeros(1), pressure[:, None], plan.duration)
-    free = _stance_runs(robot.without_stops(), plan, dt, threads, lambda share, error=None: progress(0.3 * share))
-    own = _stance_runs(robot, plan, dt, threads, lambda share, error=None: progress(0.3 + 0.7 * share, error))
+    free = _stance_runs(robot.without_stops(), plan, dt, threads, pool, lambda share, error=None: progress(0.3 * share))
+    own = _stance_runs(robot, plan, dt, threads, pool, lambda share, error=None: progress(0.3 + 0.7 * share, error))
     return StanceResult(own, free)
 
 
-def _stance_runs(runs: Experiment, plan: Plan, dt: float, threads: int | None, progress: Progress) -> Responses:
+def _stance_runs(
+    runs: Experiment, plan: Plan, dt: float, threads: int | None, pool: Executor | None, progress: Progress
+) -> Responses:
     found = {"mujoco": mujoco_runs(runs, threads=threads)}
     if plan.more_kernels:
         found["reduced"] = reduced_runs(runs, dt, threads)
     progress(0.1)
     near = runs.touches(found["mujoco"], NEAR)
-    exact = reference_runs(runs, near, lambda share: progress(0.1 + 0.7 * share), threads=threads)
+    exact = reference_runs(runs, near, lambda share: progress(0.1 + 0.7 * share), pool=pool)
     scored = shortest(runs, exact) >= SHORTEST
     touching = runs.touches(exact)
     progress(0.8, _worst(found["mujoco"], exact, scored))
@@ -215,7 +221,7 @@ def _stance_runs(runs: Experiment, plan: Plan, dt: float, threads: int | None, p
         "scored": int(scored.sum()),
         "touching_a_stop": int((scored & touching).sum()),
     }
-    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near, threads)
+    checked = own_error(runs, exact, _some(scored, touching, plan.checked), near, pool)
     progress(1.0)
     return Responses(runs, exact, found, scored, touching, checked, counts)
 

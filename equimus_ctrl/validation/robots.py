@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,6 +94,7 @@ def three_dof_case(
     dt: float,
     *,
     threads: int | None = None,
+    pool: Executor | None = None,
     progress: Progress = silent,
 ) -> Responses:
     """Random robots of three joints under pulses, all runs together.
@@ -102,11 +104,12 @@ def three_dof_case(
         rng: where they come from.
         dt: step of the reduced engine [s].
         threads: at most.
+        pool: processes for the reference; this one by default.
         progress: called with the share done.
     """
     robots = tuple(random_robot("three_joints", rng, f"three_dof_{i}") for i in range(plan.three_dof_robots))
     runs = pulsed_runs(robots, plan.runs_per_robot, plan.robot_duration, rng)
-    return _responses(runs, plan, dt, threads, progress)
+    return _responses(runs, plan, dt, threads, pool, progress)
 
 
 def robots_case(
@@ -116,6 +119,7 @@ def robots_case(
     *,
     shapes: Sequence[str] = tuple(SHAPES),
     threads: int | None = None,
+    pool: Executor | None = None,
     ready: Callable[[str], None] = lambda shape: None,
     progress: Progress = silent,
 ) -> RobotsResult:
@@ -136,7 +140,7 @@ def robots_case(
             progress((k + share) / len(shapes), worst)
 
         ready(shape)
-        done = _responses(runs, plan, dt, threads, part)
+        done = _responses(runs, plan, dt, threads, pool, part)
         responses[shape] = done
         counts.update(done.counts)
         for i, robot in enumerate(robots):
@@ -147,15 +151,17 @@ def robots_case(
     return RobotsResult(tuple(found), responses, dict(counts))
 
 
-def _responses(runs: Experiment, plan: Plan, dt: float, threads: int | None, progress: Progress) -> Responses:
-    exact = reference_runs(runs, progress=lambda share: progress(0.6 * share), threads=threads)
+def _responses(
+    runs: Experiment, plan: Plan, dt: float, threads: int | None, pool: Executor | None, progress: Progress
+) -> Responses:
+    exact = reference_runs(runs, progress=lambda share: progress(0.6 * share), pool=pool)
     scored = (shortest(runs, exact) >= SHORTEST) & (_turned(exact) <= MOST_ANGLE)
     found = {"mujoco": _stepped(runs, FAST_SETTINGS.timestep, lambda r, k: mujoco_runs(r, finer(k), threads))}
     progress(0.8)
     if plan.more_kernels:
         found["reduced"] = _stepped(runs, dt, lambda r, k: reduced_runs(r, dt / k, threads))
     counts = {"runs": runs.size, "beyond_sense": int((~scored).sum()), "scored": int(scored.sum())}
-    checked = own_error(runs, exact, np.flatnonzero(scored)[: plan.checked_robots], threads=threads)
+    checked = own_error(runs, exact, np.flatnonzero(scored)[: plan.checked_robots], pool=pool)
     progress(1.0)
     return Responses(runs, exact, found, scored, runs.touches(exact), checked, counts)
 

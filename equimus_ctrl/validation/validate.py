@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
-from equimus_ctrl.engines.ahead import CompiledAhead
+from equimus_ctrl.engines.batch import compile_kernel
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.machine import processors
+from equimus_ctrl.machine import processes
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology, structure
 from equimus_ctrl.types import Array
@@ -229,17 +229,17 @@ def validate(
     def done(stage: str, error: float | None) -> None:
         notify(stage, 1.0, error)
 
-    needed = _kernels(robot, plan)
+    with processes(threads) as pool:
+        compiled = {name: pool.submit(compile_kernel, m) for name, m in _kernels(robot, plan).items()} if pool else {}
 
-    def ready(name: str) -> None:
-        if name in needed:
-            ahead.wait(list(needed).index(name))
+        def ready(name: str) -> None:
+            if name in compiled:
+                compiled[name].result()
 
-    with CompiledAhead(list(needed.values()), threads or processors()) as ahead:
         static = static_case(robot, plan.poses, rngs["static"], threads=threads, progress=telling("static"))
         done("static", float(static.errors.rmse.max()))
         ready("swing")
-        swing = swing_case(robot, plan, rngs["swing"], dt, threads=threads, progress=telling("swing"))
+        swing = swing_case(robot, plan, rngs["swing"], dt, threads=threads, pool=pool, progress=telling("swing"))
         if not swing.clear.any():
             raise ConfigError(
                 f"{robot.name}: none of {plan.pairs} random step responses clear of the stops could be scored "
@@ -247,13 +247,15 @@ def validate(
             )
         done("swing", float(swing.errors("mujoco").rmse.max()))
         ready("stance")
-        stance = stance_case(robot, plan, rngs["stance"], dt, threads=threads, progress=telling("stance"))
+        stance = stance_case(robot, plan, rngs["stance"], dt, threads=threads, pool=pool, progress=telling("stance"))
         done("stance", float(stance.errors.rmse.max()))
         ready("three_joints")
-        three_dof = three_dof_case(plan, rngs["three_dof"], dt, threads=threads, progress=telling("three_dof"))
+        three_dof = three_dof_case(
+            plan, rngs["three_dof"], dt, threads=threads, pool=pool, progress=telling("three_dof")
+        )
         done("three_dof", float(three_dof.errors("mujoco").rmse.max()))
         robots = robots_case(
-            plan, rngs["morphologies"], dt, threads=threads, ready=ready, progress=telling("morphologies")
+            plan, rngs["morphologies"], dt, threads=threads, pool=pool, ready=ready, progress=telling("morphologies")
         )
         done("morphologies", robots.worst("mujoco"))
         ready("floating")
