@@ -184,6 +184,10 @@ def test_one_process_is_this_one() -> None:
 
 
 def test_a_process_that_was_ended_is_told_in_a_sentence() -> None:
-    with pytest.raises(NotAvailable, match="2 processes .* ended from outside"), processes(2) as pool:
-        assert pool is not None
-        pool.submit(os._exit, 9).result()
+    def ended() -> None:
+        with processes(2) as pool:
+            assert pool is not None
+            pool.submit(os._exit, 9).result()
+
+    with pytest.raises(NotAvailable, match="2 processes .* ended from outside"):
+        ended()
