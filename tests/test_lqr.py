@@ -154,9 +154,11 @@ def test_gains_between_poses_are_in_between() -> None:
     cells = np.ceil((high - low) / 0.2)
     node = low + (high - low) * np.array([4, 3]) / cells
     other = node + (high - low) * np.array([1, 0]) / cells
-    np.testing.assert_allclose(schedule.at(node), regulator(Model(LEG, LAG), node, LqrSettings(), DT).gain)
-    np.testing.assert_allclose(schedule.at((node + other) / 2), (schedule.at(node) + schedule.at(other)) / 2, rtol=1e-9)
-    np.testing.assert_array_equal(schedule.at(high + 1.0), schedule.at(high))
+    np.testing.assert_allclose(schedule.gain(node), regulator(Model(LEG, LAG), node, LqrSettings(), DT).gain)
+    np.testing.assert_allclose(
+        schedule.gain((node + other) / 2), (schedule.gain(node) + schedule.gain(other)) / 2, rtol=1e-9
+    )
+    np.testing.assert_array_equal(schedule.gain(high + 1.0), schedule.gain(high))
 
 
 def test_the_same_run_gives_the_same_bits_and_leaves_its_state_alone() -> None:

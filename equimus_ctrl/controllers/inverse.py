@@ -19,6 +19,7 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import LATE, PLAY, behind, follow, sensor_settings, shown
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, command_for, shaped_commands, useful_commands, valve_settings
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
+from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.inverse import inverse_dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import pack, structure
@@ -83,6 +84,9 @@ class Inverse:
         self._law = inverse_dynamics(structure(robot), model.phase, laws)
         own = law_parameters(slots, effects, robot.joint_names, robot.actuator_names)
         self._parameters = np.array([*pack(robot), *own])
+        self._pressure, self._counter = Buffered(self._law.pressure), Buffered(self._law.counter)
+        for call in (self._pressure, self._counter):
+            call.arguments[-1][:] = self._parameters
         self._effects, self.actuators = effects, robot.actuator_names
         self._sensor = sensor_settings(effects, robot.joint_names)
         self._valve = valve_settings(effects, robot.actuator_names)
@@ -139,8 +143,8 @@ class Inverse:
         """
         instant = np.array([time])
         feed, states = self._feed(reference, instant, state)
-        q, v, a = self._motion(reference, instant + self._delays[0], state)
-        pressure = self._pressures(q, v, a, state.states[0][:, None])
+        q, v, a = self.motion(reference, instant + self._delays[0], state)
+        pressure = self.pressures(q, v, a, state.states[0][:, None])
         return Target(q[:, 0], v[:, 0], pressure[0], feed[0]), replace(state, states=states)
 
     def _feed(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
@@ -149,14 +153,15 @@ class Inverse:
         for k, delay in enumerate(self._delays):
             own = np.flatnonzero(self._valve[:, DELAY] == delay)
             arrival = times + delay + self._dt / 2
-            q, v, a = self._motion(reference, arrival, state)
+            q, v, a = self.motion(reference, arrival, state)
             z, states[k] = self._states(q, v, state.states[k])
-            pressure[:, own] = self._pressures(q, v, a, z)[:, own]
+            pressure[:, own] = self.pressures(q, v, a, z)[:, own]
             if np.any(self._valve[own, FILL : VENT + 1] > 0):
-                around = [self._motion(reference, arrival + side * self._dt, state) for side in (-1, 1)]
-                before, after = (self._pressures(*motion, z)[:, own] for motion in around)
-                rate = (after - before) / (2 * self._dt)
-                pressure[:, own] += np.where(rate > 0, self._valve[own, FILL], self._valve[own, VENT]) * rate
+                around = [self.motion(reference, arrival + side * self._dt, state) for side in (-1, 1)]
+                before, after = (self.pressures(*motion, z)[:, own] for motion in around)
+                rate = np.zeros_like(pressure)
+                rate[:, own] = (after - before) / (2 * self._dt)
+                pressure += self.lead(rate)
         return pressure, states
 
     def _holding(self, state: InverseState) -> Array:
@@ -177,8 +182,8 @@ class Inverse:
             found[k] = (1 - weight) * reference.position(time) + weight * state.pose
         return found
 
-    def _motion(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, Array]:
-        """(nj, n) angles, velocities and accelerations."""
+    def motion(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, Array]:
+        """(nj, n) angles, velocities and accelerations of a robot that follows the reference from its first pose on."""
         before, now, after = (self._poses(reference, times + side * SMOOTHING, state).T for side in (-1, 0, 1))
         return now, (after - before) / (2 * SMOOTHING), (after - 2 * now + before) / SMOOTHING**2
 
@@ -190,8 +195,26 @@ class Inverse:
             first = np.array(self._law.advanced(q[:, k], v[:, k], first, self._parameters, self._dt)).ravel()
         return z, first
 
-    def _pressures(self, q: Array, v: Array, a: Array, z: Array) -> Array:
-        return np.array(self._law.pressure(q, v, a, z, self._parameters)).T
+    def counter(self, q: Array, torque: Array) -> Array:
+        """(na,) what pressures exert torques (nj,) [N·m] on the joints at a pose (nj,) [rad] by themselves [Pa]."""
+        call = self._counter
+        call.arguments[0][:], call.arguments[1][:] = q, torque
+        call()
+        return np.array(call.results[0])
+
+    def lead(self, rate: Array) -> Array:
+        """(n, na) by how much commands to valves that lag lead pressures of these rates (n, na) [Pa/s] [Pa]."""
+        return np.asarray(np.where(rate > 0, self._valve[:, FILL], self._valve[:, VENT]) * rate)
+
+    def pressures(self, q: Array, v: Array, a: Array, z: Array) -> Array:
+        """(n, na) under which the robot moves so (nj, n), the effects' states being (nz, n) [Pa]."""
+        if q.shape[1] > 1:
+            return np.array(self._law.pressure(q, v, a, z, self._parameters)).T
+        call = self._pressure
+        for argument, values in zip(call.arguments, (q, v, a, z), strict=False):
+            argument[:] = values.ravel()
+        call()
+        return np.array(call.results[0])[None]
 
     def _seen(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
         """(n, nj) what the sensors show, and (nj,) where those with play are held in the end."""

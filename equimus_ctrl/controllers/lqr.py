@@ -12,20 +12,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.controllers.inverse import Inverse, InverseState
+from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.settings import settings_from, table_of
-from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.valves import DELAY, shaped_commands, valve_settings
 from equimus_ctrl.errors import ConfigError, ControllerError
-from equimus_ctrl.estimation.observer import Observer, ObserverSettings, ObserverState
-from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState
 from equimus_ctrl.models.linear import linearise, valve_lag
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
@@ -33,6 +32,8 @@ from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_
 FORMAT = "equimus-ctrl/lqr/1"
 CALM = 0.005
 """What unknown torques walk in a second, see ``ObserverSettings``."""
+MOST_POSES = 200
+"""Of a grid that is worked out beforehand."""
 MISSED = 1.0
 """A command by so much off what was asked for is no longer taken as given [Pa]."""
 
@@ -167,26 +168,59 @@ class Schedule:
 
     def __init__(self, model: Model, settings: LqrSettings, dt: float) -> None:
         self.model, self.settings, self.dt = model, settings, dt
-        self._low, self._high = (np.clip(side, -np.pi, np.pi) for side in model.morphology.joint_range)
-        self._cells = np.maximum(np.ceil((self._high - self._low) / settings.spacing), 1).astype(int)
-        self._known: dict[tuple[int, ...], Array] = {}
+        low, high = (np.clip(side, -np.pi, np.pi) for side in model.morphology.joint_range)
+        self._low, self._high = low.tolist(), high.tolist()
+        self._cells: list[int] = np.maximum(np.ceil((high - low) / settings.spacing), 1).astype(int).tolist()
+        self._lagging = np.flatnonzero(valve_lag(valve_settings(model.effects, model.morphology.actuator_names)) > 0)
+        self._known: dict[tuple[int, ...], Regulator] = {}
 
-    def at(self, pose: Array) -> Array:
+    def gain(self, pose: Array) -> Array:
         """(na, n) gains at a pose (nj,) [rad], or at the nearest within the joint ranges."""
-        place = np.clip((pose - self._low) / (self._high - self._low), 0, 1) * self._cells
-        below = np.minimum(place.astype(int), self._cells - 1)
-        share = place - below
-        found = []
-        for corner in itertools.product((0, 1), repeat=len(pose)):
-            weight = float(np.prod(np.where(corner, share, 1 - share)))
-            if weight > 0:
-                found.append(weight * self._node(tuple((below + corner).tolist())))
-        return np.asarray(sum(found))
+        return self._between(pose, lambda found: found.gain)
 
-    def _node(self, key: tuple[int, ...]) -> Array:
+    def cost(self, pose: Array) -> Array:
+        """(n, n) P at a pose, as of ``gain``."""
+        return self._between(pose, lambda found: found.cost)
+
+    def correction(self, known: Estimate, target: Target, against: Array, others: Sequence[Array]) -> Array:
+        """(na,) by how much more is to reach the valves than the reference asks for [Pa].
+
+        Args:
+            known: where the robot is when the next command first arrives.
+            target: where it is to be then.
+            against: (na,) what holds against torques that the model does not explain [Pa].
+            others: commands under way beyond what was asked for, actuator by actuator, and the integrals where the
+                settings have them.
+        """
+        pressure = (known.pressure - target.pressure - against)[self._lagging]
+        off = [known.position - target.position, known.velocity - target.velocity, pressure, *others]
+        return np.asarray(-self.gain(target.position) @ np.concatenate(off))
+
+    def prepare(self) -> None:
+        """Work out the gains of every pose of the grid, unless these are too many; where there are none, go on."""
+        if math.prod(count + 1 for count in self._cells) <= MOST_POSES:
+            for key in itertools.product(*(range(count + 1) for count in self._cells)):
+                with suppress(ControllerError):
+                    self._node(key)
+
+    def _between(self, pose: Array, read: Callable[[Regulator], Array]) -> Array:
+        sides = []
+        for at, low, high, cells in zip(pose.tolist(), self._low, self._high, self._cells, strict=True):
+            place = min(max((at - low) / (high - low), 0.0), 1.0) * cells
+            below = min(int(place), cells - 1)
+            sides.append(((below, 1 - (place - below)), (below + 1, place - below)))
+        found = np.zeros(())
+        for corner in itertools.product(*sides):
+            weight = math.prod(share for _, share in corner)
+            if weight > 0:
+                found = found + weight * read(self._node(tuple(index for index, _ in corner)))
+        return found
+
+    def _node(self, key: tuple[int, ...]) -> Regulator:
         if key not in self._known:
-            pose = self._low + (self._high - self._low) * np.array(key) / self._cells
-            self._known[key] = regulator(self.model, pose, self.settings, self.dt).gain
+            low, high = np.array(self._low), np.array(self._high)
+            pose = low + (high - low) * np.array(key) / self._cells
+            self._known[key] = regulator(self.model, pose, self.settings, self.dt)
         return self._known[key]
 
 
@@ -216,8 +250,6 @@ class LqrTools:
     observer: Observer
     inverse: Inverse
     schedule: Schedule
-    kinematics: Kinematics
-    lagging: NDArray[np.intp]
     dt: float
 
 
@@ -241,16 +273,15 @@ class LqrController:
         """
         s = self.settings
         observer = Observer.of(spec, s.observer)
-        model, robot = observer.model, changed_bodies(observer.model.effects, observer.model.morphology)
+        model = observer.model
         inverse = Inverse(model, spec.control_dt, s.start_time)
         tools = LqrTools(
             observer,
             inverse,
             Schedule(model, s, spec.control_dt),
-            Kinematics(robot, spec.phase),
-            np.flatnonzero(valve_lag(observer.prediction.valve) > 0),
             spec.control_dt,
         )
+        tools.schedule.prepare()
         position = np.array(observation.position)
         under_way = tuple(np.zeros(count) for count in waiting(model, spec.control_dt))
         begun = observer.init(observation)
@@ -270,15 +301,10 @@ class LqrController:
         target, followed = t.inverse.target(reference, observation.time, state.inverse)
         against = np.zeros(len(t.observer.delays))
         if s.disturbance:
-            area = np.array([a.area for a in t.kinematics.morphology.actuators])
-            against = -np.linalg.pinv(t.kinematics.jacobian(ahead.position).T * area) @ ahead.disturbance
+            against = -t.inverse.counter(ahead.position, ahead.disturbance)
         error = ahead.position - target.position
-        off = [error, ahead.velocity - target.velocity, (ahead.pressure - target.pressure - against)[t.lagging]]
-        off += list(state.under_way)
-        if s.integral:
-            off.append(state.integral)
-        more = -t.schedule.at(target.position) @ np.concatenate(off)
-        asked = target.feed + against + more
+        others = [*state.under_way, state.integral] if s.integral else state.under_way
+        asked = target.feed + against + t.schedule.correction(ahead, target, against, others)
         command = t.inverse.commands(asked[None])[0]
         arriving = shaped_commands(model.effects, t.inverse.actuators, command[None])[0]
         integral = state.integral

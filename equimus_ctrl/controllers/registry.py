@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings
+from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.controllers.pid import PidController, PidSettings
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
@@ -42,10 +43,15 @@ def _lqr(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Contr
     return LqrController(LqrSettings.from_dict(settings or {}, where))
 
 
+def _nmpc(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Controller:
+    return NmpcController(NmpcSettings.from_dict(settings or {}, where))
+
+
 CONTROLLERS: dict[str, ControllerEntry] = {
     "open_loop": ControllerEntry("the scenario's commands, or its reference's static pressures", _open_loop),
     "pid": ControllerEntry("PID on actuator lengths or joint angles with feed-forward", _pid, "pid.toml"),
     "lqr": ControllerEntry("LQR along the reference on an observer's state, with integral action", _lqr, "lqr.toml"),
+    "nmpc": ControllerEntry("nonlinear model-predictive control on an observer's state", _nmpc, "nmpc.toml"),
 }
 
 

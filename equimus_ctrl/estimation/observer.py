@@ -18,6 +18,7 @@ import numpy as np
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.sensors import LATE, OFFSET, SCALE, behind
 from equimus_ctrl.effects.valves import DELAY, shaped_commands
+from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.kinematics import Kinematics
@@ -156,13 +157,16 @@ class Observer:
         model: what is known of the robot.
         control_dt: time between two control instants [s].
         settings: how much is believed.
+        compiled: whether a C compiler is used where there is one.
 
     Attributes:
         prediction: the model's step.
         delays: (na,) of the valves [s].
     """
 
-    def __init__(self, model: Model, control_dt: float, settings: ObserverSettings | None = None) -> None:
+    def __init__(
+        self, model: Model, control_dt: float, settings: ObserverSettings | None = None, compiled: bool = False
+    ) -> None:
         self.settings = s = settings or ObserverSettings()
         self.prediction: Prediction = prediction(model)
         p, robot = self.prediction, changed_bodies(model.effects, model.morphology)
@@ -182,10 +186,11 @@ class Observer:
         self._walk = np.diag(walk**2)
         self._kick = (s.torque * torque) ** 2
         self._pressure_span = span
-        self._step, self._slopes = Buffered(p.step), Buffered(p.slopes)
+        fast = [native(function, function.name()) for function in (p.step, p.slopes)] if compiled else [None, None]
+        self._step, self._slopes = Buffered(fast[0] or p.step), Buffered(fast[1] or p.slopes)
 
     @classmethod
-    def of(cls, spec: PlantSpec, settings: ObserverSettings | None = None) -> Observer:
+    def of(cls, spec: PlantSpec, settings: ObserverSettings | None = None, compiled: bool = False) -> Observer:
         """For what a controller may know of a plant.
 
         Raises:
@@ -193,7 +198,7 @@ class Observer:
         """
         if spec.model is None:
             raise ControllerError("the observer needs a model of the robot, but the plant's spec has none")
-        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings)
+        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings, compiled)
 
     def init(self, observation: Observation) -> ObserverState:
         """A robot that has long been at rest under the command in force.

@@ -31,11 +31,13 @@ class InverseDynamics:
 
     Attributes:
         pressure: (q, v, a, z, p) → (na,) under which the robot moves so [Pa].
+        counter: (q, torque, p) → (na,) that exerts a torque on the joints [Pa].
         advanced: (q, v, z, p, dt) → (nz,) the effects' states after dt of such motion.
         rest: (q, p) → (nz,) the same after a long rest.
     """
 
     pressure: ca.Function
+    counter: ca.Function
     advanced: ca.Function
     rest: ca.Function
 
@@ -63,9 +65,11 @@ def inverse_dynamics(form: Structure, phase: Phase, laws: Laws) -> InverseDynami
     mass, bias, jacobian = (ca.substitute(x, *own) for x in (base.mass, base.smooth_bias, base.jacobian))
     torque = mass @ a + bias - m.torque - jacobian.T @ m.force - sliding_friction(m)
     # An implicit step, for states may follow faster than commands are given.
+    drive, wanted = jacobian.T @ ca.diag(m.area), ca.SX.sym("torque", m.q.numel())
     system = ca.SX.eye(m.z.numel()) - dt * ca.jacobian(m.z_rate, m.z)
     return InverseDynamics(
-        ca.Function("pressure", [m.q, m.v, a, m.z, m.p], [pseudo_solve(jacobian.T @ ca.diag(m.area), torque)]),
+        ca.Function("pressure", [m.q, m.v, a, m.z, m.p], [pseudo_solve(drive, torque)]),
+        ca.Function("counter", [m.q, wanted, m.p], [pseudo_solve(drive, wanted)]),
         ca.Function("advanced", [m.q, m.v, m.z, m.p, dt], [m.z + dt * ca.solve(system, m.z_rate)]),
         ca.Function("rest", [m.q, m.p], [m.rest_state]),
     )

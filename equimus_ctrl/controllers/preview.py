@@ -1,0 +1,118 @@
+"""The reference over a horizon and what it takes to follow it, each instant worked out once.
+
+Poses and velocities are read on a grid of control periods from where the controller began, pressures half a period
+later; where control instants stray from the grid, both are interpolated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.controllers.inverse import Inverse, InverseState
+from equimus_ctrl.types import Array, Reference
+
+ON_GRID = 1e-6
+"""An instant so near to one of the grid is that [control periods]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What is known of the grid's instants from ``first`` on.
+
+    Attributes:
+        reference: of which.
+        first: the first one's number.
+        position: (m, nj) [rad].
+        velocity: (m, nj) [rad/s].
+        pressure: (m, na) half a period later [Pa].
+    """
+
+    reference: Reference
+    first: int
+    position: Array
+    velocity: Array
+    pressure: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """A robot that follows, at the instants that a horizon's intervals begin and end at.
+
+    Attributes:
+        position: (n + 1, nj) [rad].
+        velocity: (n + 1, nj) [rad/s].
+        pressure: (n + 1, na) behind the valves [Pa].
+        feed: (n, na) what is to reach the valves over each interval [Pa].
+    """
+
+    position: Array
+    velocity: Array
+    pressure: Array
+    feed: Array
+
+
+class Preview:
+    """Looks ahead of time.
+
+    Args:
+        inverse: of the model.
+        periods: (n,) of the horizon's intervals, in control periods.
+        control_dt: a control period [s].
+        delay: how much later than now the horizon begins [s].
+    """
+
+    def __init__(self, inverse: Inverse, periods: NDArray[np.int64], control_dt: float, delay: float) -> None:
+        self._inverse, self._dt, self._delay = inverse, control_dt, delay
+        self._ends = np.concatenate([[0], np.cumsum(periods)])
+        self._periods = periods
+
+    def look(self, reference: Reference, time: float, state: InverseState, sight: Sight | None) -> tuple[Ahead, Sight]:
+        """What lies ahead at a control instant.
+
+        Args:
+            reference: of the true angles; each instant of it is read once.
+            time: of the control instant [s].
+            state: when the robot began and where, and its effects' states, which are taken to stay.
+            sight: what is known from before.
+        """
+        place = (time - state.begun) / self._dt
+        base = int(np.floor(place + ON_GRID))
+        part = place - base if place - base > ON_GRID else 0.0
+        last = base + int(self._ends[-1]) + 2
+        sight = self._seen(reference, base - 1, last, state, sight)
+        at = 1 + self._ends
+        middle = sight.pressure
+        rate = np.zeros_like(middle)
+        rate[1:-1] = (middle[2:] - middle[:-2]) / (2 * self._dt)
+        whole = np.cumsum(middle + self._inverse.lead(rate), axis=0)
+
+        def between(rows: Array, k: NDArray[np.int64]) -> Array:
+            return rows[k] if part == 0 else np.asarray((1 - part) * rows[k] + part * rows[k + 1])
+
+        feed = (between(whole, at[1:] - 1) - between(whole, at[:-1] - 1)) / self._periods[:, None]
+        on = np.vstack([middle[:1], (middle[1:] + middle[:-1]) / 2])
+        return Ahead(between(sight.position, at), between(sight.velocity, at), between(on, at), feed), sight
+
+    def _seen(self, reference: Reference, first: int, last: int, state: InverseState, sight: Sight | None) -> Sight:
+        """The grid's instants from first to last, those that are known taken over."""
+        if (
+            sight is not None
+            and sight.reference is reference
+            and sight.first <= first <= sight.first + len(sight.position)
+        ):
+            known = [rows[first - sight.first :] for rows in (sight.position, sight.velocity, sight.pressure)]
+        else:
+            known = [np.zeros((0, k)) for k in (len(state.pose), len(state.pose), len(self._inverse.actuators))]
+        new = np.arange(first + len(known[0]), last + 1)
+        if len(new) == 0:
+            return Sight(reference, first, *known)
+        instants = np.asarray(state.begun + self._delay + self._dt * new, dtype=np.float64)
+        q, v, _ = self._inverse.motion(reference, instants, state)
+        middle = self._inverse.motion(reference, instants + self._dt / 2, state)
+        pressure = self._inverse.pressures(*middle, np.tile(state.states[0][:, None], (1, len(new))))
+        return Sight(
+            reference, first, np.vstack([known[0], q.T]), np.vstack([known[1], v.T]), np.vstack([known[2], pressure])
+        )

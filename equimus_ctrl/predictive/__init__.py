@@ -1,0 +1,1 @@
+"""Optimal control over a horizon: transcription, quadratic programs, sequential quadratic programming."""
