@@ -1,5 +1,7 @@
 # What `import equimus_ctrl as eq` offers; read at run time too, so this list is the only one.
+from . import testing as testing
 from .controllers.lqr import LqrController as LqrController, LqrSettings as LqrSettings
+from .controllers.nmpc import NmpcController as NmpcController, NmpcSettings as NmpcSettings
 from .controllers.open_loop import OpenLoopController as OpenLoopController
 from .controllers.pid import PidController as PidController, PidGains as PidGains, PidSettings as PidSettings
 from .effects import (
@@ -66,6 +68,7 @@ from .models.morphology import (
     Point as Point,
 )
 from .models.symbolic import symbolic_model as symbolic_model
+from .plants.events import Load as Load, Push as Push
 from .plants.mujoco_plant import MujocoPlant as MujocoPlant, PlantRates as PlantRates
 from .plants.replay import ReplayPlant as ReplayPlant
 from .scenarios.references import (
@@ -94,6 +97,8 @@ from .types import (
     Start as Start,
 )
 from .workflow import (
+    Condition as Condition,
+    compare as compare,
     diagnose_recordings as diagnose_recordings,
     identify_poses as identify_poses,
     identify_recordings as identify_recordings,

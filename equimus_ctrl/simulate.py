@@ -48,6 +48,8 @@ def run(
     times, solve_time = np.empty(n), np.empty(n)
     position, wanted = np.empty((n, nj)), np.empty((n, nj))
     command, asked, clipped = np.empty((n, na)), np.empty((n, na)), np.zeros((n, na), dtype=bool)
+    truth = np.empty((n, nj)) if hasattr(plant, "position") else None
+    status: list[str] = []
     observation = plant.reset(start, seed)
     before = np.array(observation.command)
     with _blamed(controller, "init", 0.0):
@@ -63,14 +65,18 @@ def run(
         state = result[1]
         asked[k] = checked_command(result[0], spec, observation.time, _name(controller))
         times[k], position[k] = observation.time, observation.position
+        status.append(str(getattr(state, "status", "")))
+        if truth is not None:
+            truth[k] = plant.position  # type: ignore[attr-defined]
         observation = plant.step(asked[k])
         command[k] = np.clip(asked[k], spec.command_low, spec.command_high)
         clipped[k] = observation.clipped
         if progress is not None:
             progress((k + 1) / n)
-    for array in (times, position, wanted, command, asked, clipped, solve_time, before):
-        array.flags.writeable = False
-    return Run(spec, times, position, wanted, command, asked, clipped, solve_time, before)
+    for array in (times, position, wanted, command, asked, clipped, solve_time, before, truth):
+        if array is not None:
+            array.flags.writeable = False
+    return Run(spec, times, position, wanted, command, asked, clipped, solve_time, before, truth, tuple(status))
 
 
 @contextmanager

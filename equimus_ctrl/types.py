@@ -164,6 +164,8 @@ class Run:
         clipped: (n, na) True where the two differ.
         solve_time: (n,) how long each controller step took [s]; a statistic, never part of the physics.
         before: (na,) command in force before the start [Pa].
+        truth: (n, nj) true angles [rad], where the plant knows them; what is measured has noise and sensor effects.
+        status: (n,) what the controller's state calls its ``status`` after each step; "" where it has none.
     """
 
     spec: PlantSpec
@@ -175,6 +177,8 @@ class Run:
     clipped: NDArray[np.bool_]
     solve_time: Array
     before: Array
+    truth: Array | None = None
+    status: tuple[str, ...] = ()
 
     def recording(self, name: str, notes: Mapping[str, str] | None = None) -> Recording:
         """The run in the recording vocabulary."""

@@ -20,6 +20,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("plants", "controllers", "estimation", "predictive"),
     ("scenarios",),
     ("simulate",),
+    ("testing",),
     ("tuning", "identification", "diagnosis", "validation", "proof"),
     ("report",),
     ("workflow",),

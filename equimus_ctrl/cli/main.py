@@ -10,6 +10,7 @@ import typer
 
 from equimus_ctrl.cli import (
     autotune_pid,
+    compare,
     diagnose,
     identify,
     list_names,
@@ -37,6 +38,7 @@ app = typer.Typer(
 )
 app.command("autotune-pid")(autotune_pid.autotune_pid)
 app.command("run")(run.run)
+app.command("compare")(compare.compare)
 app.command("score")(score.score)
 app.command("validate")(validate.validate)
 app.command("identify")(identify.identify)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from equimus_ctrl.effects.base import require_kinds
-from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.bodies import PayloadMass, changed_bodies
 from equimus_ctrl.effects.command import advance_pressure
 from equimus_ctrl.effects.sensors import LATE, PLAY, follow, recall, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
@@ -23,6 +25,7 @@ from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place, step_quietly
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology, Phase
+from equimus_ctrl.plants.events import Event, Load, Push
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
 
 
@@ -105,6 +108,7 @@ class MujocoPlant:
         nominal: what controllers may compute with; the model itself by default.
         rates: control, sensor and physics rates.
         noise: standard deviation of white noise on each angle [rad].
+        events: what befalls the robot, see ``plants.events``.
     """
 
     def __init__(
@@ -114,6 +118,7 @@ class MujocoPlant:
         nominal: Morphology | Model | None = None,
         rates: PlantRates | None = None,
         noise: float = 0.0,
+        events: Sequence[Event] = (),
     ) -> None:
         self.rates = rates or PlantRates()
         if not 0 <= noise < float("inf"):
@@ -138,6 +143,35 @@ class MujocoPlant:
         self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model, model.phase)
         self._step_count = -1
         self._diverged: str | None = None
+        self._events = tuple(events)
+        self._loads = self._loaded(robot)
+
+    def _loaded(self, robot: Morphology) -> list[tuple[float, dict[str, Array]]]:
+        """When loads are taken up [s], the last first, and MuJoCo's numbers of the bodies from then on."""
+        found = [(-math.inf, _bodies(self.mujoco_model))]
+        for event in self._events:
+            if isinstance(event, Push) and event.torque.shape != (len(robot.joints),):
+                raise ConfigError(
+                    f"{self.model.name}: a push has {len(event.torque)} torques, expected one for each of "
+                    f"{', '.join(robot.joint_names)}"
+                )
+        for load in sorted((e for e in self._events if isinstance(e, Load)), key=lambda e: e.time):
+            robot = changed_bodies((PayloadMass(load.location, load.mass),), robot)
+            compiled = compile_model(robot, self.model.phase, replace(FAST_SETTINGS, timestep=self._dt))
+            found.append((load.time, _bodies(compiled)))
+        return found[::-1]
+
+    def _befall(self, time: float) -> None:
+        """What the events do from a time on."""
+        numbers = next(values for begins, values in self._loads if begins <= time + EARLY)
+        for name, values in numbers.items():
+            getattr(self.mujoco_model, name)[:] = values
+        torque = self.data.qfrc_applied
+        if not self._forces.active:
+            torque[:] = 0.0
+        for event in self._events:
+            if isinstance(event, Push) and event.time <= time + EARLY < event.time + event.duration:
+                torque[self._dof] += event.torque
 
     @property
     def spec(self) -> PlantSpec:
@@ -186,6 +220,8 @@ class MujocoPlant:
         reaches = self._shaped(np.asarray(command))
         position = rest_pose(self.model, command) if start.position is None else start.position
         mujoco.mj_resetData(self.mujoco_model, self.data)
+        if self._events:
+            self._befall(-math.inf)
         self._place(np.asarray(position), start.velocity)
         self._forces.reset(np.asarray(position))
         self._diverged = None
@@ -260,6 +296,8 @@ class MujocoPlant:
                 self._valve[i],
             )
         self._forces.apply(self.data)
+        if self._events:
+            self._befall(t)
         slow = self._is_slow()
         sound = step_quietly(self.mujoco_model, self.data)
         self._step_count += 1
@@ -311,6 +349,19 @@ class MujocoPlant:
             command=frozen_array(applied),
             clipped=clipped,
         )
+
+
+BODIES = (
+    "body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_invweight0", "dof_invweight0",
+    "dof_M0", "tendon_invweight0", "actuator_acc0",
+)  # fmt: skip
+"""What MuJoCo works out of the bodies' masses."""
+EARLY = 1e-9
+"""Times that differ by less are the same [s]."""
+
+
+def _bodies(model: mujoco.MjModel) -> dict[str, Array]:
+    return {name: np.array(getattr(model, name)) for name in BODIES}
 
 
 def _kpa(pressure: Array) -> str:

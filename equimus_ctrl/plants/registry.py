@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from equimus_ctrl.errors import ConfigError, NotAvailable, unknown_name
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.plants.events import Event
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.plants.replay import ReplayPlant
 from equimus_ctrl.types import Plant, Recording
@@ -18,18 +19,22 @@ class PlantEntry:
 
     Attributes:
         summary: one line for lists.
-        make: (model, recording or None, noise, nominal or None) → plant.
+        make: (model, recording or None, noise, nominal or None, events) → plant.
     """
 
     summary: str
-    make: Callable[[Model, Recording | None, float, Model | None], Plant]
+    make: Callable[[Model, Recording | None, float, Model | None, Sequence[Event]], Plant]
 
 
-def _mujoco(model: Model, recording: Recording | None, noise: float, nominal: Model | None) -> Plant:
-    return MujocoPlant(model, nominal=nominal, noise=noise)
+def _mujoco(
+    model: Model, recording: Recording | None, noise: float, nominal: Model | None, events: Sequence[Event]
+) -> Plant:
+    return MujocoPlant(model, nominal=nominal, noise=noise, events=events)
 
 
-def _replay(model: Model, recording: Recording | None, noise: float, nominal: Model | None) -> Plant:
+def _replay(
+    model: Model, recording: Recording | None, noise: float, nominal: Model | None, events: Sequence[Event]
+) -> Plant:
     if recording is None:
         raise NotAvailable("the replay plant plays the scenario's recording, and there is none")
     if noise:
@@ -44,7 +49,12 @@ PLANTS: dict[str, PlantEntry] = {
 
 
 def make_plant(
-    name: str, model: Model, recording: Recording | None = None, noise: float = 0.0, nominal: Model | None = None
+    name: str,
+    model: Model,
+    recording: Recording | None = None,
+    noise: float = 0.0,
+    nominal: Model | None = None,
+    events: Sequence[Event] = (),
 ) -> Plant:
     """A plant by name.
 
@@ -54,6 +64,7 @@ def make_plant(
         recording: to play.
         noise: standard deviation of white noise on each angle [rad].
         nominal: what controllers may compute with; the model by default.
+        events: what befalls the robot while it runs; what was recorded takes no notice.
 
     Raises:
         ConfigError: for an unknown name.
@@ -61,4 +72,4 @@ def make_plant(
     """
     if name not in PLANTS:
         raise ConfigError(unknown_name("plant", name, PLANTS))
-    return PLANTS[name].make(model, recording, noise, nominal)
+    return PLANTS[name].make(model, recording, noise, nominal, events)

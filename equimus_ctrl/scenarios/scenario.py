@@ -13,10 +13,13 @@ import numpy as np
 from equimus_ctrl.errors import ConfigError, EquimusError, unknown_name
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.morphology import Morphology, Phase
+from equimus_ctrl.plants.events import Event
 from equimus_ctrl.types import Array, Recording, Reference, Start, frozen_array
 
 RANGE_MARGIN = 0.1
-"""How far into a joint's stop a reference may begin [rad]: an equilibrium may press on a stop."""
+"""How far into a joint's stop a reference may go [rad]: an equilibrium may press on a stop."""
+LOOKED_AT = 20.0
+"""How often a reference is looked at before anything runs [Hz]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,7 @@ class Scenario:
         published_controller: the controller those figures are of.
         step_like: whether the reference is one constant pose, so that overshoot and settling mean something.
         missing: why there is no ``recorded``, for a person to read, or None.
+        events: what befalls the robot meanwhile, see ``plants.events``; controllers are not told.
     """
 
     name: str
@@ -80,6 +84,7 @@ class Scenario:
     published_controller: str = "open_loop"
     step_like: bool = False
     missing: str | None = None
+    events: tuple[Event, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 < self.duration < float("inf"):
@@ -194,12 +199,15 @@ def _check_scenario(scenario: object, context: ScenarioContext) -> None:
             f"for each of {', '.join(m.joint_names)}"
         )
     low, high = m.joint_range
-    for joint, angle, least, most in zip(m.joint_names, pose, low, high, strict=True):
-        if not least - RANGE_MARGIN <= angle <= most + RANGE_MARGIN:
-            raise ConfigError(
-                f"the reference of scenario {scenario.name} begins with {joint} at {math.degrees(angle):.1f}°, outside "
-                f"the joint's range of {math.degrees(least):.1f}° to {math.degrees(most):.1f}°"
-            )
+    for time in np.arange(0.0, scenario.duration, 1 / LOOKED_AT).tolist():
+        pose = np.asarray(scenario.reference.position(time), dtype=np.float64)
+        for joint, angle, least, most in zip(m.joint_names, pose, low, high, strict=True):
+            if not least - RANGE_MARGIN <= angle <= most + RANGE_MARGIN:
+                when = "begins with" if time == 0 else f"at {time:.2f} s has"
+                raise ConfigError(
+                    f"the reference of scenario {scenario.name} {when} {joint} at {math.degrees(angle):.1f}°, outside "
+                    f"the joint's range of {math.degrees(least):.1f}° to {math.degrees(most):.1f}°"
+                )
 
 
 def option_defaults(build: Callable[..., Scenario]) -> dict[str, Any]:

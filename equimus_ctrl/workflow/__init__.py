@@ -1,6 +1,7 @@
 """What the commands do, as functions of a library: load a model, run a scenario, score, tune, identify."""
 
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged
+from equimus_ctrl.workflow.compare import CONTROLLERS, Comparison, Condition, compare
 from equimus_ctrl.workflow.diagnose import diagnose_recordings
 from equimus_ctrl.workflow.identify import (
     identify_files,
@@ -28,6 +29,9 @@ from equimus_ctrl.workflow.runs import (
 )
 
 __all__ = [
+    "CONTROLLERS",
+    "Comparison",
+    "Condition",
     "Identification",
     "Identified",
     "IdentifiedPoses",
@@ -37,6 +41,7 @@ __all__ = [
     "ScenarioRun",
     "TrialScore",
     "TunedPid",
+    "compare",
     "diagnose_recordings",
     "identify_files",
     "identify_poses",

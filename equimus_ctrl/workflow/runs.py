@@ -198,7 +198,7 @@ def run_scenario(
         label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
     if isinstance(plant, str):
-        plant_name, machine = plant, make_plant(plant, model, scenario.recorded, noise, known)
+        plant_name, machine = plant, make_plant(plant, model, scenario.recorded, noise, known, scenario.events)
     else:
         plant_name, machine = type(plant).__name__, plant
     duration = scenario.duration

@@ -1,0 +1,105 @@
+"""``equimus-ctrl compare``: controllers beside each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from equimus_ctrl.cli.common import (
+    EffectFiles,
+    Figures,
+    Json,
+    ModelFile,
+    Recordings,
+    key_values,
+    people,
+    print_json,
+    tell_files,
+)
+from equimus_ctrl.cli.progress import stage_bar
+
+
+def compare(
+    scenarios: Annotated[list[str], typer.Argument(help="Scenarios by name (see: list scenarios) or path.")],
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--controller", "-c", help="By name or path/to/file.py:Name; repeatable. By default pid, lqr and nmpc."
+        ),
+    ] = None,
+    under: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--condition",
+            metavar="NAME",
+            help="nominal, noisy, late, unknown_late, perturbed, corrected or uncorrected; repeatable.",
+        ),
+    ] = None,
+    model: ModelFile = None,
+    corrected: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The robot as a diagnosis found it: compares on it too, known and not."),
+    ] = None,
+    draws: Annotated[int, typer.Option(help="How many perturbed robots.")] = 3,
+    option: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="An option of the scenarios.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=FILE", help="Settings file of a controller (TOML); repeatable."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of noise and perturbed robots.")] = 0,
+    effects: EffectFiles = None,
+    recordings: Recordings = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for figures and record; results/compare by default.")
+    ] = None,
+    figures: Figures = True,
+    as_json: Json = False,
+) -> None:
+    """Drive controllers through scenarios under the same conditions, and print their errors side by side.
+
+    Errors are of the true angles. Exit code 3 says that a run ended early, and the table says why.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl compare triangle
+    equimus-ctrl compare triangle push --condition late --condition perturbed --draws 5
+    equimus-ctrl compare hold -c pid -c controllers/example_custom.py:Spring --json
+    equimus-ctrl compare triangle --corrected corrected.toml
+    """  # noqa: D301
+    from equimus_ctrl import presets, workflow
+    from equimus_ctrl.cli.common import write_results
+    from equimus_ctrl.report.comparison import comparison_figures, comparison_table
+
+    console = people()
+    workflow.load_effects(effects or ())
+    folder = output or presets.workspace() / "results" / "compare"
+    presets.check_folder(folder)
+    default = ["nominal", "noisy", "late", "perturbed"]
+    if corrected is not None:
+        default += ["corrected", "uncorrected"]
+    with stage_bar(console, "compare", width=36, bar_width=24) as show:
+        found = workflow.compare(
+            scenarios,
+            controller or workflow.CONTROLLERS,
+            under or default,
+            model=workflow.load_model(model),
+            corrected=workflow.load_model(corrected) if corrected is not None else None,
+            draws=draws,
+            options=key_values(option, "--set"),
+            settings={name: Path(file) for name, file in key_values(settings, "--settings").items()},
+            recordings=recordings,
+            seed=seed,
+            notify=lambda share, what: show(what, share),
+        )
+    record = found.to_dict()
+    files = write_results(folder, lambda: comparison_figures(found) if figures else {}, record)
+    console.print(comparison_table(found))
+    tell_files(console, files)
+    if as_json:
+        print_json(record)
+    if found.failures:
+        raise typer.Exit(3)

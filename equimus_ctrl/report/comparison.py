@@ -1,0 +1,176 @@
+"""What a comparison of controllers came to: a table for a terminal, and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from equimus_ctrl.report import style
+from equimus_ctrl.workflow.compare import Comparison, Entry
+
+MRAD = 1e3
+WIDTHS = (3.2, 2.2, 1.2)
+"""Of the controllers' lines, so that those drawn later hide none."""
+PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
+SHOWN = 4
+"""Conditions whose motion is drawn, at most."""
+
+
+def comparison_table(found: Comparison) -> RenderableType:
+    """For a terminal of 80 columns: a table for each scenario, a row for each condition and controller."""
+    parts: list[RenderableType] = []
+    for name, scenario in found.scenarios.items():
+        joints = found.model.morphology.joint_names
+        table = Table(
+            title=Text(f"{name}: {scenario.summary}", style="bold"), box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
+            title_justify="left",
+        )  # fmt: skip
+        table.add_column("condition", no_wrap=True)
+        table.add_column("controller", overflow="fold")
+        for joint in joints:
+            table.add_column(f"{joint}, mrad\nRMSE / max", justify="right", no_wrap=True)
+        for head in ("effort\nkPa", "limit\n%", "step, ms\np50 / p99", "late /\nback, %"):
+            table.add_column(head, justify="right", no_wrap=True)
+        for condition in found.conditions:
+            rows = [e for e in found.entries if (e.scenario, e.condition) == (name, condition.name)]
+            for k, entry in enumerate(rows):
+                cells = [condition.name if k == 0 else "", entry.controller, *_cells(entry)]
+                table.add_row(*map(Text, cells), end_section=k == len(rows) - 1)
+        parts.append(table)
+    for entry in found.failures:
+        parts.append(Text(f"{entry.controller}, {entry.scenario}, {entry.condition}: {entry.failure}", style="yellow"))
+    parts.append(
+        Text(
+            "Errors are of the true angles. Limit: commands at one. Late: steps longer than a control period. "
+            "Back: commands that fell back.",
+            style="dim",
+        )
+    )
+    return Group(*parts)
+
+
+def _cells(entry: Entry) -> list[str]:
+    if entry.score is None or entry.error is None:
+        return ["ended early"]
+    cells = []
+    for rmse, largest in zip(entry.error.rmse, entry.error.largest, strict=True):
+        cells.append(f"{MRAD * rmse:.2f} / {MRAD * largest:.0f}")
+    p50, p99 = entry.score.solve_time
+    effort = float(np.sqrt((entry.score.effort**2).mean())) / 1e3
+    return [
+        *cells, f"{effort:.1f}", f"{100 * entry.score.saturated:.0f}", f"{1e3 * p50:.2f} / {1e3 * p99:.2f}",
+        f"{100 * entry.missed:.1f} / {100 * entry.fallbacks:.1f}",
+    ]  # fmt: skip
+
+
+def comparison_figures(found: Comparison) -> dict[str, Figure]:
+    """``errors`` (RMSE of every controller), ``times`` (of their steps), and one for the motion in each scenario."""
+    figures = {"errors": _errors(found), "times": _times(found)}
+    for name in found.scenarios:
+        figures[f"motion_{name}"] = _motion(found, name)
+    return figures
+
+
+def _controllers(found: Comparison) -> list[str]:
+    return list(dict.fromkeys(entry.controller for entry in found.entries))
+
+
+def _errors(found: Comparison) -> Figure:
+    """Bars of RMSE on a logarithmic scale: a panel for each joint and scenario, a group for each condition."""
+    names, controllers = list(found.scenarios), _controllers(found)
+    joints = found.model.morphology.joint_names
+    conditions = [c.name for c in found.conditions]
+    width = max(7.0, 1.6 + 0.26 * len(conditions) * (len(controllers) + 1) * len(joints))
+    figure = style.new_figure(width, 1.2 + 2.3 * len(names), "Tracking error")
+    axes = figure.subplots(len(names), len(joints), squeeze=False, sharey="row")
+    bar = 0.8 / len(controllers)
+    for row, name in enumerate(names):
+        for j, joint in enumerate(joints):
+            panel = axes[row][j]
+            for c, controller in enumerate(controllers):
+                values = [_rmse(found, controller, name, condition, j) for condition in conditions]
+                place = np.arange(len(conditions)) + (c - (len(controllers) - 1) / 2) * bar
+                panel.bar(place, values, 0.9 * bar, color=style.actuator_colour(c), label=controller)
+            panel.set_yscale("log")
+            panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            panel.yaxis.set_major_formatter(PLAIN)
+            panel.yaxis.set_minor_locator(NullLocator())
+            panel.set_xticks(np.arange(len(conditions)), conditions, rotation=25, ha="right", fontsize=style.SMALL_SIZE)
+            style.dress(panel, title=f"{name}, {joint}", y="RMSE [mrad]" if j == 0 else "")
+            panel.grid(False, axis="x")
+    handles, labels = axes[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False)
+    return figure
+
+
+def _rmse(found: Comparison, controller: str, scenario: str, condition: str, joint: int) -> float:
+    for entry in found.entries:
+        if (entry.controller, entry.scenario, entry.condition) == (controller, scenario, condition) and entry.error:
+            return MRAD * float(entry.error.rmse[joint])
+    return float("nan")
+
+
+def _times(found: Comparison) -> Figure:
+    """What share of each controller's steps took at most so long."""
+    figure = style.new_figure(7.0, 3.6, "Time of a controller's step")
+    panel = figure.subplots()
+    period = None
+    for c, controller in enumerate(_controllers(found)):
+        runs = [e.run for e in found.entries if e.controller == controller and e.run is not None]
+        if not runs:
+            continue
+        period = runs[0].spec.control_dt
+        times = np.sort(np.concatenate([run.solve_time for run in runs])) * 1e3
+        share = 100 * np.arange(1, len(times) + 1) / len(times)
+        panel.plot(times, share, color=style.actuator_colour(c), linewidth=style.RUN_WIDTH, label=controller)
+    if period is not None:
+        panel.axvline(1e3 * period, color=style.REFERENCE, linewidth=style.REFERENCE_WIDTH, linestyle=style.DASHES)
+        panel.text(1e3 * period, 50, " control period", fontsize=style.SMALL_SIZE, color=style.INK)
+    panel.set_xscale("log")
+    panel.xaxis.set_major_formatter(PLAIN)
+    style.dress(panel, x="time [ms]", y="share of steps [%]")
+    panel.legend(frameon=False, fontsize=style.SMALL_SIZE, loc="lower right")
+    return figure
+
+
+def _motion(found: Comparison, name: str) -> Figure:
+    """True angles beside the reference, a row for each joint, a column for each of the first conditions."""
+    joints, controllers = found.model.morphology.joint_names, _controllers(found)
+    shown: Sequence[str] = [c.name for c in found.conditions][:SHOWN]
+    figure = style.new_figure(1.2 + 3.6 * len(shown), 1.2 + 2.3 * len(joints), f"{name}: true angles")
+    axes = figure.subplots(len(joints), len(shown), squeeze=False, sharex=True, sharey="row")
+    for k, condition in enumerate(shown):
+        drawn = False
+        for entry in found.entries:
+            if (entry.scenario, entry.condition) != (name, condition) or entry.run is None:
+                continue
+            run, c = entry.run, controllers.index(entry.controller)
+            for j in range(len(joints)):
+                panel = axes[j][k]
+                if not drawn:
+                    wanted = np.degrees(run.reference[:, j])
+                    panel.plot(
+                        run.time, wanted, color=style.REFERENCE, linewidth=style.REFERENCE_WIDTH,
+                        linestyle=style.DASHES, label="reference", zorder=5,
+                    )  # fmt: skip
+                assert run.truth is not None
+                panel.plot(
+                    run.time, np.degrees(run.truth[:, j]), color=style.actuator_colour(c),
+                    linewidth=WIDTHS[min(c, len(WIDTHS) - 1)], label=entry.controller,
+                )  # fmt: skip
+            drawn = True
+        for j, joint in enumerate(joints):
+            style.dress(
+                axes[j][k], title=condition if j == 0 else "", x="time [s]" if j == len(joints) - 1 else "",
+                y=f"{joint} [°]" if k == 0 else "",
+            )  # fmt: skip
+    handles, labels = axes[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False)
+    return figure

@@ -1,0 +1,291 @@
+"""Controllers × scenarios × conditions: each driven the same way, with the same noise, and scored alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl.controllers.custom import as_controller
+from equimus_ctrl.controllers.nmpc import FALLBACKS
+from equimus_ctrl.effects import FirstOrderLag, TransportDelay
+from equimus_ctrl.effects.bodies import BodyEffect
+from equimus_ctrl.effects.valves import ValveEffect
+from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged, unknown_name
+from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.scenarios.scenario import Scenario
+from equimus_ctrl.scenarios.scoring import ErrorFigures, Score, score_run
+from equimus_ctrl.simulate import run
+from equimus_ctrl.tuning.ensemble import make_ensemble
+from equimus_ctrl.tuning.study import EnsembleSettings
+from equimus_ctrl.types import Array, Controller, Run
+from equimus_ctrl.workflow.runs import load_controller, load_scenario
+
+SCHEMA = "equimus-ctrl/comparison/1"
+NOISE = 2e-3
+"""Standard deviation of measured angles where there is noise [rad]."""
+LAG, DELAY = 0.1, 0.1
+"""Of the late valves [s]."""
+SPREAD = EnsembleSettings(stiffness=0.15, area=0.15, damping=0.4, rest_length=0.02, mass=0.15)
+"""How far the numbers of perturbed robots stray, in shares."""
+CONTROLLERS = ("pid", "lqr", "nmpc")
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """A robot, and what its controllers know of it.
+
+    Attributes:
+        name: for tables.
+        summary: one line.
+        model: what is simulated.
+        known: what controllers may compute with.
+        noise: standard deviation of measured angles [rad].
+    """
+
+    name: str
+    summary: str
+    model: Model
+    known: Model
+    noise: float
+
+
+CONDITIONS = {
+    "nominal": "the model, and the controller knows it",
+    "noisy": f"the same with {1e3 * NOISE:g} mrad of noise on each angle",
+    "late": f"noisy, valves {LAG:g} s slow and {DELAY:g} s late, which the controller knows",
+    "unknown_late": "the same, which the controller does not know",
+    "perturbed": "noisy, stiffness, area and mass ±15 %, damping ±40 %, rest lengths ±2 %, which it does not know",
+    "corrected": "noisy, the robot that a diagnosis found, and the controller knows it",
+    "uncorrected": "the same, but the controller knows the model as it was",
+}
+"""Name → one line. The last two need a corrected model."""
+
+
+def conditions(
+    names: Sequence[str], model: Model, corrected: Model | None = None, draws: int = 3, seed: int = 0
+) -> list[Condition]:
+    """The conditions of these names.
+
+    Args:
+        names: of ``CONDITIONS``.
+        model: the robot as it is known.
+        corrected: the robot as a diagnosis found it.
+        draws: how many perturbed robots.
+        seed: of what these are.
+
+    Raises:
+        ConfigError: for a name that there is not, fewer than one draw, or a corrected model that is not there.
+    """
+    if draws < 1:
+        raise ConfigError(f"draws is {draws}, expected at least 1")
+    found: list[Condition] = []
+    for name in names:
+        if name not in CONDITIONS:
+            raise ConfigError(unknown_name("condition", name, CONDITIONS))
+        summary = CONDITIONS[name]
+        if name in ("corrected", "uncorrected"):
+            if corrected is None:
+                raise ConfigError(f"condition {name} needs a corrected model; give it with --corrected FILE")
+            found.append(Condition(name, summary, corrected, corrected if name == "corrected" else model, NOISE))
+        elif name == "perturbed":
+            own = tuple(effect for effect in model.effects if not isinstance(effect, BodyEffect))
+            for k, member in enumerate(make_ensemble(model, SPREAD, draws, seed, fixed=False)):
+                other = Model(member.morphology, own, model.phase)
+                found.append(Condition(f"{name} {k + 1}" if draws > 1 else name, summary, other, model, NOISE))
+        else:
+            late = _late(model) if name in ("late", "unknown_late") else model
+            noise = 0.0 if name == "nominal" else NOISE
+            found.append(Condition(name, summary, late, model if name == "unknown_late" else late, noise))
+    return found
+
+
+def _late(model: Model) -> Model:
+    """The model with late valves in place of its own."""
+    effects = [effect for effect in model.effects if not isinstance(effect, ValveEffect)]
+    for actuator in model.morphology.actuator_names:
+        effects += [FirstOrderLag(actuator, time_constant=LAG), TransportDelay(actuator, delay=DELAY)]
+    return replace(model, effects=tuple(effects))
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One controller in one scenario under one condition.
+
+    Attributes:
+        controller: its name.
+        scenario: its name.
+        condition: its name.
+        run: what happened, or None where it ended early.
+        score: how well, or None.
+        error: figures of the true angles against the reference, or None.
+        missed: share of steps that took longer than a control period.
+        fallbacks: share of commands that no solution of their instant stands behind.
+        failure: why it ended early; empty where it did not.
+    """
+
+    controller: str
+    scenario: str
+    condition: str
+    run: Run | None
+    score: Score | None
+    error: ErrorFigures | None
+    missed: float
+    fallbacks: float
+    failure: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types, SI units."""
+        named = {"controller": self.controller, "scenario": self.scenario, "condition": self.condition}
+        if self.run is None or self.score is None or self.error is None:
+            return {**named, "failure": self.failure}
+        spec, score = self.run.spec, self.score
+
+        def table(names: Sequence[str], values: Array) -> dict[str, float]:
+            return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+        return {
+            **named,
+            "rmse_rad": table(spec.joints, self.error.rmse),
+            "max_abs_rad": table(spec.joints, self.error.largest),
+            "measured_rmse_rad": table(spec.joints, score.tracking.rmse),
+            "effort_pa": table(spec.actuators, score.effort),
+            "saturated_share": score.saturated,
+            "solve_time_s": {"p50": score.solve_time[0], "p99": score.solve_time[1]},
+            "deadline_missed_share": self.missed,
+            "fallback_share": self.fallbacks,
+            "window_s": list(score.window),
+            "failure": None,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """All entries.
+
+    Attributes:
+        model: the robot as it is known.
+        scenarios: name → scenario.
+        conditions: as they were.
+        entries: scenario by scenario, condition by condition, controller by controller.
+        seed: of noise and perturbed robots.
+    """
+
+    model: Model
+    scenarios: Mapping[str, Scenario]
+    conditions: tuple[Condition, ...]
+    entries: tuple[Entry, ...]
+    seed: int
+
+    @property
+    def failures(self) -> tuple[Entry, ...]:
+        """Those that ended early."""
+        return tuple(entry for entry in self.entries if entry.failure)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``compare --json`` prints."""
+        return {
+            "schema": SCHEMA,
+            "model": self.model.name,
+            "seed": self.seed,
+            "conditions": {c.name: c.summary for c in self.conditions},
+            "entries": [entry.to_dict() for entry in self.entries],
+        }
+
+
+def compare(
+    scenarios: Sequence[str | Scenario],
+    controllers: Sequence[str | Controller | Callable[..., Any]] = CONTROLLERS,
+    under: Sequence[str | Condition] = ("nominal", "noisy", "late", "perturbed"),
+    *,
+    model: Model | None = None,
+    corrected: Model | None = None,
+    draws: int = 3,
+    options: Mapping[str, str] | None = None,
+    settings: Mapping[str, Path] | None = None,
+    recordings: Path | None = None,
+    seed: int = 0,
+    notify: Callable[[float, str], None] = lambda share, what: None,
+) -> Comparison:
+    """Drive every controller through every scenario under every condition, one after the other.
+
+    Every run of a scenario under a condition has the same noise. Errors are of the true angles, over what the scenario
+    scores.
+
+    Args:
+        scenarios: names, paths or scenarios.
+        controllers: names, ``path.py:Name``, controllers, classes or functions.
+        under: names of ``CONDITIONS``, or conditions.
+        model: the robot as it is known; the nominal leg by default.
+        corrected: the robot as a diagnosis found it.
+        draws: how many perturbed robots.
+        options: of the scenarios, as text.
+        settings: controller → its settings file.
+        recordings: folder to look for recordings in.
+        seed: of noise and perturbed robots.
+        notify: called with the share done and what is done now.
+
+    Raises:
+        EquimusError: for anything that is wrong before the first run begins; what fails in a run stands in its entry.
+    """
+    model = model or nominal_model()
+    if seed < 0:
+        raise ConfigError(f"seed is {seed}, expected at least 0")
+    if not scenarios or not controllers or not under:
+        raise ConfigError("a comparison needs at least one scenario, one controller and one condition")
+    robots = conditions([c for c in under if isinstance(c, str)], model, corrected, draws, seed)
+    robots += [c for c in under if isinstance(c, Condition)]
+    built = [
+        s
+        if isinstance(s, Scenario)
+        else load_scenario(s, model.morphology, phase=model.phase, options=options, recordings=recordings)
+        for s in scenarios
+    ]
+    strange = sorted(set(settings or {}) - {c for c in controllers if isinstance(c, str)})
+    if strange:
+        raise ConfigError(f"settings are given for {strange[0]}, which is not compared")
+    entries: list[Entry] = []
+    total = len(built) * len(robots) * len(controllers)
+    made = {}
+    for scenario in built:
+        for controller in controllers:
+            if isinstance(controller, str):
+                driven = load_controller(controller, scenario, (settings or {}).get(controller), model.morphology)
+                made[scenario.name, _label(controller)] = driven
+            else:
+                made[scenario.name, _label(controller)] = as_controller(controller, _label(controller))
+    for scenario in built:
+        for robot in robots:
+            for controller in controllers:
+                label = _label(controller)
+                notify(len(entries) / total, f"{label}, {scenario.name}, {robot.name}")
+                entries.append(_driven(label, made[scenario.name, label], scenario, robot, seed))
+    notify(1.0, "")
+    return Comparison(model, {s.name: s for s in built}, tuple(robots), tuple(entries), seed)
+
+
+def _label(controller: Any) -> str:
+    if isinstance(controller, str):
+        return controller.rpartition(":")[2] or controller
+    return str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
+
+
+def _driven(label: str, controller: Controller, scenario: Scenario, robot: Condition, seed: int) -> Entry:
+    plant = MujocoPlant(robot.model, nominal=robot.known, noise=robot.noise, events=scenario.events)
+    try:
+        done = run(plant, controller, scenario.reference, scenario.duration, start=scenario.start, seed=seed)
+    except (ControllerError, SimulationDiverged) as error:
+        return Entry(label, scenario.name, robot.name, None, None, None, 0.0, 0.0, str(error))
+    finally:
+        plant.close()
+    score = score_run(done, scenario)
+    inside = (done.time >= score.window[0] - 1e-9) & (done.time <= score.window[1] + 1e-9)
+    assert done.truth is not None  # a simulated plant knows it
+    figures = ErrorFigures.of((done.truth - done.reference)[inside])
+    missed = float((done.solve_time > done.spec.control_dt).mean())
+    fallbacks = float(np.mean([status in FALLBACKS for status in done.status]))
+    return Entry(label, scenario.name, robot.name, done, score, figures, missed, fallbacks)
