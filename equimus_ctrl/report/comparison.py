@@ -33,10 +33,10 @@ def comparison_table(found: Comparison) -> RenderableType:
             title_justify="left",
         )  # fmt: skip
         table.add_column("condition", no_wrap=True)
-        table.add_column("controller", overflow="fold")
+        table.add_column("controller", no_wrap=True)
         for joint in joints:
-            table.add_column(f"{joint}, mrad\nRMSE / max", justify="right", no_wrap=True)
-        for head in ("effort\nkPa", "limit\n%", "step, ms\np50 / p99", "late /\nback, %"):
+            table.add_column(f"{joint}, mrad\nRMSE/max", justify="right", no_wrap=True)
+        for head in ("effort\nkPa", "limit\n%", "step, ms\np50/p99", "late/\nback, %"):
             table.add_column(head, justify="right", no_wrap=True)
         for condition in found.conditions:
             rows = [e for e in found.entries if (e.scenario, e.condition) == (name, condition.name)]
@@ -61,12 +61,12 @@ def _cells(entry: Entry) -> list[str]:
         return ["ended early"]
     cells = []
     for rmse, largest in zip(entry.error.rmse, entry.error.largest, strict=True):
-        cells.append(f"{MRAD * rmse:.2f} / {MRAD * largest:.0f}")
+        cells.append(f"{MRAD * rmse:.2f}/{MRAD * largest:.0f}")
     p50, p99 = entry.score.solve_time
     effort = float(np.sqrt((entry.score.effort**2).mean())) / 1e3
     return [
-        *cells, f"{effort:.1f}", f"{100 * entry.score.saturated:.0f}", f"{1e3 * p50:.2f} / {1e3 * p99:.2f}",
-        f"{100 * entry.missed:.1f} / {100 * entry.fallbacks:.1f}",
+        *cells, f"{effort:.1f}", f"{100 * entry.score.saturated:.0f}", f"{1e3 * p50:.2f}/{1e3 * p99:.2f}",
+        f"{100 * entry.missed:.1f}/{100 * entry.fallbacks:.1f}",
     ]  # fmt: skip
 
 
