@@ -48,7 +48,8 @@ def run(
     times, solve_time = np.empty(n), np.empty(n)
     position, wanted = np.empty((n, nj)), np.empty((n, nj))
     command, asked, clipped = np.empty((n, na)), np.empty((n, na)), np.zeros((n, na), dtype=bool)
-    truth = np.empty((n, nj)) if hasattr(plant, "position") else None
+    # A simulated plant tells its true angles as an attribute.
+    truth = np.empty((n, nj)) if isinstance(getattr(type(plant), "position", None), property) else None
     status: list[str] = []
     observation = plant.reset(start, seed)
     before = np.array(observation.command)

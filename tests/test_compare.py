@@ -19,10 +19,11 @@ from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.events import Load, Push
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.report.comparison import comparison_figures, comparison_table
+from equimus_ctrl.scenarios.comparison import Comparison, Condition
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.types import Array, Observation, Reference
-from equimus_ctrl.workflow.compare import DELAY, LAG, Comparison, Condition, compare, conditions
+from equimus_ctrl.workflow.compare import DELAY, LAG, compare, conditions
 
 POSE = np.array([1.45, 0.6])
 SHORT = {"duration": "1.5"}

@@ -285,14 +285,18 @@ def test_settings_are_what_their_table_says() -> None:
 
 
 def test_what_the_robot_cannot_do_is_told_at_the_start() -> None:
-    with pytest.raises(ControllerError, match="stride is 40, so a prediction's step is 333 ms, but .* moves at up to"):
-        begun(controller(stride=40))
     with pytest.raises(ConfigError, match="margin is 2 rad, but hip turns from"):
         begun(controller(margin=2.0))
     plant = MujocoPlant(Model(LEG))
     first = plant.reset()
     with pytest.raises(ControllerError, match="needs a model"):
         controller().init(replace(plant.spec, model=None), first)
+
+
+def test_long_intervals_are_divided() -> None:
+    done = tracked(LAG, LAG, stride=8, nodes=8)
+    assert set(done.status) <= {"converged", "iterated"}
+    assert np.all(rmse(done, 2.0) < 2e-3)
 
 
 def test_intervals_are_short_where_the_next_command_takes_hold() -> None:

@@ -185,6 +185,20 @@ def test_a_state_that_is_no_number_fails_in_words() -> None:
     assert answer.outcome == "failed" and answer.reason == "the predicted motion leaves every bound"
 
 
+def test_an_interval_in_several_steps_is_the_finer_motion() -> None:
+    p, one = problem(4, steps=3), prediction(MODEL, stops=False).step
+    start, u, push = np.concatenate([POSE + 0.2, [1.0, -2.0], [1e4, 2e4]]), np.array([3e4, 1e3]), np.array([0.1, 0.0])
+    wanted = rest(POSE, 4)
+    _, plan = solved(p, start, wanted, push, fixed=np.tile(u, (4, 1)))
+    x = start
+    for k in range(4):
+        for _ in range(3):
+            x = np.array(one(x, u, push, DT / 3)).ravel()
+        np.testing.assert_allclose(plan.states[k + 1], x, rtol=1e-7, atol=1e-7)
+    answer, _ = solved(p, start, wanted, push)
+    assert answer.outcome == "converged" and answer.defect < 1e-6  # so its derivatives are right
+
+
 def test_a_plan_shifted_by_one_interval_is_the_same_plan() -> None:
     p, wanted = problem(), rest(POSE, 12)
     _, plan = solved(p, np.concatenate([POSE + 0.1, np.zeros(2), [1e4, 1e4]]), wanted)

@@ -81,12 +81,12 @@ def prediction(model: Model, stops: bool = True) -> Prediction:
     held = robot if stops else robot.without_stops()
     valve = valve_settings(effects, robot.actuator_names)
     numbers = ca.DM([*pack(held), *own])
-    whole, rest = _step(form, model.phase, laws)
+    whole, sloped, rest = _step(form, model.phase, laws)
     nj, na = len(robot.joints), len(robot.actuators)
     nx = whole.size1_in(0)
     x, u, d, h = ca.SX.sym("x", nx), ca.SX.sym("u", na), ca.SX.sym("d", nj), ca.SX.sym("h")
-    after = whole(x, u, d, h, numbers, ca.DM(np.minimum(valve, UNLIMITED)))
-    outputs = ca.cse([after, *(ca.densify(ca.jacobian(after, by)) for by in (x, u, d))])
+    given = (x, u, d, h, numbers, ca.DM(np.minimum(valve, UNLIMITED)))
+    outputs = ca.cse([ca.densify(value) for value in sloped.call([*given])])
     q = ca.SX.sym("q", nj)
     return Prediction(
         model,
@@ -95,44 +95,66 @@ def prediction(model: Model, stops: bool = True) -> Prediction:
         nx,
         valve,
         sensor_settings(effects, robot.joint_names),
-        ca.Function("step", [x, u, d, h], [after]),
+        ca.Function("step", [x, u, d, h], [whole(*given)]),
         ca.Function("slopes", [x, u, d, h], outputs),
         ca.Function("rest", [q], [rest(q, numbers)]),
     )
 
 
 @lru_cache(maxsize=16)
-def _step(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, ca.Function]:
-    """(x, u, d, h, p, valves) → x after h; (q, p) → z after a long rest."""
+def _step(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, ca.Function, ca.Function]:
+    """(x, u, d, h, p, valves) → x after h; the same with its derivatives by x, u and d; (q, p) → z after a long rest.
+
+    Derivatives are carried along by the chain rule, stage by stage: that takes half the operations of differentiating
+    the whole step.
+    """
     m, base = augmented_model(form, phase, laws), build(form, phase)
     nj, na, nz = m.q.numel(), m.pressure.numel(), m.z.numel()
+    nx = 2 * nj + na + nz
     d = ca.SX.sym("d", nj)
     mass = ca.substitute(base.mass, base.p, m.p[: base.p.numel()])
     free = ca.substitute(m.acceleration, m.phi, ca.SX.zeros(m.phi.shape))
-    rates = ca.Function(
-        "rates",
-        [m.q, m.v, m.z, m.pressure, d, m.p],
-        [m.v, free + ldl_solve(mass, d + sliding_friction(m)), m.z_rate],
-    )
-    x, u, h, valves = ca.SX.sym("x", 2 * nj + na + nz), ca.SX.sym("u", na), ca.SX.sym("h"), ca.SX.sym("valves", na, 6)
-    first: tuple[ca.SX, ...] = (x[:nj], x[nj : 2 * nj], x[2 * nj + na :])
-    pressure = x[2 * nj : 2 * nj + na]
+    moving = ca.vertcat(free + ldl_solve(mass, d + sliding_friction(m)), m.z_rate)
+    by = ca.vertcat(m.q, m.v, m.z, m.pressure, d)
+    rates = ca.Function("rates", [m.q, m.v, m.z, m.pressure, d, m.p], [moving, ca.jacobian(moving, by)])
+    x, u, h, valves = ca.SX.sym("x", nx), ca.SX.sym("u", na), ca.SX.sym("h"), ca.SX.sym("valves", na, 6)
+    pressure, places = x[2 * nj : 2 * nj + na], ca.SX(ca.DM.eye(nx + na + nj))
     later = [ca.vertcat(*[_pressure(pressure[i], u[i], valves[i, :], t * h) for i in range(na)]) for t in (0, 0.5, 1)]
+    # Every pressure follows its own command alone.
+    follows = []
+    for value in later:
+        own = [ca.diag(ca.vertcat(*[ca.jacobian(value[i], y[i]) for i in range(na)])) for y in (pressure, u)]
+        follows.append(own[0] @ places[2 * nj : 2 * nj + na, :] + own[1] @ places[nx : nx + na, :])
+    first = (x[:nj], x[nj : 2 * nj], x[2 * nj + na :])
+    moves = ca.vertcat(places[: 2 * nj, :], places[2 * nj + na : nx, :])  # of (q, v, z), by (x, u, d)
 
-    def slope(at: tuple[ca.SX, ...], k: int) -> tuple[ca.SX, ...]:
-        return tuple(rates.call([*at, later[k], d, m.p]))
+    def slope(at: tuple[ca.SX, ...], along: ca.SX, k: int) -> tuple[tuple[ca.SX, ...], ca.SX]:
+        """Rates of (q, v, z), and their derivatives by (x, u, d)."""
+        found, jacobian = rates(*at, later[k], d, m.p)
+        moved = jacobian @ ca.vertcat(along, follows[k], places[nx + na :, :])
+        return (at[1], found[:nj], found[nj:]), ca.vertcat(along[nj : 2 * nj, :], moved)
 
-    def ahead(by: tuple[ca.SX, ...], share: float) -> tuple[ca.SX, ...]:
-        return tuple(value + share * h * change for value, change in zip(first, by, strict=True))
+    def ahead(by: tuple[tuple[ca.SX, ...], ca.SX], share: float) -> tuple[tuple[ca.SX, ...], ca.SX]:
+        step = share * h
+        return tuple(value + step * change for value, change in zip(first, by[0], strict=True)), moves + step * by[1]
 
-    k1 = slope(first, 0)
-    k2 = slope(ahead(k1, 0.5), 1)
-    k3 = slope(ahead(k2, 0.5), 1)
-    k4 = slope(ahead(k3, 1.0), 2)
-    q, v, z = (value + h / 6 * (a + 2 * b + 2 * c + e) for value, a, b, c, e in zip(first, k1, k2, k3, k4, strict=True))
+    k1 = slope(first, moves, 0)
+    k2 = slope(*ahead(k1, 0.5), 1)
+    k3 = slope(*ahead(k2, 0.5), 1)
+    k4 = slope(*ahead(k3, 1.0), 2)
+
+    def whole(one: ca.SX, two: ca.SX, three: ca.SX, four: ca.SX) -> ca.SX:
+        return h / 6 * (one + 2 * two + 2 * three + four)
+
+    q, v, z = (value + whole(*k) for value, *k in zip(first, k1[0], k2[0], k3[0], k4[0], strict=True))
     after = ca.vertcat(q, v, later[2], z)
+    total = moves + whole(k1[1], k2[1], k3[1], k4[1])
+    total = ca.vertcat(total[: 2 * nj, :], follows[2], total[2 * nj :, :])
+    given = [x, u, d, h, m.p, valves]
+    parts = [total[:, :nx], total[:, nx : nx + na], total[:, nx + na :]]
     return (
-        ca.Function("step", [x, u, d, h, m.p, valves], [after]),
+        ca.Function("step", given, [after]),
+        ca.Function("slopes", given, [after, *parts]),
         ca.Function("rest", [m.q, m.p], [m.rest_state]),
     )
 

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -126,6 +127,7 @@ class Problem:
         rate: of what reaches the valves, at most [Pa/s]; infinite for none.
         solver: of quadratic programs, see ``predictive.quadratic``.
         compiled: whether a C compiler may be used; without one CasADi's interpreter is.
+        steps: of the prediction in each interval.
 
     Attributes:
         is_native: whether steps are machine code.
@@ -141,6 +143,7 @@ class Problem:
         rate: float = math.inf,
         solver: str = "daqp",
         compiled: bool = True,
+        steps: int = 1,
     ) -> None:
         if not (len(durations) and np.all(durations > 0)):
             raise ConfigError(f"the horizon's intervals are {durations.tolist()} s, expected each more than 0")
@@ -151,7 +154,9 @@ class Problem:
         self._size = n * na
         fast = native(prediction.slopes, "slopes") if compiled else None
         self.is_native = fast is not None
-        self._slopes, self._one = Buffered((fast or prediction.slopes).map(n)), Buffered(prediction.step)
+        slopes = _in_steps(fast or prediction.slopes, steps)
+        self._slopes, self._one = Buffered(slopes.map(n)), Buffered(prediction.step)
+        self._steps = steps
         self._scale = np.full(na, weights.pressure)
         self._effort = np.repeat(durations, na)
         self._weight = np.zeros((n - 1, nx))
@@ -284,9 +289,11 @@ class Problem:
         x, u, d, h = self._one.arguments
         d[:] = push
         for k, span in enumerate(self.durations):
-            x[:], u[:], h[:] = states[k], inputs[k], span
-            self._one()
-            states[k + 1] = self._one.results[0]
+            x[:], u[:], h[:] = states[k], inputs[k], span / self._steps
+            for _ in range(self._steps):
+                self._one()
+                x[:] = self._one.results[0]
+            states[k + 1] = x
         return Plan(plan.time, inputs, states)
 
     def _linearised(self, plan: Plan, wanted: Wanted) -> _Linearised:
@@ -378,6 +385,18 @@ class Problem:
                     )
                 down[i], up[i] = max(least, low[k, i]), min(most, high[k, i])
         return ""
+
+
+def _in_steps(slopes: ca.Function, steps: int) -> ca.Function:
+    """(x, u, d, h) → x after h and its derivatives by x, u and d, in so many steps."""
+    if steps == 1:
+        return slopes
+    x, u, d, h = (ca.MX.sym(name, slopes.size1_in(i)) for i, name in enumerate("xudh"))
+    after, by_x, by_u, by_d = slopes(x, u, d, h / steps)
+    for _ in range(steps - 1):
+        after, next_x, next_u, next_d = slopes(after, u, d, h / steps)
+        by_x, by_u, by_d = next_x @ by_x, next_x @ by_u + next_u, next_x @ by_d + next_d
+    return ca.Function("slopes", [x, u, d, h], [after, by_x, by_u, by_d])
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from equimus_ctrl.report import style
-from equimus_ctrl.workflow.compare import Comparison, Entry
+from equimus_ctrl.scenarios.comparison import Comparison, Entry
 
 MRAD = 1e3
 WIDTHS = (3.2, 2.2, 1.2)
@@ -33,7 +33,7 @@ def comparison_table(found: Comparison) -> RenderableType:
             title_justify="left",
         )  # fmt: skip
         table.add_column("condition", no_wrap=True)
-        table.add_column("controller", no_wrap=True)
+        table.add_column("by", no_wrap=True)
         for joint in joints:
             table.add_column(f"{joint}, mrad\nRMSE/max", justify="right", no_wrap=True)
         for head in ("effort\nkPa", "limit\n%", "step, ms\np50/p99", "late/\nback, %"):

@@ -1,7 +1,8 @@
 """What the commands do, as functions of a library: load a model, run a scenario, score, tune, identify."""
 
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged
-from equimus_ctrl.workflow.compare import CONTROLLERS, Comparison, Condition, compare
+from equimus_ctrl.scenarios.comparison import Comparison, Condition
+from equimus_ctrl.workflow.compare import CONTROLLERS, compare
 from equimus_ctrl.workflow.diagnose import diagnose_recordings
 from equimus_ctrl.workflow.identify import (
     identify_files,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,15 @@ from equimus_ctrl.effects.valves import ValveEffect
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.scenarios.comparison import Comparison, Condition, Entry
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.scenarios.scoring import ErrorFigures, Score, score_run
+from equimus_ctrl.scenarios.scoring import ErrorFigures, score_run
 from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.ensemble import make_ensemble
 from equimus_ctrl.tuning.study import EnsembleSettings
-from equimus_ctrl.types import Array, Controller, Run
+from equimus_ctrl.types import Controller
 from equimus_ctrl.workflow.runs import load_controller, load_scenario
 
-SCHEMA = "equimus-ctrl/comparison/1"
 NOISE = 2e-3
 """Standard deviation of measured angles where there is noise [rad]."""
 LAG, DELAY = 0.1, 0.1
@@ -33,25 +33,6 @@ LAG, DELAY = 0.1, 0.1
 SPREAD = EnsembleSettings(stiffness=0.15, area=0.15, damping=0.4, rest_length=0.02, mass=0.15)
 """How far the numbers of perturbed robots stray, in shares."""
 CONTROLLERS = ("pid", "lqr", "nmpc")
-
-
-@dataclass(frozen=True, eq=False)
-class Condition:
-    """A robot, and what its controllers know of it.
-
-    Attributes:
-        name: for tables.
-        summary: one line.
-        model: what is simulated.
-        known: what controllers may compute with.
-        noise: standard deviation of measured angles [rad].
-    """
-
-    name: str
-    summary: str
-    model: Model
-    known: Model
-    noise: float
 
 
 CONDITIONS = {
@@ -110,91 +91,6 @@ def _late(model: Model) -> Model:
     for actuator in model.morphology.actuator_names:
         effects += [FirstOrderLag(actuator, time_constant=LAG), TransportDelay(actuator, delay=DELAY)]
     return replace(model, effects=tuple(effects))
-
-
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """One controller in one scenario under one condition.
-
-    Attributes:
-        controller: its name.
-        scenario: its name.
-        condition: its name.
-        run: what happened, or None where it ended early.
-        score: how well, or None.
-        error: figures of the true angles against the reference, or None.
-        missed: share of steps that took longer than a control period.
-        fallbacks: share of commands that no solution of their instant stands behind.
-        failure: why it ended early; empty where it did not.
-    """
-
-    controller: str
-    scenario: str
-    condition: str
-    run: Run | None
-    score: Score | None
-    error: ErrorFigures | None
-    missed: float
-    fallbacks: float
-    failure: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON types, SI units."""
-        named = {"controller": self.controller, "scenario": self.scenario, "condition": self.condition}
-        if self.run is None or self.score is None or self.error is None:
-            return {**named, "failure": self.failure}
-        spec, score = self.run.spec, self.score
-
-        def table(names: Sequence[str], values: Array) -> dict[str, float]:
-            return {name: float(value) for name, value in zip(names, values, strict=True)}
-
-        return {
-            **named,
-            "rmse_rad": table(spec.joints, self.error.rmse),
-            "max_abs_rad": table(spec.joints, self.error.largest),
-            "measured_rmse_rad": table(spec.joints, score.tracking.rmse),
-            "effort_pa": table(spec.actuators, score.effort),
-            "saturated_share": score.saturated,
-            "solve_time_s": {"p50": score.solve_time[0], "p99": score.solve_time[1]},
-            "deadline_missed_share": self.missed,
-            "fallback_share": self.fallbacks,
-            "window_s": list(score.window),
-            "failure": None,
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """All entries.
-
-    Attributes:
-        model: the robot as it is known.
-        scenarios: name → scenario.
-        conditions: as they were.
-        entries: scenario by scenario, condition by condition, controller by controller.
-        seed: of noise and perturbed robots.
-    """
-
-    model: Model
-    scenarios: Mapping[str, Scenario]
-    conditions: tuple[Condition, ...]
-    entries: tuple[Entry, ...]
-    seed: int
-
-    @property
-    def failures(self) -> tuple[Entry, ...]:
-        """Those that ended early."""
-        return tuple(entry for entry in self.entries if entry.failure)
-
-    def to_dict(self) -> dict[str, Any]:
-        """What ``compare --json`` prints."""
-        return {
-            "schema": SCHEMA,
-            "model": self.model.name,
-            "seed": self.seed,
-            "conditions": {c.name: c.summary for c in self.conditions},
-            "entries": [entry.to_dict() for entry in self.entries],
-        }
 
 
 def compare(

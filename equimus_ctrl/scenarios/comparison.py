@@ -1,0 +1,118 @@
+"""What a comparison of controllers came to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.scenarios.scenario import Scenario
+from equimus_ctrl.scenarios.scoring import ErrorFigures, Score
+from equimus_ctrl.types import Array, Run
+
+SCHEMA = "equimus-ctrl/comparison/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """A robot, and what its controllers know of it.
+
+    Attributes:
+        name: for tables.
+        summary: one line.
+        model: what is simulated.
+        known: what controllers may compute with.
+        noise: standard deviation of measured angles [rad].
+    """
+
+    name: str
+    summary: str
+    model: Model
+    known: Model
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One controller in one scenario under one condition.
+
+    Attributes:
+        controller: its name.
+        scenario: its name.
+        condition: its name.
+        run: what happened, or None where it ended early.
+        score: how well, or None.
+        error: figures of the true angles against the reference, or None.
+        missed: share of steps that took longer than a control period.
+        fallbacks: share of commands that no solution of their instant stands behind.
+        failure: why it ended early; empty where it did not.
+    """
+
+    controller: str
+    scenario: str
+    condition: str
+    run: Run | None
+    score: Score | None
+    error: ErrorFigures | None
+    missed: float
+    fallbacks: float
+    failure: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types, SI units."""
+        named = {"controller": self.controller, "scenario": self.scenario, "condition": self.condition}
+        if self.run is None or self.score is None or self.error is None:
+            return {**named, "failure": self.failure}
+        spec, score = self.run.spec, self.score
+
+        def table(names: Sequence[str], values: Array) -> dict[str, float]:
+            return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+        return {
+            **named,
+            "rmse_rad": table(spec.joints, self.error.rmse),
+            "max_abs_rad": table(spec.joints, self.error.largest),
+            "measured_rmse_rad": table(spec.joints, score.tracking.rmse),
+            "effort_pa": table(spec.actuators, score.effort),
+            "saturated_share": score.saturated,
+            "solve_time_s": {"p50": score.solve_time[0], "p99": score.solve_time[1]},
+            "deadline_missed_share": self.missed,
+            "fallback_share": self.fallbacks,
+            "window_s": list(score.window),
+            "failure": None,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """All entries.
+
+    Attributes:
+        model: the robot as it is known.
+        scenarios: name → scenario.
+        conditions: as they were.
+        entries: scenario by scenario, condition by condition, controller by controller.
+        seed: of noise and perturbed robots.
+    """
+
+    model: Model
+    scenarios: Mapping[str, Scenario]
+    conditions: tuple[Condition, ...]
+    entries: tuple[Entry, ...]
+    seed: int
+
+    @property
+    def failures(self) -> tuple[Entry, ...]:
+        """Those that ended early."""
+        return tuple(entry for entry in self.entries if entry.failure)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``compare --json`` prints."""
+        return {
+            "schema": SCHEMA,
+            "model": self.model.name,
+            "seed": self.seed,
+            "conditions": {c.name: c.summary for c in self.conditions},
+            "entries": [entry.to_dict() for entry in self.entries],
+        }
