@@ -100,7 +100,8 @@ def test_every_example_can_be_followed(path: tuple[str, ...], line: str) -> None
     scenarios = presets.names("scenarios", ".py")
     for name in [found.get("scenario")] if isinstance(found.get("scenario"), str) else found.get("scenario") or ():
         assert name in scenarios
-    if controller := found.get("controller"):
+    given = found.get("controller") or ()
+    for controller in [given] if isinstance(given, str) else given:
         assert controller in CONTROLLERS or callable(presets.load_object(_from_checkout(controller)))
     assert found.get("plant") is None or found["plant"] in PLANTS
     known = dict(effects.REGISTRY)
