@@ -28,7 +28,6 @@ from equimus_ctrl.models.mjcf import place
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.types import Array
-from equimus_ctrl.validation.experiment import without_stops
 
 DURATION = 3.0
 
@@ -106,7 +105,7 @@ def main() -> None:
     args = parser.parse_args()
     leg = MORPHOLOGIES[args.leg]()
     q0, pressure = step_responses(leg, args.phase, args.runs, args.seed)
-    m = without_stops(leg)
+    m = leg.without_stops()
     kinematics = Kinematics(m, args.phase)
     v0 = np.zeros_like(q0)
     print(f"{args.leg}, {args.phase}, {args.runs} runs of {DURATION:g} s")

@@ -92,6 +92,14 @@ def test_an_unknown_torque_leaves_no_offset() -> None:
     assert np.all(np.abs((done.position - done.reference)[-60:]) < 2e-3)
 
 
+@pytest.mark.parametrize("disturbance", [True, False])
+def test_what_creeps_is_reckoned_with_as_it_creeps(disturbance: bool) -> None:
+    """The horizon goes on from the effects' own states, with unknown torques to make up for them and without."""
+    creep = make("creep", "baa", {"stiffness": 100.0, "time_constant": 0.5})
+    done = tracked((*LAG, creep), (*LAG, creep), disturbance=disturbance)
+    assert np.all(rmse(done, 2.0) < 2e-3)
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_wrong_numbers_leave_no_offset_and_do_not_make_it_swing(seed: int) -> None:
     rng = np.random.default_rng(seed)

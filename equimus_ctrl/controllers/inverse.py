@@ -154,7 +154,7 @@ class Inverse:
             own = np.flatnonzero(self._valve[:, DELAY] == delay)
             arrival = times + delay + self._dt / 2
             q, v, a = self.motion(reference, arrival, state)
-            z, states[k] = self._states(q, v, state.states[k])
+            z, states[k] = self.states(q, v, state.states[k])
             pressure[:, own] = self.pressures(q, v, a, z)[:, own]
             if np.any(self._valve[own, FILL : VENT + 1] > 0):
                 around = [self.motion(reference, arrival + side * self._dt, state) for side in (-1, 1)]
@@ -187,7 +187,7 @@ class Inverse:
         before, now, after = (self._poses(reference, times + side * SMOOTHING, state).T for side in (-1, 0, 1))
         return now, (after - before) / (2 * SMOOTHING), (after - 2 * now + before) / SMOOTHING**2
 
-    def _states(self, q: Array, v: Array, first: Array) -> tuple[Array, Array]:
+    def states(self, q: Array, v: Array, first: Array) -> tuple[Array, Array]:
         """(nz, n) the effects' states along a motion, and after it."""
         z = np.empty((len(first), q.shape[1]))
         for k in range(q.shape[1] if len(first) else 0):

@@ -121,7 +121,7 @@ class NmpcSettings:
 
     def regulator(self) -> LqrSettings:
         """The regulator that goes on behind the horizon."""
-        return LqrSettings(self.angle, self.rate, self.pressure, spacing=self.spacing, start_time=self.start_time)
+        return LqrSettings(self.angle, self.rate, self.pressure, spacing=self.spacing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +305,10 @@ class NmpcController:
         t.observer.require_sound(observer)
         arrival = observation.time + float(t.observer.delays.min())
         known = t.observer.foresee(observer, arrival)
-        path, sight = t.preview.look(reference, observation.time, state.followed, state.sight)
+        # The effects' own states are the observer's: what is asked of the valves ahead goes on from them.
+        own = known.state[2 * t.problem.prediction.nj + t.problem.prediction.na :]
+        followed = replace(state.followed, states=np.tile(own, (len(state.followed.states), 1)))
+        path, sight = t.preview.look(reference, observation.time, followed, state.sight)
         push = known.disturbance if s.disturbance else np.zeros_like(known.disturbance)
         against = -t.inverse.counter(known.position, push)
         path = replace(path, feed=path.feed + against, pressure=path.pressure + against)

@@ -27,13 +27,15 @@ class Sight:
         first: the first one's number.
         position: (m, nj) [rad].
         velocity: (m, nj) [rad/s].
-        pressure: (m, na) half a period later [Pa].
+        middle: (m, 3 nj) angles, velocities and accelerations half a period later.
+        pressure: (m, na) then [Pa]; empty where effects have states of their own, which only the present tells.
     """
 
     reference: Reference
     first: int
     position: Array
     velocity: Array
+    middle: Array
     pressure: Array
 
 
@@ -75,7 +77,7 @@ class Preview:
         Args:
             reference: of the true angles; each instant of it is read once.
             time: of the control instant [s].
-            state: when the robot began and where, and its effects' states, which are taken to stay.
+            state: when the robot began and where, and its effects' states now, which are carried on along the motion.
             sight: what is known from before.
         """
         place = (time - state.begun) / self._dt
@@ -84,7 +86,7 @@ class Preview:
         last = base + int(self._ends[-1]) + 2
         sight = self._seen(reference, base - 1, last, state, sight)
         at = 1 + self._ends
-        middle = sight.pressure
+        middle = sight.pressure if len(sight.pressure) else self._pressures(sight.middle, state.states[0])
         rate = np.zeros_like(middle)
         rate[1:-1] = (middle[2:] - middle[:-2]) / (2 * self._dt)
         whole = np.cumsum(middle + self._inverse.lead(rate), axis=0)
@@ -103,16 +105,27 @@ class Preview:
             and sight.reference is reference
             and sight.first <= first <= sight.first + len(sight.position)
         ):
-            known = [rows[first - sight.first :] for rows in (sight.position, sight.velocity, sight.pressure)]
+            known = [
+                rows[first - sight.first :] for rows in (sight.position, sight.velocity, sight.middle, sight.pressure)
+            ]
         else:
-            known = [np.zeros((0, k)) for k in (len(state.pose), len(state.pose), len(self._inverse.actuators))]
+            nj = len(state.pose)
+            known = [np.zeros((0, k)) for k in (nj, nj, 3 * nj, len(self._inverse.actuators))]
         new = np.arange(first + len(known[0]), last + 1)
         if len(new) == 0:
-            return Sight(reference, first, *known)
+            return Sight(reference, first, known[0], known[1], known[2], known[3])
         instants = np.asarray(state.begun + self._delay + self._dt * new, dtype=np.float64)
         q, v, _ = self._inverse.motion(reference, instants, state)
-        middle = self._inverse.motion(reference, instants + self._dt / 2, state)
-        pressure = self._inverse.pressures(*middle, np.tile(state.states[0][:, None], (1, len(new))))
-        return Sight(
-            reference, first, np.vstack([known[0], q.T]), np.vstack([known[1], v.T]), np.vstack([known[2], pressure])
-        )
+        middle = np.vstack(self._inverse.motion(reference, instants + self._dt / 2, state)).T
+        still = state.states[0]
+        pressure = known[3] if len(still) else np.vstack([known[3], self._pressures(middle, still)])
+        seen = [np.vstack(pair) for pair in zip(known[:3], (q.T, v.T, middle), strict=True)]
+        return Sight(reference, first, seen[0], seen[1], seen[2], pressure)
+
+    def _pressures(self, middle: Array, states: Array) -> Array:
+        """(m, na) [Pa] along a motion (m, 3 nj), the effects' states being these (nz,) at the second row."""
+        q, v, a = np.split(middle.T, 3)
+        z = np.tile(states[:, None], (1, len(middle)))
+        if len(states):
+            z[:, 1:] = self._inverse.states(q[:, 1:], v[:, 1:], states)[0]
+        return self._inverse.pressures(q, v, a, z)
