@@ -38,7 +38,8 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import pack, structure
 from equimus_ctrl.models.prediction import prediction
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
-from equimus_ctrl.predictive.problem import Problem, Wanted, Weights
+from equimus_ctrl.predictive.costs import Wanted, Weights
+from equimus_ctrl.predictive.problem import Problem
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Controller, Reference
 from equimus_ctrl.workflow import load_controller, load_scenario

@@ -12,6 +12,7 @@ from equimus_ctrl import presets
 from equimus_ctrl.controllers.lqr import LqrController
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.open_loop import OpenLoopController
+from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.types import Observation, PlantSpec, Reference
 
@@ -103,13 +104,14 @@ def test_what_may_be_meant_is_noted() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["pid", "lqr", "nmpc", "open_loop", "Spring", "spring"])
+@pytest.mark.parametrize("name", ["pid", "lqr", "nmpc", "sampling", "open_loop", "Spring", "spring"])
 def test_our_own_keep_it(name: str) -> None:
     example = f"{presets.workspace() / 'controllers' / 'example_custom.py'}:{name}"
     made = {
         "pid": lambda: eq.PidController(eq.PidSettings.from_dict(presets.read_toml(Path("controllers/pid.toml")))),
         "lqr": LqrController,
         "nmpc": lambda: NmpcController(NmpcSettings(compiled=False)),
+        "sampling": lambda: SamplingController(SamplingSettings(compiled=False)),
         "open_loop": lambda: OpenLoopController(None),
     }
     controller = made[name]() if name in made else presets.load_object(example)

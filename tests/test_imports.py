@@ -42,7 +42,7 @@ FILE_CALLS = {
     "fromfile", "tofile", "memmap", "urlopen", "urlretrieve", "rmtree", "copyfile", "copytree",
 }  # fmt: skip
 FILE_MODULES = {"tempfile", "shutil", "urllib", "socket", "pooch", "pickle", "shelve", "sqlite3", "imageio"}
-KEEPS_DEADLINES = ("controllers.nmpc",)
+KEEPS_DEADLINES = ("controllers.nmpc", "controllers.sampling")
 OS_CALLS = {"replace", "remove", "listdir", "scandir", "walk", "chmod"}
 
 

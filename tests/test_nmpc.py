@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from equimus_ctrl.controllers.horizon import FALLBACKS
 from equimus_ctrl.controllers.lqr import LqrController
-from equimus_ctrl.controllers.nmpc import FALLBACKS, FORMAT, NmpcController, NmpcSettings, NmpcState, intervals
+from equimus_ctrl.controllers.nmpc import FORMAT, NmpcController, NmpcSettings, NmpcState, intervals
 from equimus_ctrl.controllers.registry import make_controller
 from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.errors import ConfigError, ControllerError
@@ -233,7 +235,9 @@ def test_where_nothing_else_is_left_the_command_in_force_stays() -> None:
         def cost(self, pose: Array) -> Array:
             raise ControllerError("no gains")
 
-    state = replace(state, tools=replace(state.tools, schedule=Nothing()))  # type: ignore[arg-type]
+    horizon = copy.copy(state.tools.horizon)
+    horizon.schedule = Nothing()  # type: ignore[assignment]
+    state = replace(state, tools=replace(state.tools, horizon=horizon))
     observation = replace(observation, time=DT, stamp=DT, command=np.array([1.2e4, 3.4e4]))
     command, state = own.step(observation, HoldReference(POSE), state)
     assert state.status == "hold"

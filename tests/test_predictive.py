@@ -17,7 +17,8 @@ from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import prediction
 from equimus_ctrl.predictive.condensing import fold, steepest, weigh
-from equimus_ctrl.predictive.problem import Answer, Plan, Problem, Wanted, Weights
+from equimus_ctrl.predictive.costs import Wanted, Weights
+from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS, QuadraticProgram
 from equimus_ctrl.types import Array
 

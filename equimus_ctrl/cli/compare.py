@@ -26,7 +26,9 @@ def compare(
     controller: Annotated[
         list[str] | None,
         typer.Option(
-            "--controller", "-c", help="By name or path/to/file.py:Name; repeatable. By default pid, lqr and nmpc."
+            "--controller",
+            "-c",
+            help="By name or path/to/file.py:Name; repeatable. By default pid, lqr, nmpc, sampling.",
         ),
     ] = None,
     under: Annotated[

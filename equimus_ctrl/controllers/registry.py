@@ -10,6 +10,7 @@ from equimus_ctrl.controllers.lqr import LqrController, LqrSettings
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.controllers.pid import PidController, PidSettings
+from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
 from equimus_ctrl.types import Array, Controller
 
@@ -47,11 +48,16 @@ def _nmpc(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Cont
     return NmpcController(NmpcSettings.from_dict(settings or {}, where))
 
 
+def _sampling(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Controller:
+    return SamplingController(SamplingSettings.from_dict(settings or {}, where))
+
+
 CONTROLLERS: dict[str, ControllerEntry] = {
     "open_loop": ControllerEntry("the scenario's commands, or its reference's static pressures", _open_loop),
     "pid": ControllerEntry("PID on actuator lengths or joint angles with feed-forward", _pid, "pid.toml"),
     "lqr": ControllerEntry("LQR along the reference on an observer's state, with integral action", _lqr, "lqr.toml"),
     "nmpc": ControllerEntry("nonlinear model-predictive control on an observer's state", _nmpc, "nmpc.toml"),
+    "sampling": ControllerEntry("sampling MPC in MuJoCo: predictive sampling, MPPI or CEM", _sampling, "sampling.toml"),
 }
 
 

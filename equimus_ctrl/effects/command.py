@@ -128,6 +128,15 @@ def relax(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _fastest(pressure: float, target: float, valve: Array) -> float:
+    """The greatest rate towards a command through a valve (6,), see ``advance_pressure`` [Pa/s]."""
+    rate: float = valve[3]
+    if target > pressure and valve[4] < math.inf:
+        rate = min(rate, valve[4] * (max(target, 0.0) / REFERENCE) ** valve[5])
+    return rate
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def advance_pressure(
     times: Array, values: Array, before: float, cursor: int, start: float, dt: float, pressure: float, valve: Array
 ) -> tuple[float, float, float, int]:
@@ -162,10 +171,7 @@ def advance_pressure(
         last = not (k + 1 < n and times[k + 1] < end)
         until = end if last else times[k + 1]
         span = until - at
-        rate = valve[3]
-        if target > pressure and valve[4] < math.inf:
-            rate = min(rate, valve[4] * (max(target, 0.0) / REFERENCE) ** valve[5])
-        pressure, piece, first = relax(pressure, target, valve[1], valve[2], rate, span)
+        pressure, piece, first = relax(pressure, target, valve[1], valve[2], _fastest(pressure, target, valve), span)
         area += piece
         moment += first + (at - begin) * piece
         if last:
@@ -207,3 +213,30 @@ def pressure_history(
             pressure, out[s, 0, i], out[s, 1, i], cursor = advance_pressure(
                 times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i]
             )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pressure_rollouts(first: Array, arriving: Array, valve: Array, dt: float, means: Array, ends: Array) -> None:
+    """The pressures of many rollouts that begin alike, commands being given as they arrive at the valves.
+
+    Args:
+        first: (na,) behind the valves at the start [Pa].
+        arriving: (n, steps, na) what reaches the valves, each held over its step [Pa].
+        valve: (na, 6), see ``advance_pressure``; delays take no part.
+        dt: a part of a step [s].
+        means: (n, steps·parts, na) written: the mean over each part [Pa].
+        ends: (n, steps + 1, na) written: when steps begin and end [Pa].
+    """
+    n, steps, na = arriving.shape
+    parts = means.shape[1] // steps
+    for run in range(n):
+        for i in range(na):
+            pressure = first[i]
+            ends[run, 0, i] = pressure
+            for k in range(steps):
+                target = arriving[run, k, i]
+                for part in range(k * parts, (k + 1) * parts):
+                    fastest = _fastest(pressure, target, valve[i])
+                    pressure, area, _ = relax(pressure, target, valve[i, 1], valve[i, 2], fastest, dt)
+                    means[run, part, i] = area / dt
+                ends[run, k + 1, i] = pressure

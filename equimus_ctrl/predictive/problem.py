@@ -25,6 +25,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.prediction import Prediction
 from equimus_ctrl.predictive.condensing import fold, steepest, weigh
+from equimus_ctrl.predictive.costs import Wanted, Weights
 from equimus_ctrl.predictive.quadratic import QuadraticProgram
 from equimus_ctrl.types import Array
 
@@ -42,38 +43,6 @@ TINY = 1e-9
 """Share of the merit that rounding may take."""
 UNBOUNDED = 1e12
 """By how much an input may change that is not free to [Pa]."""
-
-
-@dataclass(frozen=True)
-class Weights:
-    """What errors and efforts cost: as much as each other where both are as large as their allowance.
-
-    Attributes:
-        angle: α [rad].
-        rate: β [rad/s].
-        pressure: ρ [Pa].
-        limit: λ, of angles beyond a joint's range [rad].
-    """
-
-    angle: float
-    rate: float
-    pressure: float
-    limit: float
-
-
-@dataclass(frozen=True, eq=False)
-class Wanted:
-    """Where the robot is to be along the horizon.
-
-    Attributes:
-        states: (n + 1, 2 nj + na) angles [rad], velocities [rad/s] and pressures behind the valves [Pa].
-        feed: (n, na) what is to reach the valves meanwhile [Pa].
-        last: (nx, nx) L.
-    """
-
-    states: Array
-    feed: Array
-    last: Array
 
 
 @dataclass(frozen=True, eq=False)

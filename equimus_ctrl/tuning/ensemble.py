@@ -13,6 +13,7 @@ from equimus_ctrl.engines.batch import KNOWN_KINDS
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.morphology import Morphology, Phase, pack
+from equimus_ctrl.models.spread import OF_ACTUATORS, groups, latin_hypercube, strayed
 from equimus_ctrl.tuning.study import EnsembleSettings
 from equimus_ctrl.types import Array
 
@@ -44,24 +45,6 @@ class Member:
         return rest_pose(self.model(phase), command)
 
 
-def latin_hypercube(count: int, dimensions: int, rng: np.random.Generator) -> Array:
-    """(count, dimensions) points of the unit cube, one in each of ``count`` slices along every axis (McKay, 1979)."""
-    slices = np.stack([rng.permutation(count) for _ in range(dimensions)], axis=1)
-    return np.asarray((slices + rng.random((count, dimensions))) / max(count, 1))
-
-
-def _spread(model: Model, settings: EnsembleSettings) -> list[tuple[tuple[str, ...], float]]:
-    """(parameter names that move together, ± share) for everything that is spread."""
-    m = model.morphology
-    groups: list[tuple[tuple[str, ...], float]] = []
-    for a in m.actuators:
-        for key in ("stiffness", "area", "damping", "rest_length"):
-            groups.append(((f"{a.name}.{key}",), getattr(settings, key)))
-    groups += [((f"{joint.name}.damping",), settings.damping) for joint in m.joints]
-    groups += [((f"{link.name}.mass", f"{link.name}.inertia"), settings.mass) for link in m.links]
-    return groups
-
-
 def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: int, fixed: bool = True) -> list[Member]:
     """``count`` legs around a model, drawn by a Latin hypercube so that few of them cover the ranges.
 
@@ -78,28 +61,22 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     """
     require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the tuning loop")
     m = changed_bodies(model.effects, model.morphology)
-    groups = _spread(model, settings)
+    strays = groups(m, {key: getattr(settings, key) for key in (*OF_ACTUATORS, "mass")})
     na = len(m.actuators)
     corner = [
-        1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in groups
+        1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in strays
     ]
-    known = [np.full(len(groups) + 2 * na, 0.5), np.array([*corner, *([1.0] * (2 * na))])][:count] if fixed else []
+    known = [np.full(len(strays) + 2 * na, 0.5), np.array([*corner, *([1.0] * (2 * na))])][:count] if fixed else []
     drawn = count - len(known)
-    shares = latin_hypercube(drawn, len(groups) + 2 * na, np.random.default_rng(seed))
+    shares = latin_hypercube(drawn, len(strays) + 2 * na, np.random.default_rng(seed))
     rows = [*known, *shares]
     labels = ["model", "hardest"][: len(known)]
     own = valve_settings(model.effects, m.actuator_names)
     has_own = any(isinstance(effect, ValveEffect) for effect in model.effects)
     others = tuple(effect for effect in model.effects if not isinstance(effect, (ValveEffect, BodyEffect)))
-    nominal = m.parameters()
     members = []
     for k, row in enumerate(rows):
-        values = {
-            name: nominal[name] * (1 + spread * (2 * share - 1))
-            for (names, spread), share in zip(groups, row, strict=False)
-            for name in names
-        }
-        by_actuator = row[len(groups) :].reshape(na, 2)
+        by_actuator = row[len(strays) :].reshape(na, 2)
         if has_own:
             valve = own * (1 + settings.valve_spread * (2 * by_actuator[:, [0, 1, 1, 1, 1, 1]] - 1))
             valve[:, POWER] = own[:, POWER]
@@ -108,6 +85,6 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
             lag = settings.lag[0] + by_actuator[:, 1] * (settings.lag[1] - settings.lag[0])
             unlimited = np.full(na, np.inf)
             valve = np.stack([delay, lag, lag, unlimited, unlimited, np.zeros(na)], axis=1)
-        changed = m.with_parameters(values)
+        changed = strayed(m, strays, row[: len(strays)])
         members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve, others))
     return members

@@ -16,7 +16,7 @@ import cmaes
 import numpy as np
 from scipy.optimize import minimize
 
-from equimus_ctrl.tuning.ensemble import latin_hypercube
+from equimus_ctrl.models.spread import latin_hypercube
 from equimus_ctrl.tuning.objective import Evaluation
 from equimus_ctrl.types import Array
 

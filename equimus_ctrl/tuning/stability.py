@@ -20,7 +20,8 @@ from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.linear import state_matrices, valve_lag, with_valves
 from equimus_ctrl.models.morphology import Morphology, Phase
-from equimus_ctrl.tuning.ensemble import Member, latin_hypercube
+from equimus_ctrl.models.spread import latin_hypercube
+from equimus_ctrl.tuning.ensemble import Member
 from equimus_ctrl.types import Array
 
 SLOPES = 64

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.controllers.custom import as_controller
-from equimus_ctrl.controllers.nmpc import FALLBACKS
+from equimus_ctrl.controllers.horizon import FALLBACKS
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.valves import ValveEffect
@@ -32,7 +32,7 @@ LAG, DELAY = 0.1, 0.1
 """Of the late valves [s]."""
 SPREAD = EnsembleSettings(stiffness=0.15, area=0.15, damping=0.4, rest_length=0.02, mass=0.15)
 """How far the numbers of perturbed robots stray, in shares."""
-CONTROLLERS = ("pid", "lqr", "nmpc")
+CONTROLLERS = ("pid", "lqr", "nmpc", "sampling")
 
 
 CONDITIONS = {

@@ -1,0 +1,396 @@
+"""What predictive controllers share: where the robot will be, what is wanted of it then, and what to do without a plan.
+
+An observer tells where the robot will be when the next command arrives, the inverse model what the reference takes over
+a horizon, and the regulator of ``controllers.lqr`` what lies beyond it costs. A plan that fails or comes late falls
+back: to the plan of the instant before, shifted, else to the regulator, else to the command in force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
+from equimus_ctrl.controllers.lqr import CALM, LqrSettings, Schedule, waiting
+from equimus_ctrl.controllers.preview import Ahead, Preview, Sight
+from equimus_ctrl.effects.valves import shaped_commands, valve_settings
+from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState
+from equimus_ctrl.models.linear import valve_lag
+from equimus_ctrl.models.prediction import Prediction, prediction
+from equimus_ctrl.predictive.costs import Wanted, Weights
+from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
+
+Status = Literal["converged", "iterated", "sampled", "shifted", "lqr", "hold"]
+FALLBACKS = ("shifted", "lqr", "hold")
+"""Statuses of commands that no plan of this instant stands behind."""
+
+SLOWER = 1.2
+"""By so much may an iteration take longer from one instant to the next before that is doubted."""
+
+
+@dataclass(frozen=True)
+class HorizonSettings:
+    """What predictive controllers allow. An error as large as its allowance costs as much as an effort of its own.
+
+    Attributes:
+        angle: allowance of angles [rad].
+        rate: of velocities [rad/s].
+        pressure: of pressures beyond what the reference asks for [Pa].
+        limit: of angles beyond a joint's range [rad]; such ranges are soft.
+        margin: by how much that range is narrower than from stop to stop [rad].
+        pressure_rate: how fast what reaches the valves may change [Pa/s]; 0 for any.
+        deadline: what is not solved by then after the step began falls back [s]; 0 for no deadline, as in simulation,
+            where a run is to give the same bits each time.
+        disturbance: whether torques that the observer cannot explain are taken to last.
+        spacing: of the grid of poses that the regulator behind the horizon is worked out at [rad].
+        start_time: over which the first pose fades out of the reference [s].
+        compiled: whether a C compiler is used where there is one.
+        observer: how much is believed.
+
+    Raises:
+        ConfigError: for numbers that make no sense.
+    """
+
+    angle: float = 0.03
+    rate: float = 1.0
+    pressure: float = 1e3
+    limit: float = 0.003
+    margin: float = 0.0
+    pressure_rate: float = 0.0
+    deadline: float = 0.0
+    disturbance: bool = True
+    spacing: float = 0.2
+    start_time: float = 0.3
+    compiled: bool = True
+    observer: ObserverSettings = field(default_factory=lambda: ObserverSettings(disturbance=CALM))
+
+    def __post_init__(self) -> None:
+        self._require(("angle", "rate", "pressure", "limit", "spacing"), above=0.0)
+        self._require(("margin", "pressure_rate", "deadline", "start_time"), least=0.0)
+
+    def _require(self, keys: tuple[str, ...], least: float = -math.inf, above: float = -math.inf) -> None:
+        for key in keys:
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value >= least and value > above):
+                wanted = f"more than {above:g}" if above > -math.inf else f"at least {least:g}"
+                raise ConfigError(f"{key} is {value:g}, expected {wanted}")
+
+    def _count(self, key: str, least: int, most: int) -> None:
+        value = getattr(self, key)
+        if not least <= value <= most:
+            raise ConfigError(f"{key} is {value}, expected {least} to {most}")
+
+    def regulator(self) -> LqrSettings:
+        """The regulator that goes on behind the horizon."""
+        return LqrSettings(self.angle, self.rate, self.pressure, spacing=self.spacing)
+
+    def weights(self) -> Weights:
+        """What errors and efforts cost."""
+        return Weights(self.angle, self.rate, self.pressure, self.limit)
+
+    def joint_range(self, spec: PlantSpec) -> Array:
+        """(2, nj) the soft range of the joints [rad].
+
+        Raises:
+            ConfigError: where the margin leaves nothing of it.
+        """
+        low, high = np.array(spec.joint_low) + self.margin, np.array(spec.joint_high) - self.margin
+        for name, least, most in zip(spec.joints, low, high, strict=True):
+            if least >= most:
+                raise ConfigError(
+                    f"margin is {self.margin:g} rad, but {name} turns from {least - self.margin:.4g} to "
+                    f"{most + self.margin:.4g} rad only"
+                )
+        return np.vstack([low, high])
+
+
+@dataclass(frozen=True, eq=False)
+class HorizonState:
+    """What every predictive controller carries from step to step.
+
+    Attributes:
+        observer: what is known of the robot.
+        followed: where the reference was begun.
+        sight: what is known of the reference ahead.
+        status: of the latest command: ``"converged"``, ``"iterated"`` (time or iterations ended it first, and always
+            in real-time iteration) or ``"sampled"`` where a plan of this instant stands behind it, ``"shifted"`` (the
+            plan of an instant before), ``"lqr"`` or ``"hold"`` where none does.
+        reason: why it fell back; empty where it did not.
+        under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
+        expected: what an iteration is known to take, where there is a deadline [s].
+    """
+
+    observer: ObserverState
+    followed: InverseState
+    sight: Sight | None
+    status: Status
+    reason: str
+    under_way: tuple[Array, ...]
+    expected: float
+
+    @property
+    def fell_back(self) -> bool:
+        """Whether no plan of this instant stands behind the command."""
+        return self.status in FALLBACKS
+
+
+AnyState = TypeVar("AnyState", bound=HorizonState)
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """What a plan is to be made from.
+
+    Attributes:
+        observer: what is known of the robot.
+        arrival: when the next command first takes hold [s].
+        known: of the robot then.
+        push: (nj,) torques that the model does not explain, taken as lasting [N·m].
+        against: (na,) what holds against them [Pa].
+        path: a robot that follows.
+        sight: what is known of the reference ahead.
+        wanted: where the robot is to be, and what the end of the horizon costs.
+        fixed: (n, na) inputs that commands under way have settled, NaN for those still free [Pa]; None where all are.
+        first: (na,) the first free interval of each actuator.
+        before: (na,) what reached the valves last [Pa].
+    """
+
+    observer: ObserverState
+    arrival: float
+    known: Estimate
+    push: Array
+    against: Array
+    path: Ahead
+    sight: Sight
+    wanted: Wanted
+    fixed: Array | None
+    first: NDArray[np.intp]
+    before: Array
+
+
+class Horizon:
+    """What is made once for a plant.
+
+    Args:
+        spec: of the plant.
+        settings: of the controller.
+        periods: tells (n,) how many control periods each interval lasts, given by how many periods each actuator obeys
+            the next command later than the first one does.
+
+    Attributes:
+        observer: of the plant.
+        inverse: what it takes to follow.
+        schedule: the regulator behind the horizon.
+        prediction: the robot's step, its joints without stops.
+        dt: control period [s].
+        times: (n + 1,) when intervals begin and end after the arrival of the next command [s].
+        durations: (n,) [s].
+        reached: (2, na) range of what can reach the valves [Pa].
+
+    Raises:
+        ControllerError: where the plant offers no model.
+    """
+
+    def __init__(
+        self,
+        spec: PlantSpec,
+        settings: HorizonSettings,
+        periods: Callable[[NDArray[np.int64]], NDArray[np.int64]],
+    ) -> None:
+        self.settings, self.dt = settings, spec.control_dt
+        self.observer = Observer.of(spec, settings.observer, settings.compiled)
+        model = self.observer.model
+        self._waiting = waiting(model, self.dt)
+        lasting = periods(self._waiting)
+        self.durations: Array = np.asarray(self.dt * lasting, dtype=np.float64)
+        self.times: Array = np.concatenate([[0.0], np.cumsum(self.durations)])
+        self.prediction: Prediction = prediction(model, stops=False)
+        self.inverse = Inverse(model, self.dt, settings.start_time)
+        limits = np.vstack([self.inverse.low, self.inverse.high])
+        reached = shaped_commands(model.effects, self.inverse.actuators, limits)
+        self.reached: Array = np.vstack([np.minimum(*reached), np.maximum(*reached)])
+        self.schedule = Schedule(model, settings.regulator(), self.dt)
+        self.schedule.prepare()
+        lagging = np.flatnonzero(valve_lag(valve_settings(model.effects, self.inverse.actuators)) > 0)
+        nj = self.prediction.nj
+        self._seen: NDArray[np.intp] = np.concatenate([np.arange(2 * nj), 2 * nj + lagging])
+        self._delay = float(self.observer.delays.min())
+        self._preview = Preview(self.inverse, lasting, self.dt, self._delay)
+
+    def begin(self, observation: Observation) -> dict[str, Any]:
+        """The fields of a ``HorizonState`` for a robot that has long been at rest."""
+        return {
+            "observer": self.observer.init(observation),
+            "followed": self.inverse.start(observation.time, np.array(observation.position)),
+            "sight": None, "status": "hold", "reason": "",
+            "under_way": tuple(np.zeros(count) for count in self._waiting),
+            "expected": 0.0,
+        }  # fmt: skip
+
+    def look(self, observation: Observation, reference: Reference, state: HorizonState) -> Outlook:
+        """What a plan is to be made from at a control instant.
+
+        Raises:
+            ObserverFault: where a joint was not measured for longer than the observer has patience.
+        """
+        p = self.prediction
+        observer = self.observer.update(observation, state.observer)
+        self.observer.require_sound(observer)
+        arrival = observation.time + self._delay
+        known = self.observer.foresee(observer, arrival)
+        # The effects' own states are the observer's: what is asked of the valves ahead goes on from them.
+        own = known.state[2 * p.nj + p.na :]
+        followed = replace(state.followed, states=np.tile(own, (len(state.followed.states), 1)))
+        path, sight = self._preview.look(reference, observation.time, followed, state.sight)
+        push = known.disturbance if self.settings.disturbance else np.zeros_like(known.disturbance)
+        against = -self.inverse.counter(known.position, push)
+        path = replace(path, feed=path.feed + against, pressure=path.pressure + against)
+        fixed, first = self._fixed(observer, arrival)
+        wanted = Wanted(
+            np.hstack([path.position, path.velocity, path.pressure]), path.feed, self._behind(path.position[-1])
+        )
+        before = observer.sent.values[-1]
+        return Outlook(observer, arrival, known, push, against, path, sight, wanted, fixed, first, before)
+
+    def choose(
+        self,
+        view: Outlook,
+        planned: Array | None,
+        status: Status,
+        reason: str,
+        fallback: Array | None,
+        state: HorizonState,
+    ) -> tuple[Status, str, Array | None]:
+        """Which command to send.
+
+        Args:
+            view: what the plan was made from.
+            planned: (n, na) inputs of a plan of this instant, None where there is none [Pa].
+            status: of that plan.
+            reason: why there is none.
+            fallback: (n, na) of the plan of the instant before, shifted [Pa].
+            state: of the controller.
+
+        Returns:
+            Status, why it fell back, and (na,) what is to reach the valves, None for the command in force.
+        """  # fmt: skip
+        own = np.arange(len(view.first))
+        if planned is not None and not reason:
+            return status, "", planned[view.first, own]
+        if fallback is not None and np.isfinite(fallback).all():
+            return "shifted", reason, fallback[view.first, own]
+        target = Target(
+            view.path.position[0], view.path.velocity[0], view.path.pressure[0] - view.against, view.path.feed[0]
+        )
+        try:
+            asked = view.path.feed[0] + self.schedule.correction(view.known, target, view.against, state.under_way)
+        except ControllerError:
+            return "hold", reason, None
+        return ("lqr", reason, asked) if np.isfinite(asked).all() else ("hold", reason, None)
+
+    def send(
+        self, view: Outlook, asked: Array | None, observation: Observation, state: AnyState
+    ) -> tuple[Array, AnyState]:
+        """The command for what is to reach the valves (na,) [Pa], and the state with what is under way then."""
+        s = self.settings
+        if asked is None:
+            command = np.asarray(observation.command)
+        else:
+            if s.pressure_rate:
+                reach = s.pressure_rate * self.dt
+                asked = np.clip(asked, view.before - reach, view.before + reach)
+            command = self.inverse.commands(asked[None])[0]
+        arriving = shaped_commands(self.observer.model.effects, self.inverse.actuators, command[None])[0]
+        beyond = arriving - view.path.feed[view.first, np.arange(len(view.first))]
+        under_way = tuple(
+            np.append(old[1:], new) if len(old) else old for old, new in zip(state.under_way, beyond, strict=True)
+        )
+        return frozen_array(command), replace(state, observer=view.observer, sight=view.sight, under_way=under_way)
+
+    def late(self, after: float) -> str:
+        """That a plan came too long after the step began [s], in words; empty where it did not."""
+        deadline = self.settings.deadline
+        if not deadline or after <= deadline:
+            return ""
+        return (
+            f"the solution came {after * 1e3:.3g} ms after the step began, but the deadline is {deadline * 1e3:.3g} ms"
+        )
+
+    def _fixed(self, observer: ObserverState, arrival: float) -> tuple[Array | None, NDArray[np.intp]]:
+        """(n, na) inputs that commands under way have settled, NaN for those still free, and (na,) the first free."""
+        delays = self.observer.delays
+        first = np.zeros(len(delays), dtype=np.intp)
+        later = delays - delays.min()
+        if not later.any():
+            return None, first
+        fixed = np.full((len(self.durations), len(delays)), np.nan)
+        for i in np.flatnonzero(later > 0):
+            # An interval most of which is over when the command arrives is no longer free.
+            middle = self.times[:-1] + self.durations / 2
+            taken = np.flatnonzero(middle < later[i])
+            for k in taken:
+                fixed[k, i] = observer.sent.at(arrival + float(middle[k]) - float(delays[i]), int(i))
+            first[i] = min(len(taken), len(fixed) - 1)
+        return fixed, first
+
+    def _behind(self, pose: Array) -> Array:
+        """(nx, nx) a root of what the state at the end of the horizon costs where the robot is to be in a pose."""
+        nx, nj = self.prediction.nx, self.prediction.nj
+        last = np.zeros((nx, nx))
+        k = len(self._seen)
+        try:
+            cost = self.schedule.cost(pose)[:k, :k]
+            last[np.ix_(self._seen, self._seen)] = np.linalg.cholesky(cost).T
+        except (ControllerError, np.linalg.LinAlgError):
+            # Without a regulator there the last state counts as all others do.
+            s, span = self.settings, math.sqrt(self.durations[-1])
+            last[np.diag_indices(2 * nj)] = span / np.repeat([s.angle, s.rate], nj)
+        return last
+
+
+class Pace:
+    """Whether another iteration is likely to end before the deadline.
+
+    Args:
+        now: a clock [s].
+        deadline: how long after that all is to be done [s]; 0 for no deadline, then no clock is read.
+        expected: what an iteration is known to take [s]; 0 where nothing is known.
+    """
+
+    def __init__(self, now: Callable[[], float], deadline: float, expected: float) -> None:
+        self._now, self._deadline, self._expected = now, deadline, expected
+        self._begun = now() if deadline else 0.0
+        self._iterating: float | None = None
+        self._longest = 0.0
+
+    def enough(self) -> bool:
+        """Whether no further iteration is to begin."""
+        if not self._deadline:
+            return False
+        now = self._ended()
+        over = now + max(self._longest, self._expected) > self._begun + self._deadline
+        self._iterating = None if over else now
+        return over
+
+    def end(self) -> float:
+        """How long after the step began all iterations have ended [s]."""
+        return self._ended() - self._begun if self._deadline else 0.0
+
+    @property
+    def expected(self) -> float:
+        """What an iteration is to be known to take from now on [s]: one that was held up is not taken as the rule."""
+        if self._longest == 0:
+            return self._expected
+        return min(self._longest, SLOWER * self._expected) if self._expected else self._longest
+
+    def _ended(self) -> float:
+        now = self._now()
+        if self._iterating is not None:
+            self._longest, self._iterating = max(self._longest, now - self._iterating), None
+        return now
