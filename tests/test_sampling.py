@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -314,3 +318,12 @@ def test_what_the_robot_cannot_do_is_told_at_the_start() -> None:
     plant = MujocoPlant(Model(LEG))
     with pytest.raises(ControllerError, match="needs a model"):
         controller().init(replace(plant.spec, model=None), plant.reset())
+
+
+def test_the_method_in_the_documents_works() -> None:
+    text = (Path(__file__).resolve().parents[1] / "docs" / "control.md").read_text(encoding="utf-8")
+    block = next(b for b in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "standard_cauchy" in b)
+    names: dict[str, Any] = {}
+    exec(textwrap.dedent(block), names)
+    done = tracked(LAG, LAG, own=names["controller"]())
+    assert set(done.status) == {"sampled"} and np.all(rmse(done) < [4e-3, 8e-3])
