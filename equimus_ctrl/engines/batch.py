@@ -232,9 +232,10 @@ def simulate(
         for task in tasks:
             work(task)
     else:
-        work(tasks[0])  # what has to be compiled is compiled once
+        if not kernel.run_block.signatures:
+            work(tasks.pop(0))  # what has to be compiled is compiled once
         with ThreadPoolExecutor(count) as pool:
-            list(pool.map(work, tasks[1:]))
+            list(pool.map(work, tasks))
     poses = [trial.position for trial in trials]
     if check and all(found.sound[0] for found in results):  # a divergence tells by itself
         robot = changed_bodies(coded.models[0].effects, m)

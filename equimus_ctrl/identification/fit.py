@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -101,13 +102,13 @@ class Fit:
         starts: for each segment (2 nj,) its start as the sensors show it [rad, rad/s].
         residuals: for each segment (m, nj) measured − predicted [rad].
         before: the same of the model as it came.
-        uncertainty: of ``theta``.
         jacobians: for each segment (m, nj, p) ∂prediction/∂θ.
         start_jacobians: for each segment (m, nj, s) ∂prediction/∂start, its free numbers.
         cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else [rad²].
         at_bound: (p,) −1, 0, 1: where a bound holds a parameter back.
         evaluations: how many parameter sets were simulated.
         converged: whether the search ended by itself.
+        known: works out ``uncertainty``.
     """
 
     parameters: FreeParameters
@@ -116,13 +117,20 @@ class Fit:
     starts: tuple[Array, ...]
     residuals: tuple[Array, ...]
     before: tuple[Array, ...]
-    uncertainty: Uncertainty
     jacobians: tuple[Array, ...]
     start_jacobians: tuple[Array, ...]
     cost: float
     at_bound: Array
     evaluations: int
     converged: bool
+    known: Callable[[], Uncertainty]
+
+    @cached_property
+    def uncertainty(self) -> Uncertainty:
+        """Of ``theta``, worked out when it is first asked for: a search asks for few of its fits'."""
+        # Not the last bit is to depend on who asks.
+        with threadpool_limits(limits=1, user_api="blas"):
+            return self.known()
 
     @property
     def rmse(self) -> Array:
@@ -395,15 +403,18 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
             break
     spread = parameters.high - parameters.low
     low, high = point.theta - parameters.low < 1e-6 * spread, parameters.high - point.theta < 1e-6 * spread
-    known = uncertainty(
-        [problem.whitened(s, j) for s, j in zip(segments, slopes.by_theta, strict=True)],
-        [problem.whitened(s, r) for s, r in zip(segments, point.residuals, strict=True)],
-        [problem.whitened(s, n) for s, n in zip(segments, slopes.by_start, strict=True)],
-        parameters.names,
-        parameters.scale,
-        point.theta,
-        settings.confidence,
-    )
+
+    def known() -> Uncertainty:
+        return uncertainty(
+            [problem.whitened(s, j) for s, j in zip(segments, slopes.by_theta, strict=True)],
+            [problem.whitened(s, r) for s, r in zip(segments, point.residuals, strict=True)],
+            [problem.whitened(s, n) for s, n in zip(segments, slopes.by_start, strict=True)],
+            parameters.names,
+            parameters.scale,
+            point.theta,
+            settings.confidence,
+        )
+
     return Fit(
         parameters,
         point.theta,
@@ -411,13 +422,13 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
         tuple(point.starts),
         tuple(point.residuals),
         tuple(before),
-        known,
         tuple(slopes.by_theta),
         tuple(slopes.by_start),
         point.cost,
         high.astype(int) - low.astype(int),
         problem.evaluations,
         converged,
+        known,
     )
 
 

@@ -100,10 +100,10 @@ class Model:
             effects.append(replace(effect, **own) if own else effect)  # type: ignore[arg-type]
         if not left:
             return replace(self, effects=tuple(effects))
-        known = self.parameters()
-        for name in left:
-            if name not in known:
-                raise ModelError(unknown_name("parameter", name, known, self.name))
+        if not self.morphology.has_parameters(left):
+            known = self.parameters()
+            wrong = next(name for name in left if name not in known)
+            raise ModelError(unknown_name("parameter", wrong, known, self.name))
         return Model(self.morphology.with_parameters(left), tuple(effects), self.phase)
 
 

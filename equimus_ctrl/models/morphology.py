@@ -10,8 +10,9 @@ its parent's frame; the base frame is the world's. Units are SI.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from numbers import Real
 from typing import Literal, TypeVar
 
@@ -379,6 +380,14 @@ class Morphology:
 
     def parameters(self) -> dict[str, float]:
         """Every number of the morphology by its dotted name, such as ``maa.stiffness`` or ``hip.lower.angle``."""
+        return dict(self._parameters)
+
+    def has_parameters(self, names: Iterable[str]) -> bool:
+        """Whether all of these are names of ``parameters()``."""
+        return all(name in self._parameters for name in names)
+
+    @cached_property
+    def _parameters(self) -> dict[str, float]:
         return dict(_walk(self))
 
     def with_parameters(self, values: Mapping[str, float]) -> Morphology:
@@ -387,7 +396,7 @@ class Morphology:
         Raises:
             ModelError: for a name that does not exist or a value that cannot be.
         """
-        known = self.parameters()
+        known = self._parameters
         for name in values:
             if name not in known:
                 owner = name.partition(".")[0]
@@ -430,10 +439,13 @@ def _replaced(part: _P, prefix: str, values: Mapping[str, float]) -> _P:
         if prefix + item.name in values:
             changes[item.name] = float(values[prefix + item.name])
         elif isinstance(value, JointStop | Point):
-            changes[item.name] = _replaced(value, f"{prefix}{item.name}.", values)
+            if (child := _replaced(value, f"{prefix}{item.name}.", values)) is not value:
+                changes[item.name] = child
         elif isinstance(value, tuple):
-            changes[item.name] = tuple(_replaced(child, f"{child.name}.", values) for child in value)
-    return replace(part, **changes)  # type: ignore[arg-type]  # mypy cannot follow replace through a type variable
+            children = tuple(_replaced(child, f"{child.name}.", values) for child in value)
+            if any(new is not old for new, old in zip(children, value, strict=True)):
+                changes[item.name] = children
+    return replace(part, **changes) if changes else part  # type: ignore[arg-type]  # mypy cannot follow it so far
 
 
 def pack(morphology: Morphology) -> Array:
