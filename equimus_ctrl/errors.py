@@ -30,6 +30,10 @@ class SimulationDiverged(EquimusError):
     """A simulation left the range where its numbers mean anything."""
 
 
+class HardwareFault(EquimusError):
+    """A robot was vented because something was not as it must be."""
+
+
 class ControllerError(EquimusError):
     """A controller could not be loaded, or returned something that is not a command."""
 

@@ -1,4 +1,4 @@
-"""Where the files a user edits are found and written: controllers/, scenarios/, tuning/.
+"""Where the files a user edits are found and written: controllers/, hardware/, scenarios/, tuning/.
 
 They are looked for in the current folder, then in the checkout the package runs from, then among the presets the
 package carries. What is written goes to the current folder, or to the checkout when the command runs inside it.
@@ -22,7 +22,7 @@ import tomlkit
 
 from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, unknown_name
 
-KINDS = ("controllers", "scenarios", "tuning")
+KINDS = ("controllers", "hardware", "scenarios", "tuning")
 _PACKAGE = Path(__file__).resolve().parent
 
 

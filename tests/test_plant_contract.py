@@ -1,4 +1,4 @@
-"""What every plant known by name promises; a new one is held to it by being registered."""
+"""What every simulated plant known by name promises; a new one is held to it by being registered."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import nominal_model
-from equimus_ctrl.plants.registry import PLANTS, make_plant
+from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
 from equimus_ctrl.scenarios.references import HoldReference
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Observation, Plant, Recording
@@ -33,9 +33,9 @@ def recording() -> Recording:
     )
 
 
-@pytest.fixture(params=sorted(PLANTS))
+@pytest.fixture(params=sorted(name for name, entry in PLANTS.items() if not entry.real))
 def plant(request: pytest.FixtureRequest) -> Iterator[Plant]:
-    made = make_plant(request.param, MODEL, recording())
+    made = make_plant(request.param, PlantRequest(MODEL, recording()))
     yield made
     made.close()
 
@@ -151,18 +151,18 @@ def test_it_runs_in_the_closed_loop(plant: Plant) -> None:
 
 def test_an_unknown_plant_names_the_nearest() -> None:
     with pytest.raises(
-        ConfigError, match=r"there is no plant 'mujocco'; did you mean 'mujoco'\? \(known: mujoco, repl"
+        ConfigError, match=r"there is no plant 'mujocco'; did you mean 'mujoco'\? \(known: hardware, mujoco, replay"
     ):
-        make_plant("mujocco", MODEL)
+        make_plant("mujocco", PlantRequest(MODEL))
 
 
 def test_a_replay_needs_a_recording_and_has_the_noise_it_has() -> None:
     with pytest.raises(NotAvailable, match="the replay plant plays the scenario's recording, and there is none"):
-        make_plant("replay", MODEL)
+        make_plant("replay", PlantRequest(MODEL))
     with pytest.raises(ConfigError, match="noise cannot be added"):
-        make_plant("replay", MODEL, recording(), noise=1e-3)
+        make_plant("replay", PlantRequest(MODEL, recording(), noise=1e-3))
 
 
 def test_noise_is_handed_on() -> None:
-    noisy = make_plant("mujoco", MODEL, noise=1e-3)
+    noisy = make_plant("mujoco", PlantRequest(MODEL, noise=1e-3))
     assert np.any(noisy.reset(seed=1).position != noisy.reset(seed=2).position)

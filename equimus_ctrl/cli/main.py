@@ -12,6 +12,7 @@ from equimus_ctrl.cli import (
     autotune_pid,
     compare,
     diagnose,
+    emulate,
     identify,
     list_names,
     prove,
@@ -25,7 +26,8 @@ from equimus_ctrl.errors import EquimusError
 
 EXIT_CODES = """\
 [bold]Exit codes[/bold]  0 done · 1 a fault of the program · 2 something given is wrong or missing ·
-3 nothing within the limits was found, a simulation diverged, or an accuracy goal was missed · 130 stopped by Ctrl-C"""
+3 nothing within the limits was found, a simulation diverged, an accuracy goal was missed, or a robot was vented ·
+130 stopped by Ctrl-C"""
 
 app = typer.Typer(
     name="equimus-ctrl",
@@ -39,6 +41,7 @@ app = typer.Typer(
 app.command("autotune-pid")(autotune_pid.autotune_pid)
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
+app.command("emulate")(emulate.emulate)
 app.command("score")(score.score)
 app.command("validate")(validate.validate)
 app.command("identify")(identify.identify)
@@ -75,7 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except EquimusError as error:
         print(f"equimus-ctrl: {error}", file=sys.stderr)
-        return 3 if type(error).__name__ in ("NothingFeasible", "SimulationDiverged") else 2
+        return 3 if type(error).__name__ in ("NothingFeasible", "SimulationDiverged", "HardwareFault") else 2
     return 0
 
 

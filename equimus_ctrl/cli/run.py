@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -18,6 +18,7 @@ from equimus_ctrl.cli.common import (
     print_json,
     tell_files,
 )
+from equimus_ctrl.cli.emulate import Domain, HardwareFile
 from equimus_ctrl.cli.progress import share_bar
 
 
@@ -53,6 +54,11 @@ def run(
     record: Annotated[
         Path | None, typer.Option("--record", metavar="DIR", help="Also write the run as a recording into this folder.")
     ] = None,
+    hardware: HardwareFile = None,
+    domain: Domain = None,
+    arm: Annotated[
+        bool, typer.Option("--arm", help="Send commands to the real robot; without, only what would be sent is shown.")
+    ] = False,
     video: Annotated[Path | None, typer.Option(help="Also write a video (.mp4 or .gif).")] = None,
     figures: Figures = True,
     as_json: Json = False,
@@ -66,10 +72,12 @@ def run(
     equimus-ctrl run hold --set hip=80 --set knee=20 --controller pid --noise 0.001
     equimus-ctrl run hold --controller controllers/example_custom.py:Spring
     equimus-ctrl run chirp --effect transport_delay:baa:delay=0.1 --record my_recordings
+    equimus-ctrl run chirp --plant hardware --arm --record my_recordings
     equimus-ctrl run chirp --effects docs/examples/drag.py --effect quadratic_drag:knee:coefficient=0.02
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.effects import parse
+    from equimus_ctrl.errors import ConfigError
     from equimus_ctrl.recordings import write
     from equimus_ctrl.report.tables import run_table, score_to_dict
 
@@ -83,11 +91,16 @@ def run(
     for place in (output, record):
         if place is not None:
             presets.check_folder(place)
+    robot = workflow.load_model(model)
+    real = plant == "hardware"
+    if not real and (arm or hardware is not None or domain is not None):
+        raise ConfigError("--arm, --hardware and --domain are for --plant hardware alone")
+    streamed = _new_file(record or presets.workspace() / "results" / "hardware", scenario) if real and arm else None
     with share_bar(console, scenario) as show:
         done = workflow.run_scenario(
             scenario,
             controller,
-            model=workflow.load_model(model),
+            model=robot,
             effects=[parse(text) for text in effect or []],
             plant=plant,
             options=key_values(option, "--set"),
@@ -97,6 +110,9 @@ def run(
             seed=seed,
             nominal=workflow.load_model(nominal) if nominal is not None else None,
             progress=show,
+            hardware=workflow.load_hardware(hardware, robot, domain) if real else None,
+            armed=arm,
+            record=streamed,
         )
     label = f"{done.scenario.name}, {done.controller}"
     folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
@@ -107,7 +123,9 @@ def run(
 
         kinematics = Kinematics(done.model.morphology, done.model.phase)
         files += save_run_figures(done.run, done.scenario, done.score, kinematics, folder, label)
-    if record is not None:
+    if streamed is not None:
+        files.append(streamed)
+    elif record is not None and not real:
         presets.make_folder(record)
         path = record / f"{done.scenario.name}.csv"
         notes = {"scenario": done.scenario.name, "controller": done.controller, "seed": str(seed)}
@@ -125,11 +143,32 @@ def run(
     result |= {"plant": done.plant, "model": done.model.name, "seed": seed, "files": [str(f) for f in files]}
     presets.write_text(folder / "score.json", presets.json_text(result))
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
+    if done.loop is not None:
+        result["loop"] = done.loop.to_dict()
+        console.print(_told(result["loop"], arm), markup=False, soft_wrap=True)
     if note:
         console.print(note, markup=False, soft_wrap=True)
     tell_files(console, files)
     if as_json:
         print_json(result)
+
+
+def _new_file(folder: Path, scenario: str) -> Path:
+    """A name that no recording in the folder has."""
+    from equimus_ctrl import presets
+
+    presets.make_folder(folder)
+    stem = _file_name(Path(scenario).stem)
+    return next(path for k in range(1, 10**6) if not (path := folder / f"{stem}_{k:03d}.csv").exists())
+
+
+def _told(loop: dict[str, Any], armed: bool) -> str:
+    text = (
+        f"{loop['instants']} control instants, {loop['deadlines_missed']} deadlines missed, {loop['samples']} "
+        f"measurements, {loop['samples_ignored']} of them ignored; from a measurement to its command "
+        f"{1e3 * loop['latency_p50_s']:.2f} ms (99 %: {1e3 * loop['latency_p99_s']:.2f} ms)"
+    )
+    return text if armed else text + "; a dry run: nothing was sent, --arm sends it"
 
 
 def _file_name(controller: str) -> str:

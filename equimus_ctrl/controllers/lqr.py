@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
-from equimus_ctrl.controllers.settings import settings_from, table_of
 from equimus_ctrl.effects.valves import DELAY, shaped_commands, valve_settings
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState
 from equimus_ctrl.models.linear import linearise, valve_lag
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.settings import settings_from, table_of
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 FORMAT = "equimus-ctrl/lqr/1"

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace
-from equimus_ctrl.controllers.settings import settings_from, table_of
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS
+from equimus_ctrl.settings import settings_from, table_of
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference
 
 FORMAT = "equimus-ctrl/nmpc/1"

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Outlook, Pace
-from equimus_ctrl.controllers.settings import settings_from, table_of
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.predictive.costs import Wanted, costs
 from equimus_ctrl.predictive.rollouts import ENGINES, Rollouts, make_rollouts, members_of
 from equimus_ctrl.predictive.sampling import METHODS, Memory, Method, Spread
 from equimus_ctrl.predictive.splines import Spline
+from equimus_ctrl.settings import settings_from, table_of
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 FORMAT = "equimus-ctrl/sampling/1"

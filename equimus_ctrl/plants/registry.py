@@ -4,13 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from equimus_ctrl.errors import ConfigError, NotAvailable, unknown_name
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.events import Event
+from equimus_ctrl.plants.hardware.plant import HardwarePlant
+from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.plants.replay import ReplayPlant
 from equimus_ctrl.types import Plant, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class PlantRequest:
+    """What a plant may be made of.
+
+    Attributes:
+        model: what is simulated, or what was recorded, or what the robot is.
+        recording: to play.
+        noise: standard deviation of white noise on each angle [rad].
+        nominal: what controllers may compute with; the model by default.
+        events: what befalls the robot while it runs; what was recorded takes no notice.
+        hardware: how a real robot is reached.
+        armed: whether commands are sent to it.
+        record: new file for what it does.
+    """
+
+    model: Model
+    recording: Recording | None = None
+    noise: float = 0.0
+    nominal: Model | None = None
+    events: Sequence[Event] = ()
+    hardware: HardwareSettings | None = None
+    armed: bool = False
+    record: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -19,57 +47,49 @@ class PlantEntry:
 
     Attributes:
         summary: one line for lists.
-        make: (model, recording or None, noise, nominal or None, events) → plant.
+        make: makes it.
+        real: whether it is no simulation: nothing repeats to the bit, and time is that of the wall.
     """
 
     summary: str
-    make: Callable[[Model, Recording | None, float, Model | None, Sequence[Event]], Plant]
+    make: Callable[[PlantRequest], Plant]
+    real: bool = False
 
 
-def _mujoco(
-    model: Model, recording: Recording | None, noise: float, nominal: Model | None, events: Sequence[Event]
-) -> Plant:
-    return MujocoPlant(model, nominal=nominal, noise=noise, events=events)
+def _mujoco(given: PlantRequest) -> Plant:
+    return MujocoPlant(given.model, nominal=given.nominal, noise=given.noise, events=given.events)
 
 
-def _replay(
-    model: Model, recording: Recording | None, noise: float, nominal: Model | None, events: Sequence[Event]
-) -> Plant:
-    if recording is None:
+def _replay(given: PlantRequest) -> Plant:
+    if given.recording is None:
         raise NotAvailable("the replay plant plays the scenario's recording, and there is none")
-    if noise:
+    if given.noise:
         raise ConfigError("the replay plant shows what was measured; noise cannot be added to it")
-    return ReplayPlant(recording, model.morphology)
+    return ReplayPlant(given.recording, given.model.morphology)
+
+
+def _hardware(given: PlantRequest) -> Plant:
+    if given.noise:
+        raise ConfigError("a real robot has noise of its own; none can be added to it")
+    if given.events:
+        raise ConfigError("the scenario has events, which no program can bring about on a real robot")
+    return HardwarePlant(given.model, given.hardware, armed=given.armed, nominal=given.nominal, record=given.record)
 
 
 PLANTS: dict[str, PlantEntry] = {
     "mujoco": PlantEntry("the model in MuJoCo, its actuators as 3-2-1 elements", _mujoco),
     "replay": PlantEntry("the scenario's recording, played back; commands change nothing", _replay),
+    "hardware": PlantEntry("a real robot over ROS 2's wire; commands are sent with --arm only", _hardware, real=True),
 }
 
 
-def make_plant(
-    name: str,
-    model: Model,
-    recording: Recording | None = None,
-    noise: float = 0.0,
-    nominal: Model | None = None,
-    events: Sequence[Event] = (),
-) -> Plant:
+def make_plant(name: str, given: PlantRequest) -> Plant:
     """A plant by name.
 
-    Args:
-        name: see ``PLANTS``.
-        model: what is simulated, or what was recorded.
-        recording: to play.
-        noise: standard deviation of white noise on each angle [rad].
-        nominal: what controllers may compute with; the model by default.
-        events: what befalls the robot while it runs; what was recorded takes no notice.
-
     Raises:
-        ConfigError: for an unknown name.
-        NotAvailable: where it needs a recording that is not there.
+        ConfigError: for an unknown name, or what it cannot have.
+        NotAvailable: where it needs a recording or a transport that is not there.
     """
     if name not in PLANTS:
         raise ConfigError(unknown_name("plant", name, PLANTS))
-    return PLANTS[name].make(model, recording, noise, nominal, events)
+    return PLANTS[name].make(given)

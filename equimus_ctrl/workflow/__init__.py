@@ -4,6 +4,7 @@ from equimus_ctrl.identification.results import Identification, Identified, Iden
 from equimus_ctrl.scenarios.comparison import Comparison, Condition
 from equimus_ctrl.workflow.compare import CONTROLLERS, compare
 from equimus_ctrl.workflow.diagnose import diagnose_recordings
+from equimus_ctrl.workflow.hardware import load_hardware
 from equimus_ctrl.workflow.identify import (
     identify_files,
     identify_poses,
@@ -49,6 +50,7 @@ __all__ = [
     "identify_recordings",
     "load_controller",
     "load_effects",
+    "load_hardware",
     "load_model",
     "load_scenario",
     "put_to_proof",

@@ -18,7 +18,9 @@ from equimus_ctrl.engines.predict import Engine, check_columns, predict
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.models.morphology import Morphology
-from equimus_ctrl.plants.registry import make_plant
+from equimus_ctrl.plants.hardware.plant import HardwarePlant, LoopCounts
+from equimus_ctrl.plants.hardware.settings import HardwareSettings
+from equimus_ctrl.plants.registry import PlantRequest, make_plant
 from equimus_ctrl.plants.replay import ReplayPlant
 from equimus_ctrl.recordings import locate, read_set
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario
@@ -136,6 +138,7 @@ class ScenarioRun:
         score: how well.
         model: what was simulated.
         plant: name of the plant.
+        loop: what the loop saw of itself, on a real robot.
     """
 
     scenario: Scenario
@@ -144,6 +147,7 @@ class ScenarioRun:
     score: Score
     model: Model
     plant: str
+    loop: LoopCounts | None = None
 
 
 def run_scenario(
@@ -160,6 +164,9 @@ def run_scenario(
     seed: int = 0,
     nominal: Model | None = None,
     progress: Callable[[float], None] | None = None,
+    hardware: HardwareSettings | None = None,
+    armed: bool = False,
+    record: Path | None = None,
 ) -> ScenarioRun:
     """Run a scenario and score it.
 
@@ -176,9 +183,13 @@ def run_scenario(
         seed: of that noise.
         nominal: what the controller may compute with; the model without ``effects`` by default.
         progress: called with the share done.
+        hardware: how a real robot is reached, for the plant of that name.
+        armed: whether commands are sent to it.
+        record: new file that is written while it moves.
 
     Raises:
         EquimusError: for anything a user can get wrong, in one sentence.
+        HardwareFault: where a real robot had to be vented.
     """
     model = model or nominal_model()
     known = nominal or model
@@ -186,6 +197,8 @@ def run_scenario(
         raise ConfigError(f"seed is {seed}, expected at least 0")
     if plant == "replay" and (effects or model.effects):
         raise ConfigError("the replay plant plays a recording; effects cannot be attached to it")
+    if plant == "hardware" and effects:
+        raise ConfigError("effects cannot be attached to a real robot; give what is known of it with --nominal FILE")
     if effects:
         model = Model(model.morphology, (*model.effects, *effects), model.phase)
     if isinstance(scenario, str):
@@ -198,7 +211,8 @@ def run_scenario(
         label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
     if isinstance(plant, str):
-        plant_name, machine = plant, make_plant(plant, model, scenario.recorded, noise, known, scenario.events)
+        request = PlantRequest(model, scenario.recorded, noise, known, scenario.events, hardware, armed, record)
+        plant_name, machine = plant, make_plant(plant, request)
     else:
         plant_name, machine = type(plant).__name__, plant
     duration = scenario.duration
@@ -208,7 +222,8 @@ def run_scenario(
         outcome = run(machine, driven, scenario.reference, duration, start=scenario.start, seed=seed, progress=progress)
     finally:
         machine.close()
-    return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name)
+    counts = machine.counts if isinstance(machine, HardwarePlant) else None
+    return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name, counts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Settings of controllers as tables of TOML: numbers, switches and tables of the same."""
+"""Settings as tables of TOML: numbers, switches, words and tables of the same."""
 
 from __future__ import annotations
 

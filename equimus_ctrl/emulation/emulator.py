@@ -1,0 +1,262 @@
+"""The simulated leg behind a transport, in real time: valves, sensor, a network that loses and delays, a watchdog.
+
+The simulation takes ticks of 1/480 s. What was commanded acts from the tick after it arrived. Where the machine falls
+behind real time for a moment, missed ticks are made up for; where by more than ``MOST_BEHIND``, they are left out.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import os
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from equimus_ctrl.emulation.faults import Fault
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.plants.hardware.settings import HardwareSettings
+from equimus_ctrl.plants.hardware.transport import Device, transport_entry
+from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates, whole_ratio
+from equimus_ctrl.types import Array
+
+TICK = 480.0
+"""Rate of the simulation [Hz]."""
+MOST_BEHIND = 0.5
+"""Of real time [s]."""
+ASTRAY = 1.0
+"""By so much angles are off in a jump [rad]."""
+AHEAD = 2.0
+"""By so much stamps are off where the clock has jumped [s]."""
+
+
+@dataclass(frozen=True)
+class EmulatorSettings:
+    """What the robot and the network are like.
+
+    Attributes:
+        rate: of measurements [Hz].
+        noise: standard deviation of white noise on each angle [rad].
+        loss: share of messages lost, each way.
+        latency: of messages, each way [s].
+        jitter: standard deviation of what comes on top of it, its absolute value [s].
+        watchdog: without a command for longer the device vents by itself [s].
+        seed: of noise, losses and jitter.
+        faults: to order.
+
+    Raises:
+        ConfigError: for numbers that make no sense.
+    """
+
+    rate: float = 120.0
+    noise: float = 0.0
+    loss: float = 0.0
+    latency: float = 0.0
+    jitter: float = 0.0
+    watchdog: float = 0.1
+    seed: int = 0
+    faults: tuple[Fault, ...] = ()
+
+    def __post_init__(self) -> None:
+        for key in ("noise", "latency", "jitter"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value >= 0):
+                raise ConfigError(f"{key} is {value:g}, expected at least 0")
+        if not 0 <= self.loss < 1:
+            raise ConfigError(f"loss is {self.loss:g}, expected at least 0 and less than 1")
+        if not self.watchdog > 0:
+            raise ConfigError(f"watchdog is {self.watchdog:g} s, expected more than 0")
+        if self.seed < 0:
+            raise ConfigError(f"seed is {self.seed}, expected at least 0")
+        whole_ratio(TICK, self.rate, "ticks of the emulator over its sensor's rate")
+
+
+@dataclass
+class Emulated:
+    """What the device saw.
+
+    Attributes:
+        time: how long it has run [s].
+        commands: received.
+        refused: of them not one finite number for each actuator, which changed nothing.
+        highest: (na,) highest command received [Pa].
+        lowest: (na,) lowest [Pa].
+        steepest: the largest change from one command received to the next, venting apart [Pa].
+        watchdog: how often it vented by itself.
+        vented: when the command in force last became 0 [s]; NaN where it is not 0 now.
+        measurements: sent.
+        left_out: ticks that were left out because the machine was too slow.
+    """
+
+    time: float
+    commands: int
+    refused: int
+    highest: list[float]
+    lowest: list[float]
+    steepest: float
+    watchdog: int
+    vented: float
+    measurements: int
+    left_out: int
+
+
+class Emulator:
+    """A leg that can be driven over a transport.
+
+    Args:
+        model: what is simulated, with its effects.
+        hardware: how it is reached, and what its numbers mean.
+        settings: what it and the network are like.
+        device: in place of the settings' own transport.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        hardware: HardwareSettings | None = None,
+        settings: EmulatorSettings | None = None,
+        device: Device | None = None,
+    ) -> None:
+        self.hardware, self.settings = hardware or HardwareSettings(), settings or EmulatorSettings()
+        s = self.settings
+        self._plant = MujocoPlant(model, rates=PlantRates(TICK, s.rate, TICK), noise=s.noise)
+        spec = self._plant.spec
+        self._joints, self._channels = self.hardware.for_robot(spec.joints, spec.actuators)
+        self._low, self._high = spec.command_low, spec.command_high
+        self._device = device or transport_entry(self.hardware.wire.transport).device(self.hardware.wire)
+        self._rival: Device | None = None
+        self._rng = np.random.default_rng(s.seed)
+        na = len(spec.actuators)
+        self.seen = Emulated(0.0, 0, 0, [0.0] * na, [0.0] * na, 0.0, 0, 0.0, 0, 0)
+        self._received: Array = np.zeros(na)
+        self._heard = math.inf
+        self._coming: list[tuple[float, int, tuple[float, ...]]] = []
+        self._going: list[tuple[float, int, float, tuple[float, ...]]] = []
+        self._count = self._samples = 0
+
+    def run(
+        self,
+        duration: float = math.inf,
+        notify: Callable[[Emulated], None] = lambda seen: None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> Emulated:
+        """Go on in real time.
+
+        Args:
+            duration: for so long [s].
+            notify: called every second.
+            stopped: asked at each tick whether to end.
+
+        Raises:
+            SimulationDiverged: where the leg's motion did.
+        """
+        every = whole_ratio(TICK, self.settings.rate, "ticks over the sensor's rate")
+        in_force: Array = np.zeros(len(self._channels))
+        observation = self._plant.reset(seed=self.settings.seed)
+        origin, tick = clock.monotonic(), 0
+        try:
+            while tick / TICK < duration and not stopped():
+                now = tick / TICK
+                in_force = self._commanded(now, in_force)
+                observation = self._plant.step(in_force)
+                tick += 1
+                self.seen.time = tick / TICK
+                if tick % every == 0:
+                    self._measured(tick / TICK, observation.position)
+                self._deliver(tick / TICK)
+                if tick % int(TICK) == 0:
+                    notify(self.seen)
+                left = origin + tick / TICK - clock.monotonic()
+                if left > 0:
+                    clock.sleep(left)
+                elif left < -MOST_BEHIND:
+                    self.seen.left_out += round(-left * TICK)
+                    origin -= left
+        finally:
+            self._device.close()
+            if self._rival is not None:
+                self._rival.close()
+        return self.seen
+
+    def _acting(self, kind: str, time: float) -> bool:
+        return any(fault.kind == kind and fault.acts(time) for fault in self.settings.faults)
+
+    def _delay(self) -> float:
+        s = self.settings
+        return s.latency + (abs(float(self._rng.normal(0.0, s.jitter))) if s.jitter else 0.0)
+
+    def _lost(self) -> bool:
+        return bool(self.settings.loss) and bool(self._rng.random() < self.settings.loss)
+
+    def _commanded(self, now: float, in_force: Array) -> Array:
+        """(na,) the command in force from now on [Pa]."""
+        if self._acting("crash", now):
+            os._exit(70)
+        for values in self._device.take():
+            if not (self._lost() or self._acting("deaf", now)):
+                self._count += 1
+                heapq.heappush(self._coming, (now + self._delay(), self._count, values))
+        while self._coming and self._coming[0][0] <= now:
+            values = heapq.heappop(self._coming)[2]
+            found = self._read(values)
+            if found is not None:
+                in_force, self._heard = found, now
+        if now - self._heard > self.settings.watchdog:
+            self.seen.watchdog += 1
+            self._heard = math.inf
+            in_force = np.zeros(len(in_force))
+        if in_force.any():
+            self.seen.vented = math.nan
+        elif math.isnan(self.seen.vented):
+            self.seen.vented = now
+        return in_force
+
+    def _read(self, values: Sequence[float]) -> Array | None:
+        """(na,) a command received [Pa], within what the valves can do; None where it is none."""
+        self.seen.commands += 1
+        if len(values) != len(self._channels) or not np.all(np.isfinite(values)):
+            self.seen.refused += 1
+            return None
+        command = np.array([values[channel.index] * channel.unit for channel in self._channels])
+        if command.any():
+            self.seen.steepest = max(self.seen.steepest, float(np.abs(command - self._received).max()))
+        self._received = command
+        for i, value in enumerate(command.tolist()):
+            self.seen.highest[i] = max(self.seen.highest[i], value)
+            self.seen.lowest[i] = min(self.seen.lowest[i], value)
+        return np.asarray(np.clip(command, self._low, self._high))
+
+    def _measured(self, now: float, position: Array) -> None:
+        """One measurement goes on its way."""
+        angles = position + ASTRAY * self._acting("jump", now)
+        numbers = [q / own.scale + own.zero for q, own in zip(angles.tolist(), self._joints, strict=True)]
+        if self._acting("nan", now):
+            numbers = [math.nan] * len(numbers)
+        stamp = clock.monotonic() + AHEAD * (self._acting("clock", now) - self._acting("back", now))
+        leaves = now + self._delay()
+        for fault in self.settings.faults:
+            if fault.kind == "stall" and fault.acts(now):
+                leaves = max(leaves, fault.time + fault.duration)
+        self._samples += 1
+        if self._acting("reorder", now) and self._samples % 2:
+            leaves += 1.5 / self.settings.rate
+        if self._lost() or self._acting("silent", now):
+            return
+        for _ in range(1 + self._acting("repeat", now)):
+            self._count += 1
+            heapq.heappush(self._going, (leaves, self._count, stamp, tuple(numbers)))
+
+    def _deliver(self, now: float) -> None:
+        names = [own.name for own in self._joints]
+        rival = self._acting("rival", now)
+        if rival and self._rival is None:
+            self._rival = transport_entry(self.hardware.wire.transport).device(self.hardware.wire)
+        while self._going and self._going[0][0] <= now:
+            _, _, stamp, numbers = heapq.heappop(self._going)
+            self._device.publish(stamp, names, numbers)
+            if rival and self._rival is not None:
+                self._rival.publish(stamp, names, numbers)
+            self.seen.measurements += 1

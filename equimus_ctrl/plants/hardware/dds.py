@@ -1,0 +1,168 @@
+"""ROS 2 topics spoken with Cyclone DDS, with ROS 2's own names of types and topics.
+
+A topic /name is rt/name on the wire, a type pkg/msg/Type is pkg::msg::dds_::Type_. Measurements are read with the
+quality of sensor data (best effort, the last five), which sensor data and default publishers both match; commands are
+sent with the default one (reliable, the last ten).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.core import DDSException, InstanceState, Listener, Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from equimus_ctrl.errors import NotAvailable
+from equimus_ctrl.plants.hardware.messages import NANO, Float64MultiArray, JointState, joint_state, multi_array
+from equimus_ctrl.plants.hardware.settings import Wire
+from equimus_ctrl.plants.hardware.transport import Sample
+
+SENSOR_DATA = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Policy.Durability.Volatile)
+DEFAULT = Qos(
+    Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10), Policy.Durability.Volatile
+)
+MEASURED = str(JointState.__idl__.idl_transformed_typename)
+KEPT = 4096
+"""Samples that wait to be taken, at most."""
+
+
+def topic_of(name: str) -> str:
+    """A topic of ROS 2 as DDS calls it."""
+    return "rt" + name
+
+
+class _Arriving(Listener):
+    """Takes what arrives when it does, in a thread of the transport."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waiting: deque[tuple[float, int, Any]] = deque(maxlen=KEPT)
+
+    def on_data_available(self, reader: DataReader) -> None:
+        """Called by DDS."""
+        now = time.monotonic()
+        with contextlib.suppress(DDSException):
+            for sample in reader.take(N=KEPT):
+                info = sample.sample_info
+                if info.valid_data:
+                    self.waiting.append((now, int(info.publication_handle), sample))
+
+    def take(self) -> list[tuple[float, int, Any]]:
+        """All that has arrived."""
+        found = []
+        with contextlib.suppress(IndexError):
+            while True:
+                found.append(self.waiting.popleft())
+        return found
+
+
+class _End:
+    """One end of the wire: a topic read and a topic written."""
+
+    def __init__(self, wire: Wire, read: tuple[str, type, Qos], write: tuple[str, type, Qos]) -> None:
+        self._arriving = _Arriving()
+        try:
+            self.participant = DomainParticipant(wire.domain)
+            topics = [Topic(self.participant, topic_of(name), kind) for name, kind, _ in (read, write)]
+            self._reader = DataReader(self.participant, topics[0], qos=read[2], listener=self._arriving)
+            self._writer = DataWriter(self.participant, topics[1], qos=write[2])
+            self._others = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication)
+        except DDSException as error:
+            raise NotAvailable(
+                f"DDS domain {wire.domain} cannot be joined ({error.msg.strip()}); expected a network interface that "
+                "Cyclone DDS can use, see CYCLONEDDS_URI"
+            ) from None
+
+    def publishers(self) -> list[tuple[str, str, bool]]:
+        """(topic, type, whether it is this end's own) of all that publish in the domain."""
+        own = self.participant.guid
+        found = []
+        for sample in self._others.read(N=1000, condition=None):
+            if sample.sample_info.valid_data and sample.sample_info.instance_state == InstanceState.Alive:
+                found.append((sample.topic_name, sample.type_name, sample.participant_key == own))
+        return found
+
+    def write(self, message: Any) -> None:
+        with contextlib.suppress(DDSException):  # who does not listen is told by what it does not send
+            self._writer.write(message)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._reader.set_listener(Listener())
+        del self._reader, self._writer, self._others, self.participant
+
+
+class DdsHost:
+    """The controller's end."""
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire, self._lock = wire, threading.Lock()
+        self._end = _End(wire, (wire.states, JointState, SENSOR_DATA), (wire.commands, Float64MultiArray, DEFAULT))
+
+    def take(self) -> list[Sample]:
+        """See ``Transport``."""
+        return [
+            Sample(
+                message.header.stamp.sec + message.header.stamp.nanosec / NANO,
+                received,
+                tuple(message.name),
+                tuple(message.position),
+                source,
+            )
+            for received, source, message in self._end._arriving.take()
+        ]
+
+    def send(self, values: Sequence[float]) -> None:
+        """See ``Transport``."""
+        with self._lock:
+            self._end.write(multi_array(values))
+
+    def trouble(self) -> str:
+        """See ``Transport``."""
+        wire, states, rivals = self._wire, 0, 0
+        for topic, kind, own in self._end.publishers():
+            if topic == topic_of(wire.states):
+                states += 1
+                if kind != JointState.__idl__.idl_transformed_typename:
+                    return (
+                        f"{wire.states} is published as {kind}, expected {JointState.__idl__.idl_transformed_typename}"
+                    )
+            rivals += topic == topic_of(wire.commands) and not own
+        if states > 1:
+            return f"{wire.states} has {states} publishers, expected one"
+        if rivals:
+            return f"{wire.commands} has another publisher, expected this one alone"
+        return ""
+
+    def close(self) -> None:
+        """See ``Transport``."""
+        self._end.close()
+
+
+class DdsDevice:
+    """The robot's end."""
+
+    def __init__(self, wire: Wire) -> None:
+        self._end = _End(wire, (wire.commands, Float64MultiArray, DEFAULT), (wire.states, JointState, DEFAULT))
+
+    def publish(self, stamp: float, names: Sequence[str], position: Sequence[float]) -> None:
+        """See ``Device``."""
+        self._end.write(joint_state(stamp, names, position))
+
+    def take(self) -> list[tuple[float, ...]]:
+        """See ``Device``."""
+        return [tuple(message.data) for _, _, message in self._end._arriving.take()]
+
+    def close(self) -> None:
+        """See ``Device``."""
+        self._end.close()

@@ -1,0 +1,129 @@
+"""What is never done to a robot, and when to stop: limits on commands, and faults of measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from equimus_ctrl.plants.hardware.clock import ClockMap
+from equimus_ctrl.plants.hardware.settings import Calibration, Safety
+from equimus_ctrl.plants.hardware.transport import Sample
+from equimus_ctrl.types import Array, PlantSpec
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the measurements say so far.
+
+    Attributes:
+        clock: of the device.
+        position: (nj,) latest angles [rad].
+        stamp: when they were measured, by this machine's clock [s].
+        device_stamp: the same by the device's own [s].
+        arrived: when the latest sample came [s].
+        source: who sent it.
+        samples: that counted.
+        ignored: that had come before, or came too late for their order.
+        lateness: how much later than the quickest each one came, the largest [s].
+    """
+
+    clock: ClockMap
+    position: Array
+    stamp: float
+    device_stamp: float
+    arrived: float
+    source: int
+    samples: int = 1
+    ignored: int = 0
+    lateness: float = 0.0
+
+
+class Guard:
+    """Judges samples and limits commands of one robot.
+
+    Args:
+        spec: of the robot.
+        safety: what is enforced.
+        calibrations: of the joints.
+    """
+
+    def __init__(self, spec: PlantSpec, safety: Safety, calibrations: tuple[Calibration, ...]) -> None:
+        self.safety, self._joints = safety, spec.joints
+        self._calibrations = calibrations
+        self._low, self._high = spec.joint_low - safety.joint_margin, spec.joint_high + safety.joint_margin
+        self.command_low: Array = np.array(spec.command_low)
+        self.command_high: Array = np.minimum(spec.command_high, safety.pressure)
+        self._dt = spec.control_dt
+
+    def angles(self, sample: Sample) -> Array | str:
+        """(nj,) of a sample [rad], or why there are none."""
+        found = []
+        for own in self._calibrations:
+            if own.name not in sample.names:
+                names = ", ".join(sample.names) or "no joint"
+                return f"a sample names {names}, expected {', '.join(c.name for c in self._calibrations)}"
+            place = sample.names.index(own.name)
+            if place >= len(sample.position):
+                return f"a sample names {len(sample.names)} joints, but has {len(sample.position)} positions"
+            found.append(own.scale * (sample.position[place] - own.zero))
+        return np.array(found)
+
+    def first(self, sample: Sample) -> Seen | str:
+        """What a first sample says, or what is wrong with it."""
+        angles = self.angles(sample)
+        if isinstance(angles, str):
+            return angles
+        clock = ClockMap.of(sample.stamp, sample.received)
+        seen = Seen(clock, angles, clock.local(sample.stamp), sample.stamp, sample.received, sample.source)
+        return self._wrong(angles) or seen
+
+    def next(self, seen: Seen, sample: Sample) -> Seen | str:
+        """What is known with one more sample, or the fault that it shows."""
+        if sample.source != seen.source:
+            return "measurements come from another publisher than before, expected one alone"
+        if sample.stamp <= seen.device_stamp:
+            return replace(seen, ignored=seen.ignored + 1)
+        late = seen.clock.late(sample.stamp, sample.received)
+        if abs(late) > self.safety.clock:
+            return (
+                f"a sample's stamp is {abs(late):.3g} s {'behind' if late > 0 else 'ahead of'} its arrival, expected "
+                f"at most {self.safety.clock:g} s: the device's clock has jumped, or the network was held up"
+            )
+        angles = self.angles(sample)
+        if isinstance(angles, str):
+            return angles
+        if wrong := self._wrong(angles):
+            return wrong
+        span = sample.stamp - seen.device_stamp
+        for name, before, after in zip(self._joints, seen.position, angles, strict=True):
+            if abs(after - before) > self.safety.noise + self.safety.speed * span:
+                return (
+                    f"{name} jumped from {before:.3f} to {after:.3f} rad in {span * 1e3:.3g} ms, expected at most "
+                    f"{self.safety.speed:g} rad/s"
+                )
+        clock = seen.clock.seen(sample.stamp, sample.received)
+        return Seen(
+            clock, angles, clock.local(sample.stamp), sample.stamp, sample.received, sample.source,
+            seen.samples + 1, seen.ignored, max(seen.lateness, clock.late(sample.stamp, sample.received)),
+        )  # fmt: skip
+
+    def stale(self, seen: Seen, now: float) -> str:
+        """That nothing was measured for too long, in words; empty where it was."""
+        age = now - seen.stamp
+        if age <= self.safety.stale:
+            return ""
+        return f"the latest measurement is {age:.3g} s old, expected one at least every {self.safety.stale:g} s"
+
+    def limited(self, asked: Array, before: Array) -> Array:
+        """(na,) the command nearest to what is asked for within all limits [Pa]."""
+        reach = self.safety.slew * self._dt
+        return np.clip(np.clip(asked, before - reach, before + reach), self.command_low, self.command_high)
+
+    def _wrong(self, angles: Array) -> str:
+        for name, angle, low, high in zip(self._joints, angles, self._low, self._high, strict=True):
+            if not np.isfinite(angle):
+                return f"{name} was measured as {angle}, expected a number"
+            if not low <= angle <= high:
+                return f"{name} is at {angle:.3f} rad, expected {low:.3f} to {high:.3f} rad"
+        return ""

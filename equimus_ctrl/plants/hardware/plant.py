@@ -1,0 +1,374 @@
+"""The plant protocol on a real robot: a fixed rate, one clock, limits enforced last, a vent where anything fails."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time as clock
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.plants.hardware.guard import Guard, Seen
+from equimus_ctrl.plants.hardware.settings import HardwareSettings
+from equimus_ctrl.plants.hardware.transport import Transport, transport_entry
+from equimus_ctrl.plants.mujoco_plant import make_spec
+from equimus_ctrl.recordings.stream import RecordingStream
+from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
+
+LOOKS = 0.25
+"""How often it is looked who else is on the wire [s]."""
+VENTS = 3
+"""So many times 0 Pa is sent, a period apart, where a run ends: one may be lost."""
+NEAR = 2e-3
+"""Before a deadline a sleep ends by so much, and the rest is waited for in short ones [s]."""
+
+
+@dataclass
+class LoopCounts:
+    """What the loop saw of itself and of the wire.
+
+    Attributes:
+        instants: control instants.
+        misses: deadlines missed: the controller had not answered by the next instant.
+        lateness: (instants,) by how much later than it was due each instant began [s].
+        latency: (instants,) from the latest measurement, by its stamp, to the command made of it [s].
+        samples: measurements that counted.
+        ignored: measurements that had come before, or too late for their order.
+        fault: why the robot was vented; empty where nothing was wrong.
+    """
+
+    instants: int = 0
+    misses: int = 0
+    lateness: list[float] | None = None
+    latency: list[float] | None = None
+    samples: int = 0
+    ignored: int = 0
+    fault: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For people and machines; medians and 99th percentiles in seconds."""
+        found: dict[str, Any] = {
+            "instants": self.instants, "deadlines_missed": self.misses, "samples": self.samples,
+            "samples_ignored": self.ignored, "fault": self.fault,
+        }  # fmt: skip
+        for name, values in (("lateness", self.lateness), ("latency", self.latency)):
+            p50, p99 = np.quantile(values, [0.5, 0.99]) if values else (math.nan, math.nan)
+            found[f"{name}_p50_s"], found[f"{name}_p99_s"] = float(p50), float(p99)
+        return found
+
+
+class HardwarePlant:
+    """A robot behind a transport.
+
+    Commands go out as soon as they are asked for; then the next instant is waited for. Every run is recorded as it
+    goes: at each control instant the command in force from then on, and the angles between the two measurements
+    around it. The robot is vented, 0 Pa within one period, where a measurement is late, no number, out of range or has
+    jumped, where the controller misses too many deadlines, where the process is told to end, and at the end of a run.
+
+    Args:
+        model: of the robot: names, ranges, and what controllers may compute with.
+        settings: how it is reached and what is enforced.
+        armed: whether commands are sent at all; without, all is as with but for that.
+        nominal: what controllers may compute with; the model by default.
+        record: new file for the recording, or None.
+        transport: in place of the settings' own.
+
+    Raises:
+        ConfigError: for settings that do not fit the robot.
+        NotAvailable: where the transport cannot be had.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        settings: HardwareSettings | None = None,
+        *,
+        armed: bool = False,
+        nominal: Model | None = None,
+        record: Path | None = None,
+        transport: Transport | None = None,
+    ) -> None:
+        self.settings = s = settings or HardwareSettings()
+        self.armed, self._record_to = armed, record
+        self._spec = make_spec(model.morphology, 1 / s.rate, nominal or model, model.phase)
+        calibrations, self._channels = s.for_robot(self._spec.joints, self._spec.actuators)
+        self.guard = Guard(self._spec, s.safety, calibrations)
+        self._wire = transport or transport_entry(s.wire.transport).host(s.wire)
+        self.counts = LoopCounts()
+        self._seen: Seen | None = None
+        self._stream: RecordingStream | None = None
+        self._pending: deque[tuple[float, Array]] = deque()
+        self._last: tuple[float, Array] | None = None
+        self._command: Array = np.zeros(len(self._spec.actuators))
+        self._clipped = np.zeros(len(self._spec.actuators), dtype=bool)
+        self._origin, self._k, self._due, self._begun = math.nan, 0, math.inf, False
+        self._target = self._command
+        self._vented = self._closed = False
+        self._tripped, self._in_a_row = "", 0
+        self._lock, self._stop = threading.RLock(), threading.Event()
+        self._watch: threading.Thread | None = None
+        self._previous_signal: Any = None
+
+    @property
+    def spec(self) -> PlantSpec:
+        """What a controller may know."""
+        return self._spec
+
+    def reset(self, start: Start | None = None, seed: int | None = None) -> Observation:
+        """Wait for the robot, bring it to the start's command and let it settle; time 0 is at the first step.
+
+        Args:
+            start: its command is gone to; where the joints are is where they are, whatever it says.
+            seed: takes no part.
+
+        Raises:
+            NotAvailable: where no measurement comes, or someone else is on the wire.
+            HardwareFault: where the robot is not as it must be.
+            ConfigError: for a start of the wrong size or outside the limits.
+        """
+        self._require_open()
+        target = self.guard.command_low if start is None or start.command is None else start.command
+        if target.shape != self._command.shape:
+            raise ConfigError(f"start command has shape {target.shape}, expected {self._command.shape}")
+        if np.any(target < self.guard.command_low) or np.any(target > self.guard.command_high):
+            raise ConfigError(
+                f"start command {target.tolist()} Pa lies outside the limits of {self.guard.command_low.tolist()} to "
+                f"{self.guard.command_high.tolist()} Pa"
+            )
+        self._first_sample()
+        self._heed_signals()
+        self._target = np.array(target)
+        self._watch = threading.Thread(target=self._watched, daemon=True)
+        self._watch.start()
+        until = clock.monotonic() + self.settings.settle
+        while not self._tripped and clock.monotonic() < until:
+            clock.sleep(self._spec.control_dt)
+        if self._tripped:
+            self._fault(self._tripped)
+        self.counts = LoopCounts(lateness=[], latency=[])
+        return self._observation()
+
+    def step(self, command: ArrayLike) -> Observation:
+        """Send ``command`` [Pa] within all limits and wait for the next control instant.
+
+        Raises:
+            ConfigError: for a command of the wrong size or not finite.
+            HardwareFault: where the robot had to be vented.
+        """
+        self._require_open()
+        assert self._watch is not None, "the plant was stepped before it was reset"
+        asked = np.asarray(command, dtype=np.float64)
+        if asked.shape != self._command.shape or not np.all(np.isfinite(asked)):
+            self._vent("a command was not one finite pressure for each actuator")
+            raise ConfigError(f"command is {asked}, expected {len(self._command)} finite pressures in Pa")
+        if self._tripped:
+            self._fault(self._tripped)
+        if not self._begun:
+            self._begin()
+        now, dt = clock.monotonic(), self._spec.control_dt
+        instant = self._origin + self._k * dt
+        applied = self.guard.limited(asked, self._command)
+        self._clipped, self._command = applied != asked, applied
+        self._send(applied)
+        if self.counts.latency is not None and self._seen is not None:
+            self.counts.latency.append(now - self._seen.stamp)
+        # What was sent late counts from when it was sent.
+        self._pending.append((now - self._origin if now > instant + dt else self._k * dt, applied))
+        behind = max(math.floor((now - instant) / dt), 0)
+        self._k += 1 + behind
+        if behind:
+            self.counts.misses += behind
+            self._in_a_row += 1
+            if self._in_a_row > self.settings.safety.misses:
+                self._fault(
+                    f"the controller missed {self._in_a_row} deadlines of {dt * 1e3:.3g} ms in a row, expected at most "
+                    f"{self.settings.safety.misses}"
+                )
+        else:
+            self._in_a_row = 0
+        self._due = self._origin + self._k * dt
+        self._wait(self._due)
+        woken = clock.monotonic()
+        if self.counts.lateness is not None:
+            self.counts.lateness.append(woken - self._due)
+        self._due += dt
+        assert self._seen is not None
+        if wrong := self._tripped or self._taken() or self.guard.stale(self._seen, woken):
+            self._fault(wrong)
+        return self._observation()
+
+    def close(self) -> None:
+        """Vent, and let go of the robot."""
+        if self._closed:
+            return
+        self._closed = True
+        self._stop.set()
+        if self._watch is not None:
+            self._watch.join()
+        self._vent("")
+        if self.armed:
+            for _ in range(VENTS - 1):
+                clock.sleep(self._spec.control_dt)
+                self._transmit(np.zeros(len(self._command)))
+        if self._stream is not None:
+            self._taken()
+            self._stream.close()
+        self._wire.close()
+        if self._previous_signal is not None:
+            signal.signal(signal.SIGTERM, self._previous_signal)
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise HardwareFault(self._tripped or "the robot has been let go of")
+
+    def _first_sample(self) -> None:
+        s = self.settings
+        until, wrong = clock.monotonic() + s.patience, ""
+        while self._seen is None:
+            for sample in self._wire.take():
+                found = self.guard.first(sample)
+                if isinstance(found, Seen):
+                    self._seen = found
+                else:
+                    wrong = found
+            if self._seen is None and clock.monotonic() > until:
+                if wrong:
+                    raise HardwareFault(f"the robot was not armed: {wrong}")
+                silent = (
+                    f"no measurement came on {s.wire.states}, domain {s.wire.domain}, within {s.patience:g} s; is the "
+                    "robot, or equimus-ctrl emulate, running?"
+                )
+                raise NotAvailable(self._wire.trouble() or silent)
+            clock.sleep(1e-3)
+        if trouble := self._wire.trouble():
+            raise NotAvailable(f"the robot was not armed: {trouble}")
+
+    def _begin(self) -> None:
+        """The first instant is now: what a controller has to make first may take its time, the robot being held."""
+        if self._record_to is not None and self.armed:
+            notes = {"plant": "hardware", "robot": self.settings.wire.states}
+            self._stream = RecordingStream(
+                self._record_to, self._spec.joints, self._spec.actuators, self._command, notes
+            )
+        with self._lock:
+            self._begun = True
+            self._origin, self._k = clock.monotonic(), 0
+            self._due = self._origin + self._spec.control_dt
+            assert self._seen is not None
+            self._last = (self._seen.stamp - self._origin, self._seen.position)
+
+    def _taken(self) -> str:
+        """Takes what has been measured meanwhile; the fault that it shows, empty where it shows none."""
+        assert self._seen is not None
+        for sample in self._wire.take():
+            found = self.guard.next(self._seen, sample)
+            if isinstance(found, str):
+                return found
+            if found.samples > self._seen.samples:
+                self._write(found)
+            self._seen = found
+        return ""
+
+    def _write(self, seen: Seen) -> None:
+        """Rows of the instants that lie between the measurement before and this one."""
+        if not self._begun or self._last is None:
+            return
+        at, (before, angles) = seen.stamp - self._origin, self._last
+        while self._stream is not None and self._pending and self._pending[0][0] <= at:
+            instant, command = self._pending.popleft()
+            share = (instant - before) / (at - before) if at > before else 1.0
+            self._stream.add(instant, command, angles + max(share, 0.0) * (seen.position - angles))
+        self._last = (at, seen.position)
+
+    def _observation(self) -> Observation:
+        assert self._seen is not None
+        instant = self._k * self._spec.control_dt
+        self.counts.instants += 1
+        self.counts.samples, self.counts.ignored = self._seen.samples, self._seen.ignored
+        clipped = self._clipped.copy()
+        clipped.flags.writeable = False
+        return Observation(
+            time=instant,
+            position=frozen_array(self._seen.position),
+            stamp=min(self._seen.stamp - self._origin, instant) if self._begun else 0.0,
+            command=frozen_array(self._command),
+            clipped=clipped,
+        )
+
+    def _send(self, command: Array) -> None:
+        with self._lock:
+            if self.armed and not self._vented:
+                self._transmit(command)
+
+    def _transmit(self, command: Array) -> None:
+        values = [0.0] * len(command)
+        for pressure, channel in zip(command, self._channels, strict=True):
+            values[channel.index] = float(pressure) / channel.unit
+        self._wire.send(values)
+
+    def _vent(self, why: str) -> None:
+        """0 Pa, now and for good; no slew limit applies."""
+        with self._lock:
+            if why and not self._tripped:
+                since = clock.monotonic() - self._origin
+                at = f" at {since:.3f} s" if math.isfinite(since) else " before the run began"
+                self._tripped = f"vented{at}: {why}" if self.armed else f"would have been vented{at}: {why}"
+                self.counts.fault = self._tripped
+            if self.armed and not self._vented:
+                self._transmit(np.zeros(len(self._command)))
+            self._vented = True
+            self._command = np.zeros(len(self._command))
+
+    def _fault(self, why: str) -> NoReturn:
+        if not self._tripped:
+            self._vent(why)
+        raise HardwareFault(self._tripped)
+
+    def _wait(self, until: float) -> None:
+        while (left := until - clock.monotonic()) > 0:
+            clock.sleep(left - NEAR if left > 2 * NEAR else min(left, NEAR / 4))
+
+    def _watched(self) -> None:
+        """Holds the start's command until the run begins; then vents where the controller does not come back.
+
+        Either way it looks who else is on the wire.
+        """
+        dt, looked = self._spec.control_dt, clock.monotonic()
+        allowed = max(self.settings.safety.misses, 1) * dt
+        while not self._stop.wait(dt / 2 if self._begun else dt):
+            if self._vented:
+                return
+            now, wrong = clock.monotonic(), ""
+            with self._lock:
+                if not self._begun:
+                    assert self._seen is not None
+                    self._command = self.guard.limited(self._target, self._command)
+                    self._send(self._command)
+                    wrong = self._taken() or self.guard.stale(self._seen, now)
+                elif now > self._due + allowed:
+                    wrong = (
+                        f"the controller has not answered for {now - self._due + dt:.3g} s, expected a command every "
+                        f"{dt * 1e3:.3g} ms"
+                    )
+            if not wrong and now > looked + LOOKS:
+                looked, wrong = now, self._wire.trouble()
+            if wrong:
+                self._vent(wrong)
+
+    def _heed_signals(self) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            return
+
+        def told(number: int, frame: FrameType | None) -> None:
+            self._fault("the process was told to end (SIGTERM)")
+
+        self._previous_signal = signal.signal(signal.SIGTERM, told)
