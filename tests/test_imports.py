@@ -13,13 +13,13 @@ ROOT = Path(__file__).resolve().parents[1] / "equimus_ctrl"
 
 ORDER: tuple[tuple[str, ...], ...] = (
     ("errors", "machine"),
-    ("types",),
+    ("types", "settings"),
     ("presets",),
     ("effects", "models", "recordings"),
     ("engines",),
     ("plants", "controllers", "estimation", "predictive"),
     ("scenarios",),
-    ("simulate",),
+    ("simulate", "emulation"),
     ("testing",),
     ("tuning", "identification", "diagnosis", "validation", "proof"),
     ("report",),
@@ -42,7 +42,7 @@ FILE_CALLS = {
     "fromfile", "tofile", "memmap", "urlopen", "urlretrieve", "rmtree", "copyfile", "copytree",
 }  # fmt: skip
 FILE_MODULES = {"tempfile", "shutil", "urllib", "socket", "pooch", "pickle", "shelve", "sqlite3", "imageio"}
-KEEPS_DEADLINES = ("controllers.nmpc", "controllers.sampling")
+KEEPS_DEADLINES = ("controllers.nmpc", "controllers.sampling", "plants.hardware.plant", "plants.hardware.dds")
 OS_CALLS = {"replace", "remove", "listdir", "scandir", "walk", "chmod"}
 
 

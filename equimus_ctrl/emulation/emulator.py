@@ -19,7 +19,8 @@ from equimus_ctrl.emulation.faults import Fault
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
-from equimus_ctrl.plants.hardware.transport import Device, transport_entry
+from equimus_ctrl.plants.hardware.transport import Device
+from equimus_ctrl.plants.hardware.transports import transport_entry
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates, whole_ratio
 from equimus_ctrl.types import Array
 

@@ -19,7 +19,8 @@ from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.hardware.guard import Guard, Seen
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
-from equimus_ctrl.plants.hardware.transport import Transport, transport_entry
+from equimus_ctrl.plants.hardware.transport import Transport
+from equimus_ctrl.plants.hardware.transports import transport_entry
 from equimus_ctrl.plants.mujoco_plant import make_spec
 from equimus_ctrl.recordings.stream import RecordingStream
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
@@ -235,7 +236,7 @@ class HardwarePlant:
         until, wrong = clock.monotonic() + s.patience, ""
         while self._seen is None:
             for sample in self._wire.take():
-                found = self.guard.first(sample)
+                found = self.guard.first(sample) if self._seen is None else self.guard.next(self._seen, sample)
                 if isinstance(found, Seen):
                     self._seen = found
                 else:

@@ -162,7 +162,10 @@ class HardwareSettings:
             for name, table in _tables(rest.pop("actuators", {}), f"{where}: actuators").items()
         }
         flat = settings_from(_Flat, rest, where, FORMAT)
-        return cls(flat.rate, flat.patience, flat.settle, flat.wire, flat.safety, joints, actuators)
+        try:
+            return cls(flat.rate, flat.patience, flat.settle, flat.wire, flat.safety, joints, actuators)
+        except ConfigError as error:
+            raise ConfigError(f"{where}: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """What a TOML file of these settings holds."""

@@ -1,0 +1,116 @@
+"""What tests of real robots share: a wire in memory, emulators as processes, and DDS on loopback alone."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl.plants.hardware.settings import HardwareSettings, Safety, Wire
+from equimus_ctrl.plants.hardware.transport import Sample
+
+LOOPBACK = (
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    '<MaxAutoParticipantIndex>40</MaxAutoParticipantIndex><Peers><Peer address="localhost"/></Peers></Discovery>'
+    "</Domain></CycloneDDS>"
+)
+"""No test may reach a robot on the network."""
+SHARED = 20 + 2 * (os.getpid() % 100)
+DOMAIN = SHARED + 1
+"""Of one emulator that many tests use, and of those that have their own."""
+REST = (1.305, 1.04)
+HIGHEST = 50e3
+
+
+class MemoryWire:
+    """A robot that stands still at 120 Hz, or does what it is told to.
+
+    Args:
+        measure: (count, time) → samples to send at that tick; a still robot's by default.
+    """
+
+    def __init__(self, measure: Callable[[int, float], Sequence[Sample]] | None = None) -> None:
+        self._measure = measure or (lambda k, now: [still(now)])
+        self.sent: list[tuple[float, tuple[float, ...]]] = []
+        self.wrong = ""
+        self.closed = False
+        self._waiting: list[Sample] = []
+        self._stop, self._lock = threading.Event(), threading.Lock()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        k, begun = 0, time.monotonic()
+        while not self._stop.wait(max(begun + k / 120 - time.monotonic(), 0.0)):
+            with self._lock:
+                self._waiting += self._measure(k, time.monotonic())
+            k += 1
+
+    def take(self) -> list[Sample]:
+        with self._lock:
+            found, self._waiting = self._waiting, []
+        return found
+
+    def send(self, values: Sequence[float]) -> None:
+        self.sent.append((time.monotonic(), tuple(values)))
+
+    def trouble(self) -> str:
+        return self.wrong
+
+    def close(self) -> None:
+        self.closed = True
+        self._stop.set()
+
+    @property
+    def pressures(self) -> np.ndarray:
+        return np.array([values for _, values in self.sent])
+
+
+def still(now: float, angles: Sequence[float] = REST, *, stamp: float | None = None, source: int = 0) -> Sample:
+    return Sample(now if stamp is None else stamp, now, ("hip", "knee"), tuple(angles), source)
+
+
+def quick(domain: int = DOMAIN, **safety: Any) -> HardwareSettings:
+    """Settings that do not wait for long."""
+    return HardwareSettings(patience=10.0, settle=0.3, wire=Wire(domain=domain), safety=Safety(**safety))
+
+
+@contextmanager
+def emulator(log: Path, *options: str, domain: int = DOMAIN) -> Iterator[subprocess.Popen[bytes]]:
+    """The emulator as a process of its own."""
+    command = [sys.executable, "-c", "from equimus_ctrl.cli.main import entry; entry()", "emulate"]
+    process = subprocess.Popen(
+        [*command, "--domain", str(domain), "--log", str(log), *options],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env={**os.environ, "CYCLONEDDS_URI": LOOPBACK},
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+        try:
+            process.communicate(timeout=20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+def seen_by(log: Path) -> dict[str, Any]:
+    """What an emulator that has ended says that it received."""
+    return dict(json.loads(log.read_text(encoding="utf-8")))
+
+
+def within_limits(seen: dict[str, Any], slew: float = math.inf) -> bool:
+    return bool(max(seen["highest"]) <= HIGHEST and min(seen["lowest"]) >= 0 and seen["steepest"] <= slew * 1.000001)
