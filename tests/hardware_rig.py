@@ -66,6 +66,9 @@ class MemoryWire:
     def send(self, values: Sequence[float]) -> None:
         self.sent.append((time.monotonic(), tuple(values)))
 
+    def listeners(self) -> int:
+        return 1
+
     def trouble(self) -> str:
         return self.wrong
 

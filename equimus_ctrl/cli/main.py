@@ -13,6 +13,7 @@ from equimus_ctrl.cli import (
     compare,
     diagnose,
     emulate,
+    hardware,
     identify,
     list_names,
     prove,
@@ -50,6 +51,7 @@ app.command("prove")(prove.prove)
 app.command("sensitivity")(sensitivity.sensitivity)
 app.command("list")(list_names.list_names)
 app.add_typer(recordings.app, name="recordings")
+app.add_typer(hardware.app, name="hardware")
 
 
 def _version(value: bool) -> None:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, people, print_json
+from equimus_ctrl.cli.common import Json, ModelFile, people, print_json
+from equimus_ctrl.cli.emulate import HardwareFile
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,6 +48,32 @@ def import_(
 
     limits = recordings.Limits(command_low=command_low, command_high=command_high)
     files = recordings.convert(sources, output, force=force, limits=limits)
+    people().print(f"{len(files)} trials written to {output}", markup=False, soft_wrap=True)
+    if as_json:
+        print_json({"files": [str(file) for file in files]})
+
+
+@app.command("import-bag")
+def import_bag(
+    bags: Annotated[list[Path], typer.Argument(help="rosbag2 bags, SQLite or MCAP.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into, one CSV file a bag.")],
+    hardware: HardwareFile = None,
+    model: ModelFile = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there already.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Convert rosbag2 bags with the robot's two topics to one CSV file a bag.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl recordings import-bag my_bag --output trials
+    equimus-ctrl recordings import-bag run_1.mcap run_2.mcap -o trials --hardware my_robot.toml
+    """  # noqa: D301
+    from equimus_ctrl import workflow
+
+    robot = workflow.load_model(model)
+    wired = workflow.load_hardware(hardware, robot)
+    files = [workflow.import_bag(bag, output, robot, wired, force) for bag in bags]
     people().print(f"{len(files)} trials written to {output}", markup=False, soft_wrap=True)
     if as_json:
         print_json({"files": [str(file) for file in files]})

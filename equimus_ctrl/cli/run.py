@@ -95,7 +95,7 @@ def run(
     real = plant == "hardware"
     if not real and (arm or hardware is not None or domain is not None):
         raise ConfigError("--arm, --hardware and --domain are for --plant hardware alone")
-    streamed = _new_file(record or presets.workspace() / "results" / "hardware", scenario) if real and arm else None
+    streamed = new_file(record or presets.workspace() / "results" / "hardware", scenario) if real and arm else None
     with share_bar(console, scenario) as show:
         done = workflow.run_scenario(
             scenario,
@@ -153,7 +153,7 @@ def run(
         print_json(result)
 
 
-def _new_file(folder: Path, scenario: str) -> Path:
+def new_file(folder: Path, scenario: str) -> Path:
     """A name that no recording in the folder has."""
     from equimus_ctrl import presets
 

@@ -4,7 +4,7 @@ from equimus_ctrl.identification.results import Identification, Identified, Iden
 from equimus_ctrl.scenarios.comparison import Comparison, Condition
 from equimus_ctrl.workflow.compare import CONTROLLERS, compare
 from equimus_ctrl.workflow.diagnose import diagnose_recordings
-from equimus_ctrl.workflow.hardware import load_hardware
+from equimus_ctrl.workflow.hardware import check_hardware, import_bag, load_hardware, measure_delay, with_late_valves
 from equimus_ctrl.workflow.identify import (
     identify_files,
     identify_poses,
@@ -43,16 +43,19 @@ __all__ = [
     "ScenarioRun",
     "TrialScore",
     "TunedPid",
+    "check_hardware",
     "compare",
     "diagnose_recordings",
     "identify_files",
     "identify_poses",
     "identify_recordings",
+    "import_bag",
     "load_controller",
     "load_effects",
     "load_hardware",
     "load_model",
     "load_scenario",
+    "measure_delay",
     "put_to_proof",
     "recordings_of",
     "renamed",
@@ -62,4 +65,5 @@ __all__ = [
     "sensitivity_of",
     "simulator_of",
     "tune_pid",
+    "with_late_valves",
 ]

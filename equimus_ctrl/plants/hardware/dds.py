@@ -92,7 +92,12 @@ class _End:
                 found.append((sample.topic_name, sample.type_name, sample.participant_key == own))
         return found
 
+    def listeners(self) -> int:
+        """Who reads what is written."""
+        return len(self._writer.get_matched_subscriptions())
+
     def write(self, message: Any) -> None:
+        """Send to all of them."""
         with contextlib.suppress(DDSException):  # who does not listen is told by what it does not send
             self._writer.write(message)
 
@@ -126,6 +131,10 @@ class DdsHost:
         """See ``Transport``."""
         with self._lock:
             self._end.write(multi_array(values))
+
+    def listeners(self) -> int:
+        """See ``Transport``."""
+        return self._end.listeners()
 
     def trouble(self) -> str:
         """See ``Transport``."""

@@ -207,6 +207,14 @@ class HardwarePlant:
             self._fault(wrong)
         return self._observation()
 
+    def silence(self) -> str:
+        """That no measurement came, in words."""
+        wire = self.settings.wire
+        return (
+            f"no measurement came on {wire.states}, domain {wire.domain}, within {self.settings.patience:g} s; is the "
+            "robot, or equimus-ctrl emulate, running?"
+        )
+
     def close(self) -> None:
         """Vent, and let go of the robot."""
         if self._closed:
@@ -244,11 +252,7 @@ class HardwarePlant:
             if self._seen is None and clock.monotonic() > until:
                 if wrong:
                     raise HardwareFault(f"the robot was not armed: {wrong}")
-                silent = (
-                    f"no measurement came on {s.wire.states}, domain {s.wire.domain}, within {s.patience:g} s; is the "
-                    "robot, or equimus-ctrl emulate, running?"
-                )
-                raise NotAvailable(self._wire.trouble() or silent)
+                raise NotAvailable(self._wire.trouble() or self.silence())
             clock.sleep(1e-3)
         if trouble := self._wire.trouble():
             raise NotAvailable(f"the robot was not armed: {trouble}")

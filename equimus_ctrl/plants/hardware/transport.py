@@ -37,6 +37,10 @@ class Transport(Protocol):
         """Send a command."""
         ...
 
+    def listeners(self) -> int:
+        """How many hear what is sent."""
+        ...
+
     def trouble(self) -> str:
         """What is wrong with who else is on the wire, in words; empty where nothing is."""
         ...

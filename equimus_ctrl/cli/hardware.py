@@ -1,0 +1,136 @@
+"""``equimus-ctrl hardware``: is the robot there, and how late is it?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from equimus_ctrl.cli.common import Json, ModelFile, check_model_file, key_values, people, print_json, tell_files
+from equimus_ctrl.cli.emulate import Domain, HardwareFile
+
+app = typer.Typer(help="Check a real robot, and measure its delay.", no_args_is_help=True, rich_markup_mode="rich")
+Arm = Annotated[bool, typer.Option("--arm", help="Give the robot pressure.")]
+
+
+@app.command()
+def check(
+    hardware: HardwareFile = None,
+    domain: Domain = None,
+    model: ModelFile = None,
+    arm: Arm = False,
+    seconds: Annotated[float, typer.Option(help="How long to listen, in s.")] = 3.0,
+    pressure: Annotated[float, typer.Option(help="For each actuator in turn, in kPa.")] = 5.0,
+    as_json: Json = False,
+) -> None:
+    """Are both topics alive, at which rates, how late, and with --arm: do joints react to a little pressure?
+
+    Exit code 3 says that something is not as it must be, and the sentences say what.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl hardware check
+    equimus-ctrl hardware check --arm --pressure 4
+    equimus-ctrl hardware check --hardware my_robot.toml --json
+    """  # noqa: D301
+    from equimus_ctrl import workflow
+    from equimus_ctrl.cli.progress import stage_bar
+
+    console = people()
+    robot = workflow.load_model(model)
+    wired = workflow.load_hardware(hardware, robot, domain)
+    with stage_bar(console, "check", width=36, bar_width=24) as show:
+        found = workflow.check_hardware(
+            robot,
+            wired,
+            armed=arm,
+            seconds=seconds,
+            pressure=1e3 * pressure,
+            notify=lambda what, share: show(what, share),
+        )
+    for line in _lines(found, wired.wire.states, wired.wire.commands):
+        console.print(line, markup=False, soft_wrap=True)
+    if as_json:
+        print_json(found)
+    if found["problems"]:
+        raise typer.Exit(3)
+
+
+def _lines(found: dict[str, Any], states: str, commands: str) -> list[str]:
+    lines = [
+        f"{states}: {', '.join(found['joints'])} at {found['rate_hz']:.1f} Hz, intervals even to "
+        f"{1e3 * found['interval_jitter_s']:.2g} ms, longest gap {1e3 * found['longest_gap_s']:.3g} ms",
+        f"  later than the quickest: {1e3 * found['lateness_p50_s']:.2g} ms (99 %: "
+        f"{1e3 * found['lateness_p99_s']:.2g} ms); {found['twice_or_out_of_order']} came twice or out of order",
+        f"{commands}: {found['listeners']} listening",
+    ]
+    for name, moved in found.get("reactions", {}).items():
+        lines.append(f"{name}: moved a joint by {moved['moved_rad']:.4f} rad, which strays by {moved['still_rad']:.4f}")
+    return lines + [f"problem: {text}" for text in found["problems"]]
+
+
+@app.command()
+def delay(
+    hardware: HardwareFile = None,
+    domain: Domain = None,
+    model: ModelFile = None,
+    arm: Arm = False,
+    option: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="An option of the scenario chirp.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="DIR", help="Folder for the recording; results/hardware.")
+    ] = None,
+    write_model: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Model file to write, for --nominal: it knows how late it is.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Sweep the pressures, and fit how late and how slow each actuator is from end to end.
+
+    \b
+    [bold]Examples[/bold]
+    equimus-ctrl hardware delay --arm --write-model known.toml
+    equimus-ctrl run triangle --plant hardware --arm --controller nmpc --nominal known.toml
+    """  # noqa: D301
+    from equimus_ctrl import presets, workflow
+    from equimus_ctrl.cli.progress import share_bar
+    from equimus_ctrl.cli.run import new_file
+    from equimus_ctrl.errors import ConfigError
+    from equimus_ctrl.recordings import read
+
+    console = people()
+    if not arm:
+        raise ConfigError("a delay can only be measured on a robot that is given pressure; give --arm")
+    check_model_file(write_model)
+    robot = workflow.load_model(model)
+    wired = workflow.load_hardware(hardware, robot, domain)
+    path = new_file(record or presets.workspace() / "results" / "hardware", "delay")
+    with share_bar(console, "sweep") as show:
+        workflow.run_scenario(
+            "chirp", "open_loop", model=robot, plant="hardware", options=key_values(option, "--set"), hardware=wired,
+            armed=True, record=path, progress=show,
+        )  # fmt: skip
+    found = workflow.measure_delay([read(path)], robot)
+    table: dict[str, Any] = {}
+    values = dict(zip(found.fit.parameters.names, found.fit.theta.tolist(), strict=True))
+    widths = dict(zip(found.fit.parameters.names, found.fit.uncertainty.half_width.tolist(), strict=True))
+    for name in robot.morphology.actuator_names:
+        own = {}
+        for key, label in (("transport_delay.delay", "delay_s"), ("first_order_lag.time_constant", "lag_s")):
+            own[label] = {"value": values[f"{name}.{key}"], "half_width": widths[f"{name}.{key}"]}
+        table[name] = own
+        console.print(
+            f"{name}: {1e3 * own['delay_s']['value']:.1f} ± {1e3 * own['delay_s']['half_width']:.1f} ms late, lag "
+            f"{1e3 * own['lag_s']['value']:.1f} ± {1e3 * own['lag_s']['half_width']:.1f} ms",
+            markup=False,
+            soft_wrap=True,
+        )
+    files = [path]
+    if write_model is not None:
+        workflow.save_model(write_model, found.fit.model)
+        files.append(write_model)
+    tell_files(console, files)
+    if as_json:
+        print_json({"actuators": table, "files": [str(file) for file in files]})
