@@ -148,6 +148,25 @@ def test_the_starts_command_is_gone_to_and_held_while_the_controller_is_made(
     assert gaps.max() < 0.1, "the device's watchdog would have vented"
 
 
+def test_a_controller_that_stops_this_process_while_it_is_made_is_waited_for(
+    wires: Callable[..., MemoryWire],
+) -> None:
+    """Such as one that builds symbolic functions: the robot is brought to the start again before the run begins."""
+    wire = wires()
+    plant = plant_on(wire, quick(slew=6e4))
+    plant.reset(Start(command=LOW))
+    with wire._lock, plant._lock:  # neither is anything sent nor measured
+        time.sleep(0.4)
+    paused = time.monotonic()
+    plant.step(LOW)
+    plant.close()
+    assert plant.counts.fault == ""
+    again = [(at, values) for at, values in wire.sent if at >= paused]
+    assert again[0][1][0] <= 1000.0, "what the device has vented is ramped to anew"
+    begun = next(at for at, values in reversed(again) if values == tuple(LOW))
+    assert begun - paused >= 0.29
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [

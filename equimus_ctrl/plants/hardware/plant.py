@@ -29,6 +29,8 @@ LOOKS = 0.25
 """How often it is looked who else is on the wire [s]."""
 VENTS = 3
 """So many times 0 Pa is sent, a period apart, where a run ends: one may be lost."""
+PAUSED = 0.5
+"""Before a run, who does not send for this share of the time after which measurements are stale stood still."""
 NEAR = 2e-3
 """Before a deadline a sleep ends by so much, and the rest is waited for in short ones [s]."""
 
@@ -112,7 +114,7 @@ class HardwarePlant:
         self._command: Array = np.zeros(len(self._spec.actuators))
         self._clipped = np.zeros(len(self._spec.actuators), dtype=bool)
         self._origin, self._k, self._due, self._begun = math.nan, 0, math.inf, False
-        self._target = self._command
+        self._target, self._held_since = self._command, math.inf
         self._vented = self._closed = False
         self._tripped, self._in_a_row = "", 0
         self._lock, self._stop = threading.RLock(), threading.Event()
@@ -147,11 +149,10 @@ class HardwarePlant:
             )
         self._first_sample()
         self._heed_signals()
-        self._target = np.array(target)
+        self._target, self._held_since = np.array(target), clock.monotonic()
         self._watch = threading.Thread(target=self._watched, daemon=True)
         self._watch.start()
-        until = clock.monotonic() + self.settings.settle
-        while not self._tripped and clock.monotonic() < until:
+        while not self._tripped and clock.monotonic() < self._held_since + self.settings.settle:
             clock.sleep(self._spec.control_dt)
         if self._tripped:
             self._fault(self._tripped)
@@ -258,7 +259,15 @@ class HardwarePlant:
             raise NotAvailable(f"the robot was not armed: {trouble}")
 
     def _begin(self) -> None:
-        """The first instant is now: what a controller has to make first may take its time, the robot being held."""
+        """The first instant is now, if the robot has been held for long enough without a break.
+
+        What a controller makes first may take its time, and keep this process from sending: then the device has vented
+        by itself, and the robot has to be brought to the start again.
+        """
+        while not self._tripped and clock.monotonic() < self._held_since + self.settings.settle:
+            clock.sleep(self._spec.control_dt)
+        if self._tripped:
+            self._fault(self._tripped)
         if self._record_to is not None and self.armed:
             notes = {"plant": "hardware", "robot": self.settings.wire.states}
             self._stream = RecordingStream(
@@ -348,17 +357,24 @@ class HardwarePlant:
         Either way it looks who else is on the wire.
         """
         dt, looked = self._spec.control_dt, clock.monotonic()
+        last = fresh = looked
         allowed = max(self.settings.safety.misses, 1) * dt
         while not self._stop.wait(dt / 2 if self._begun else dt):
             if self._vented:
                 return
-            now, wrong = clock.monotonic(), ""
+            wrong = ""
             with self._lock:
+                now = clock.monotonic()
                 if not self._begun:
                     assert self._seen is not None
+                    if now - last > PAUSED * self.settings.safety.stale:
+                        # This process stood still, and the device may have vented meanwhile.
+                        self._command, self._held_since = np.zeros(len(self._command)), now
+                        fresh = now + self.settings.safety.stale
+                    last = now
                     self._command = self.guard.limited(self._target, self._command)
                     self._send(self._command)
-                    wrong = self._taken() or self.guard.stale(self._seen, now)
+                    wrong = self._taken() or (self.guard.stale(self._seen, now) if now > fresh else "")
                 elif now > self._due + allowed:
                     wrong = (
                         f"the controller has not answered for {now - self._due + dt:.3g} s, expected a command every "
