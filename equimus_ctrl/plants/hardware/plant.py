@@ -114,7 +114,7 @@ class HardwarePlant:
         self._command: Array = np.zeros(len(self._spec.actuators))
         self._clipped = np.zeros(len(self._spec.actuators), dtype=bool)
         self._origin, self._k, self._due, self._begun = math.nan, 0, math.inf, False
-        self._target, self._held_since = self._command, math.inf
+        self._target, self._held_since, self._beat = self._command, math.inf, -math.inf
         self._vented = self._closed = False
         self._tripped, self._in_a_row = "", 0
         self._lock, self._stop = threading.RLock(), threading.Event()
@@ -152,10 +152,7 @@ class HardwarePlant:
         self._target, self._held_since = np.array(target), clock.monotonic()
         self._watch = threading.Thread(target=self._watched, daemon=True)
         self._watch.start()
-        while not self._tripped and clock.monotonic() < self._held_since + self.settings.settle:
-            clock.sleep(self._spec.control_dt)
-        if self._tripped:
-            self._fault(self._tripped)
+        self._settled()
         self.counts = LoopCounts(lateness=[], latency=[])
         return self._observation()
 
@@ -264,10 +261,7 @@ class HardwarePlant:
         What a controller makes first may take its time, and keep this process from sending: then the device has vented
         by itself, and the robot has to be brought to the start again.
         """
-        while not self._tripped and clock.monotonic() < self._held_since + self.settings.settle:
-            clock.sleep(self._spec.control_dt)
-        if self._tripped:
-            self._fault(self._tripped)
+        self._settled()
         if self._record_to is not None and self.armed:
             notes = {"plant": "hardware", "robot": self.settings.wire.states}
             self._stream = RecordingStream(
@@ -279,6 +273,16 @@ class HardwarePlant:
             self._due = self._origin + self._spec.control_dt
             assert self._seen is not None
             self._last = (self._seen.stamp - self._origin, self._seen.position)
+
+    def _settled(self) -> None:
+        """Waits until the start's command has been held for as long as it has to."""
+        asked = clock.monotonic()
+        while not self._tripped and (
+            self._beat <= asked or clock.monotonic() < self._held_since + self.settings.settle
+        ):
+            clock.sleep(self._spec.control_dt)
+        if self._tripped:
+            self._fault(self._tripped)
 
     def _taken(self) -> str:
         """Takes what has been measured meanwhile; the fault that it shows, empty where it shows none."""
@@ -357,7 +361,7 @@ class HardwarePlant:
         Either way it looks who else is on the wire.
         """
         dt, looked = self._spec.control_dt, clock.monotonic()
-        last = fresh = looked
+        self._beat = fresh = looked
         allowed = max(self.settings.safety.misses, 1) * dt
         while not self._stop.wait(dt / 2 if self._begun else dt):
             if self._vented:
@@ -367,11 +371,11 @@ class HardwarePlant:
                 now = clock.monotonic()
                 if not self._begun:
                     assert self._seen is not None
-                    if now - last > PAUSED * self.settings.safety.stale:
+                    if now - self._beat > PAUSED * self.settings.safety.stale:
                         # This process stood still, and the device may have vented meanwhile.
                         self._command, self._held_since = np.zeros(len(self._command)), now
                         fresh = now + self.settings.safety.stale
-                    last = now
+                    self._beat = now
                     self._command = self.guard.limited(self._target, self._command)
                     self._send(self._command)
                     wrong = self._taken() or (self.guard.stale(self._seen, now) if now > fresh else "")
