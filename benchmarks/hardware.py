@@ -109,7 +109,7 @@ def faults(folder: Path, times: int, seed: int) -> dict[str, Any]:
         reasons: Counter[str] = Counter()
         for k in track(range(times), name, transient=True):
             log, path = folder / f"{name}-{k}.json", folder / f"{name}-{k}.csv"
-            at = f"{rng.uniform(3.0, 4.5):.3f}"
+            at = f"{rng.uniform(1.5, 3.5):.3f}"
             right, why, seen = _killed(log, path, rng) if name == "killed" else _faulted(name, at, log, path)
             reasons[why.partition(": ")[2][:40] or why or "none"] += 1
             tally["as_it_has_to_be"] += right

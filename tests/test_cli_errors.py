@@ -50,7 +50,10 @@ CASES: list[tuple[Sequence[object], str]] = [
     ((*RUN, "--settings", "latin.toml"), "latin.toml: cannot be read ("),
     ((*RUN, "--settings", "nothing"), "nothing: cannot be read ("),
     # run: plants, noise, effects, recordings
-    ((*RUN, "--plant", "mojoco"), "there is no plant 'mojoco'; did you mean 'mujoco'? (known: mujoco, replay)"),
+    (
+        (*RUN, "--plant", "mojoco"),
+        "there is no plant 'mojoco'; did you mean 'mujoco'? (known: hardware, mujoco, replay)",
+    ),
     ((*RUN, "--plant", "replay"), "the replay plant plays the scenario's recording, and there is none"),
     ((*RUN, "--noise", "-0.1"), "noise is -0.1 rad, expected 0 or more"),
     ((*RUN, "--noise", "nan"), "noise is nan rad, expected 0 or more"),

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hardware_rig import DOMAIN, LOOPBACK
 
 from equimus_ctrl.cli.main import main
 
@@ -29,17 +30,30 @@ def commands(text: str) -> list[str]:
 
 @pytest.fixture
 def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for folder in ("controllers", "scenarios", "tuning", "docs"):
+    for folder in ("controllers", "hardware", "scenarios", "tuning", "docs"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results", "images"))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_readme_commands_run_one_after_the_other(workspace: Path) -> None:
+def test_readme_commands_run_one_after_the_other(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = commands(README)
     assert len(found) >= 8
-    for command in found:
-        assert main(shlex.split(command)[1:]) == 0, command
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    beside = []
+    try:
+        for command in found:
+            words = shlex.split(command)[1:]
+            if words[-1] == "&":
+                code = "from equimus_ctrl.cli.main import entry; entry()"
+                beside.append(subprocess.Popen([sys.executable, "-c", code, *words[:-1]]))
+            else:
+                assert main(words) == 0, command
+    finally:
+        for process in beside:
+            process.terminate()
+            process.wait(30)
     assert (workspace / "my_pid.toml").is_file()
     assert (workspace / "my_recordings" / "chirp.csv").is_file()
 

@@ -89,10 +89,12 @@ def delay(
 ) -> None:
     """Sweep the pressures, and fit how late and how slow each actuator is from end to end.
 
+    Controllers predict over it where they are given the model that is written: run … --nominal FILE.
+
     \b
     [bold]Examples[/bold]
     equimus-ctrl hardware delay --arm --write-model known.toml
-    equimus-ctrl run triangle --plant hardware --arm --controller nmpc --nominal known.toml
+    equimus-ctrl hardware delay --arm --set duration=30 --record trials --json
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.cli.progress import share_bar

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -25,6 +26,7 @@ from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.identify import identify_recordings
 
 DEFAULT = "equimus_leg.toml"
+DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 REACTION = 1.0
 """How long an actuator is given pressure, and how long it rests before [s]."""
 LEAST_MOVED = 2e-3
@@ -39,7 +41,7 @@ def load_hardware(path: Path | None, model: Model, domain: int | None = None) ->
     Args:
         path: of the file; ``hardware/equimus_leg.toml`` by default.
         model: of the robot that it has to fit.
-        domain: of DDS, in place of the file's.
+        domain: of DDS, in place of the file's; ``ROS_DOMAIN_ID`` where neither it nor a file is given.
 
     Raises:
         ConfigError: where the file cannot be read, or does not fit the robot.
@@ -48,6 +50,10 @@ def load_hardware(path: Path | None, model: Model, domain: int | None = None) ->
     if chosen is None:
         raise ConfigError(f"hardware/{DEFAULT} is not there; give a file with --hardware FILE")
     settings = HardwareSettings.from_dict(presets.read_toml(chosen), str(chosen))
+    if domain is None and path is None and (given := os.environ.get(DOMAIN_VARIABLE)):
+        if not given.isdecimal():
+            raise ConfigError(f"{DOMAIN_VARIABLE} is {given!r}, expected a whole number")
+        domain = int(given)
     if domain is not None:
         settings = replace(settings, wire=replace(settings.wire, domain=domain))
     m = model.morphology

@@ -35,6 +35,7 @@ def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None)
     """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.rosbag2 import ReaderError
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise NotAvailable(
@@ -82,7 +83,7 @@ def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None)
                 if not np.all(np.isfinite(values)):
                     raise RecordingError(f"{path}: {connection.topic} at {at:.3f} s is {values}, expected numbers")
                 found[connection.topic].append((stamp, at, [float(value) for value in values]))
-    except AnyReaderError as error:
+    except (AnyReaderError, ReaderError, OSError) as error:
         raise RecordingError(f"{path}: is no bag that can be read ({error})") from None
     measured, commanded = found[settings.wire.states], found[settings.wire.commands]
     if len(measured) < 2 or not commanded:
