@@ -33,7 +33,7 @@ os.environ["CYCLONEDDS_URI"] = LOOPBACK
 import numpy as np
 from rich.progress import track
 
-from equimus_ctrl.errors import HardwareFault
+from equimus_ctrl.errors import HardwareFault, NotAvailable
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.hardware.plant import HardwarePlant
 from equimus_ctrl.recordings import read
@@ -105,17 +105,23 @@ def faults(folder: Path, times: int, seed: int) -> dict[str, Any]:
     record: dict[str, Any] = {}
     print(f"each {times} times: as it has to be, within the limits, recording readable; why")
     for name in [*VENTING, *BORNE, "killed"]:
+        unmet = 0
         tally = {"as_it_has_to_be": 0, "within_limits": 0, "readable": 0}
         reasons: Counter[str] = Counter()
         for k in track(range(times), name, transient=True):
             log, path = folder / f"{name}-{k}.json", folder / f"{name}-{k}.csv"
             at = f"{rng.uniform(1.5, 3.5):.3f}"
-            right, why, seen = _killed(log, path, rng) if name == "killed" else _faulted(name, at, log, path)
+            try:
+                right, why, seen = _killed(log, path, rng) if name == "killed" else _faulted(name, at, log, path)
+            except NotAvailable as silent:  # nothing was begun: the two have not found each other
+                print(f"  {name} {k}: {silent}", flush=True)
+                unmet += 1
+                continue
             reasons[why.partition(": ")[2][:40] or why or "none"] += 1
             tally["as_it_has_to_be"] += right
             tally["within_limits"] += seen is None or within_limits(seen, np.inf if "loss" in name else SLEW / 120)
             tally["readable"] += len(read(path).time) > 10
-        record[name] = {**tally, "reasons": dict(reasons)}
+        record[name] = {**tally, "not_begun": unmet, "reasons": dict(reasons)}
         print(
             f"  {name:10s} {' '.join(str(value) for value in tally.values())}   {dict(reasons.most_common(2))}",
             flush=True,

@@ -104,10 +104,12 @@ def emulator(log: Path, *options: str, domain: int = DOMAIN) -> Iterator[subproc
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
         try:
-            process.communicate(timeout=20)
+            said = process.communicate(timeout=20)[1]
         except subprocess.TimeoutExpired:
             process.kill()
-            process.communicate()
+            said = process.communicate()[1]
+        if process.returncode not in (0, 70, -signal.SIGTERM):
+            print(f"the emulator ended with {process.returncode}: {said.decode()}", file=sys.stderr)
 
 
 def seen_by(log: Path) -> dict[str, Any]:
