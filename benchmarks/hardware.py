@@ -110,7 +110,7 @@ def faults(folder: Path, times: int, seed: int) -> dict[str, Any]:
         reasons: Counter[str] = Counter()
         for k in track(range(times), name, transient=True):
             log, path = folder / f"{name}-{k}.json", folder / f"{name}-{k}.csv"
-            at = f"{rng.uniform(1.5, 3.5):.3f}"
+            at = f"{rng.uniform(2.5, 4.0):.3f}"
             try:
                 right, why, seen = _killed(log, path, rng) if name == "killed" else _faulted(name, at, log, path)
             except NotAvailable as silent:  # nothing was begun: the two have not found each other

@@ -203,6 +203,35 @@ def test_risk_counts_the_worst_models() -> None:
     assert set(done.status) == {"sampled"} and np.all(rmse(done) < [4e-3, 8e-3])
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_random_states_and_references_all_get_a_command(method: str) -> None:
+    """Whatever it is told, commands are finite and within limits, and what fell back says so and why."""
+    rng = np.random.default_rng(7)
+    low, high = LEG.joint_range
+    count = 0
+    for options in ({}, {"pressure_rate": 2e5}):
+        for name in ("lags", "late"):
+            own = controller(method=method, **options)
+            observation, first = begun(own, KNOWN[name])
+            state = first
+            for k in range(50):
+                at = DT * (1 + k % 5)
+                if k % 5 == 0:
+                    # Anywhere, moving and pushed.
+                    mean = [*rng.uniform(low, high), *rng.uniform(-3, 3, 2), *rng.uniform(0, 5e4, 2)]
+                    mean += rng.uniform(-0.3, 0.3, 2).tolist()
+                    state = replace(first, observer=replace(first.observer, mean=np.array(mean)))
+                    reference = HoldReference(rng.uniform(low - 0.5, high + 0.5))
+                seen = state.observer.mean[:2]
+                observation = replace(observation, time=at, stamp=at, position=seen, command=rng.uniform(0, 5e4, 2))
+                command, state = own.step(observation, reference, state)
+                assert np.all(np.isfinite(command)) and np.all((command >= 0) & (command <= 5e4))
+                assert bool(state.reason) == state.fell_back == (state.status in FALLBACKS)
+                assert state.status == "sampled"
+                count += 1
+    assert count == 200  # 600 over all methods
+
+
 class Clock:
     """Says the time as it is set to."""
 

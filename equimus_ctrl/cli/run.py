@@ -77,7 +77,7 @@ def run(
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.effects import parse
-    from equimus_ctrl.errors import ConfigError
+    from equimus_ctrl.errors import ConfigError, HardwareFault
     from equimus_ctrl.recordings import write
     from equimus_ctrl.report.tables import run_table, score_to_dict
 
@@ -96,24 +96,31 @@ def run(
     if not real and (arm or hardware is not None or domain is not None):
         raise ConfigError("--arm, --hardware and --domain are for --plant hardware alone")
     streamed = new_file(record or presets.workspace() / "results" / "hardware", scenario) if real and arm else None
-    with share_bar(console, scenario) as show:
-        done = workflow.run_scenario(
-            scenario,
-            controller,
-            model=robot,
-            effects=[parse(text) for text in effect or []],
-            plant=plant,
-            options=key_values(option, "--set"),
-            recordings=recordings,
-            settings=settings,
-            noise=noise,
-            seed=seed,
-            nominal=workflow.load_model(nominal) if nominal is not None else None,
-            progress=show,
-            hardware=workflow.load_hardware(hardware, robot, domain) if real else None,
-            armed=arm,
-            record=streamed,
-        )
+    try:
+        with share_bar(console, scenario) as show:
+            done = workflow.run_scenario(
+                scenario,
+                controller,
+                model=robot,
+                effects=[parse(text) for text in effect or []],
+                plant=plant,
+                options=key_values(option, "--set"),
+                recordings=recordings,
+                settings=settings,
+                noise=noise,
+                seed=seed,
+                nominal=workflow.load_model(nominal) if nominal is not None else None,
+                progress=show,
+                hardware=workflow.load_hardware(hardware, robot, domain) if real else None,
+                armed=arm,
+                record=streamed,
+            )
+    except (HardwareFault, KeyboardInterrupt) as stop:
+        if isinstance(stop, KeyboardInterrupt) and real and arm:
+            console.print("stopped by Ctrl-C; the robot is vented", markup=False)
+        if streamed is not None and streamed.exists():
+            tell_files(console, [streamed])
+        raise
     label = f"{done.scenario.name}, {done.controller}"
     folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
     files: list[Path] = []
