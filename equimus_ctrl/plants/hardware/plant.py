@@ -136,9 +136,11 @@ class HardwarePlant:
         Raises:
             NotAvailable: where no measurement comes, or someone else is on the wire.
             HardwareFault: where the robot is not as it must be.
-            ConfigError: for a start of the wrong size or outside the limits.
+            ConfigError: for a start of the wrong size or outside the limits, or a second run.
         """
         self._require_open()
+        if self._watch is not None:
+            raise ConfigError("a hardware plant runs once; make another one")
         target = self.guard.command_low if start is None or start.command is None else start.command
         if target.shape != self._command.shape:
             raise ConfigError(f"start command has shape {target.shape}, expected {self._command.shape}")
@@ -180,8 +182,6 @@ class HardwarePlant:
         self._send(applied)
         if self.counts.latency is not None and self._seen is not None:
             self.counts.latency.append(now - self._seen.stamp)
-        # What was sent late counts from when it was sent.
-        self._pending.append((now - self._origin if now > instant + dt else self._k * dt, applied))
         behind = max(math.floor((now - instant) / dt), 0)
         self._k += 1 + behind
         if behind:
@@ -218,20 +218,23 @@ class HardwarePlant:
         if self._closed:
             return
         self._closed = True
-        self._stop.set()
-        if self._watch is not None:
-            self._watch.join()
         self._vent("")
-        if self.armed:
-            for _ in range(VENTS - 1):
-                clock.sleep(self._spec.control_dt)
-                self._transmit(np.zeros(len(self._command)))
-        if self._stream is not None:
-            self._taken()
-            self._stream.close()
-        self._wire.close()
-        if self._previous_signal is not None:
-            signal.signal(signal.SIGTERM, self._previous_signal)
+        self._stop.set()
+        try:
+            if self._watch is not None:
+                self._watch.join()
+            if self.armed:
+                for _ in range(VENTS - 1):
+                    clock.sleep(self._spec.control_dt)
+                    self._transmit(np.zeros(len(self._command)))
+            if self._stream is not None:
+                self._taken()
+        finally:
+            if self._stream is not None:
+                self._stream.close()
+            self._wire.close()
+            if self._previous_signal is not None:
+                signal.signal(signal.SIGTERM, self._previous_signal)
 
     def _require_open(self) -> None:
         if self._closed:
@@ -326,6 +329,12 @@ class HardwarePlant:
         with self._lock:
             if self.armed and not self._vented:
                 self._transmit(command)
+                self._keep(command)
+
+    def _keep(self, command: Array) -> None:
+        """A row of the recording, which waits for the next measurement: the command holds from now on."""
+        if self._begun:
+            self._pending.append((clock.monotonic() - self._origin, command))
 
     def _transmit(self, command: Array) -> None:
         values = [0.0] * len(command)
@@ -341,10 +350,11 @@ class HardwarePlant:
                 at = f" at {since:.3f} s" if math.isfinite(since) else " before the run began"
                 self._tripped = f"vented{at}: {why}" if self.armed else f"would have been vented{at}: {why}"
                 self.counts.fault = self._tripped
+            nothing = np.zeros(len(self._command))
             if self.armed and not self._vented:
-                self._transmit(np.zeros(len(self._command)))
-            self._vented = True
-            self._command = np.zeros(len(self._command))
+                self._transmit(nothing)
+                self._keep(nothing)
+            self._vented, self._command = True, nothing
 
     def _fault(self, why: str) -> NoReturn:
         if not self._tripped:
@@ -360,6 +370,12 @@ class HardwarePlant:
 
         Either way it looks who else is on the wire.
         """
+        try:
+            self._watch_over()
+        except Exception as error:  # nobody would watch any more
+            self._vent(f"the watch over the robot failed ({type(error).__name__}: {error})")
+
+    def _watch_over(self) -> None:
         dt, looked = self._spec.control_dt, clock.monotonic()
         self._beat = fresh = looked
         allowed = max(self.settings.safety.misses, 1) * dt
@@ -394,6 +410,8 @@ class HardwarePlant:
             return
 
         def told(number: int, frame: FrameType | None) -> None:
+            if self._closed:  # on its way out already
+                return
             self._fault("the process was told to end (SIGTERM)")
 
         self._previous_signal = signal.signal(signal.SIGTERM, told)
