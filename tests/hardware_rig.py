@@ -44,7 +44,7 @@ class MemoryWire:
     def __init__(self, measure: Callable[[int, float], Sequence[Sample]] | None = None) -> None:
         self._measure = measure or (lambda k, now: [still(now)])
         self.sent: list[tuple[float, tuple[float, ...]]] = []
-        self.wrong = ""
+        self.wrong, self.ready, self.hearing = "", False, 1
         self.closed = False
         self._waiting: list[Sample] = []
         self._stop, self._lock = threading.Event(), threading.Lock()
@@ -66,8 +66,11 @@ class MemoryWire:
     def send(self, values: Sequence[float]) -> None:
         self.sent.append((time.monotonic(), tuple(values)))
 
+    def prepare(self) -> None:
+        self.ready = True
+
     def listeners(self) -> int:
-        return 1
+        return self.hearing
 
     def trouble(self) -> str:
         return self.wrong

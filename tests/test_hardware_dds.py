@@ -126,7 +126,9 @@ def test_faults_vent_and_are_told_and_what_came_before_is_recorded(name: str, tm
     assert len(found.time) > 10 and np.all(found.command <= 50e3)
     if name != "crash":  # it did not live to tell
         seen = seen_by(log)
-        assert within_limits(seen, SLEW / 120) and seen["vented"] is not None
+        assert within_limits(seen, SLEW / 120)
+        # By the host, not by the watchdog, and soon.
+        assert seen["watchdog"] == 0 and 3.5 <= seen["vented"] < 4.0
 
 
 @pytest.mark.parametrize("name", HARMLESS)
@@ -175,11 +177,16 @@ def test_a_controller_that_is_killed_is_vented_by_the_device(tmp_path: Path) -> 
     assert seen["watchdog"] == 1 and seen["vented"] is not None and seen["time"] - seen["vented"] > 0.2
     assert max(seen["highest"]) == 5e3
     found = read(tmp_path / "run.csv")
-    assert len(found.time) > 80 and np.all(found.command == [5e3, 3e3])
+    assert len(found.time) > 80 and np.all(found.command[2:] == [5e3, 3e3])  # the first are within the slew limit
 
 
 def test_someone_else_who_sends_commands_is_noticed(leg: Path) -> None:
-    with closing(DdsHost(Wire(domain=SHARED))), closing(HardwarePlant(MODEL, quick(SHARED), armed=True)) as plant:
+    with (
+        closing(DdsHost(Wire(domain=SHARED))) as rival,
+        closing(HardwarePlant(MODEL, quick(SHARED), armed=True)) as plant,
+    ):
+        assert not plant._wire.trouble()  # who only listens is no rival
+        rival.prepare()
         assert until(plant._wire.trouble)
         with pytest.raises(NotAvailable, match="has another publisher, expected this one alone"):
             plant.reset()
@@ -305,6 +312,8 @@ def test_the_commands_run_and_diagnose_can_read_what_was_recorded(leg: Path, tmp
 def test_a_device_and_a_host_leave_the_domain_when_closed() -> None:
     wire = Wire(domain=DOMAIN, states="/elsewhere", commands="/nowhere")
     device, host = DdsDevice(wire), DdsHost(wire)
+    assert until(host.listeners)
+    host.prepare()
     assert until(lambda: len(host._end.publishers()) >= 2)
     device.publish(1.0, ["hip"], [0.5])
     assert until(host.take)

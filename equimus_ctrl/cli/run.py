@@ -77,7 +77,7 @@ def run(
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.effects import parse
-    from equimus_ctrl.errors import ConfigError, HardwareFault
+    from equimus_ctrl.errors import ConfigError, EquimusError
     from equimus_ctrl.recordings import write
     from equimus_ctrl.report.tables import run_table, score_to_dict
 
@@ -115,7 +115,7 @@ def run(
                 armed=arm,
                 record=streamed,
             )
-    except (HardwareFault, KeyboardInterrupt) as stop:
+    except (EquimusError, KeyboardInterrupt) as stop:
         if isinstance(stop, KeyboardInterrupt) and real and arm:
             console.print("stopped by Ctrl-C; the robot is vented", markup=False)
         if streamed is not None and streamed.exists():

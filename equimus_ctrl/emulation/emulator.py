@@ -62,6 +62,8 @@ class EmulatorSettings:
     faults: tuple[Fault, ...] = ()
 
     def __post_init__(self) -> None:
+        if not 0 < self.rate <= TICK:
+            raise ConfigError(f"rate is {self.rate:g} Hz, expected more than 0 and at most {TICK:g}")
         for key in ("noise", "latency", "jitter"):
             value = getattr(self, key)
             if not (math.isfinite(value) and value >= 0):
@@ -86,7 +88,7 @@ class Emulated:
         highest: (na,) highest command received [Pa].
         lowest: (na,) lowest [Pa].
         steepest: the largest change from one command received to the next, venting apart [Pa].
-        watchdog: how often it vented by itself.
+        watchdog: how often it vented by itself, there being pressure.
         vented: when the command in force last became 0 [s]; NaN where it is not 0 now.
         measurements: sent.
         left_out: ticks that were left out because the machine was too slow.
@@ -206,7 +208,7 @@ class Emulator:
             if found is not None:
                 in_force, self._heard = found, now
         if now - self._heard > self.settings.watchdog:
-            self.seen.watchdog += 1
+            self.seen.watchdog += bool(in_force.any())
             self._heard = math.inf
             in_force = np.zeros(len(in_force))
         if in_force.any():

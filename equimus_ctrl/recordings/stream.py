@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -69,8 +70,11 @@ class RecordingStream:
 
     def _write(self, text: str) -> None:
         data = text.encode()
+        size = os.fstat(self._file).st_size
         try:
             while data:
                 data = data[os.write(self._file, data) :]
         except OSError as error:
+            with suppress(OSError):  # half a row would spoil all before it
+                os.ftruncate(self._file, size)
             raise RecordingError(f"{self.path}: cannot be written ({reason(error)})") from error

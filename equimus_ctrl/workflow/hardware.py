@@ -17,6 +17,7 @@ from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.errors import ConfigError, NotAvailable, RecordingError
 from equimus_ctrl.identification.results import Identified
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.plants.hardware.guard import Seen
 from equimus_ctrl.plants.hardware.plant import HardwarePlant
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.hardware.transport import Sample, Transport
@@ -88,6 +89,9 @@ def check_hardware(
     """
     if not 0 < seconds < math.inf:
         raise ConfigError(f"seconds is {seconds:g}, expected more than 0")
+    highest = min(model.morphology.command_high, settings.safety.pressure)
+    if not 0 < pressure <= highest:
+        raise ConfigError(f"pressure is {pressure / 1e3:g} kPa, expected more than 0 and at most {highest / 1e3:g}")
     host = transport_entry(settings.wire.transport).host(settings.wire)
     plant = HardwarePlant(model, settings, armed=armed, transport=host)
     try:
@@ -97,6 +101,8 @@ def check_hardware(
             raise NotAvailable(host.trouble() or plant.silence())
         found = _heard(samples, host)
         problems: list[str] = found["problems"]
+        if wrong := _judged(samples, plant):
+            problems.append(wrong)
         if trouble := host.trouble():
             problems.append(trouble)
         if not found["listeners"]:
@@ -132,6 +138,18 @@ def _listened(host: Transport, patience: float, seconds: float) -> list[Sample]:
         clock.sleep(0.01)
         found += host.take()
     return found
+
+
+def _judged(samples: list[Sample], plant: HardwarePlant) -> str:
+    """What a run would refuse of measurements."""
+    seen: Seen | str = plant.guard.first(samples[0])
+    for sample in samples[1:]:
+        if isinstance(seen, str):
+            break
+        seen = plant.guard.next(seen, sample)
+    if isinstance(seen, str):
+        return seen
+    return "" if seen.samples > 1 else "the stamps of measurements do not advance, expected each later than the last"
 
 
 def _heard(samples: list[Sample], host: Transport) -> dict[str, Any]:

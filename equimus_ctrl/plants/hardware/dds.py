@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import DDSException, InstanceState, Listener, Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
@@ -71,17 +71,25 @@ class _End:
 
     def __init__(self, wire: Wire, read: tuple[str, type, Qos], write: tuple[str, type, Qos]) -> None:
         self._arriving = _Arriving()
+        self._writer: Any = None
+        self._written = topic_of(write[0])
         try:
             self.participant = DomainParticipant(wire.domain)
             topics = [Topic(self.participant, topic_of(name), kind) for name, kind, _ in (read, write)]
             self._reader = DataReader(self.participant, topics[0], qos=read[2], listener=self._arriving)
-            self._writer = DataWriter(self.participant, topics[1], qos=write[2])
             self._others = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication)
+            self._readers = BuiltinDataReader(self.participant, BuiltinTopicDcpsSubscription)
+            self._make_writer: Any = lambda: DataWriter(self.participant, topics[1], qos=write[2])
         except DDSException as error:
             raise NotAvailable(
                 f"DDS domain {wire.domain} cannot be joined ({error.msg.strip()}); expected a network interface that "
                 "Cyclone DDS can use, see CYCLONEDDS_URI"
             ) from None
+
+    def prepare(self) -> None:
+        """Be ready to write."""
+        if self._writer is None:
+            self._writer = self._make_writer()
 
     def publishers(self) -> list[tuple[str, str, bool]]:
         """(topic, type, whether it is this end's own) of all that publish in the domain."""
@@ -94,24 +102,33 @@ class _End:
 
     def listeners(self) -> int:
         """Who reads what is written."""
-        return len(self._writer.get_matched_subscriptions())
+        if self._writer is not None:
+            return len(self._writer.get_matched_subscriptions())
+        alive = {
+            sample.key
+            for sample in self._readers.read(N=1000, condition=None)
+            if sample.sample_info.valid_data and sample.sample_info.instance_state == InstanceState.Alive
+            and sample.topic_name == self._written
+        }  # fmt: skip
+        return len(alive)
 
     def write(self, message: Any) -> None:
         """Send to all of them."""
-        with contextlib.suppress(DDSException):  # who does not listen is told by what it does not send
+        self.prepare()
+        with contextlib.suppress(DDSException):  # who does not listen any more is told by the others
             self._writer.write(message)
 
     def close(self) -> None:
         """Leave the domain."""
-        self._reader.set_listener(Listener())
-        del self._reader, self._writer, self._others, self.participant
+        self._reader.set_listener(None)
+        del self._reader, self._writer, self._make_writer, self._others, self._readers, self.participant
 
 
 class DdsHost:
     """The controller's end."""
 
     def __init__(self, wire: Wire) -> None:
-        self._wire, self._lock = wire, threading.Lock()
+        self._wire, self._lock = wire, threading.RLock()  # a signal may come while it is held
         self._end = _End(wire, (wire.states, JointState, SENSOR_DATA), (wire.commands, Float64MultiArray, DEFAULT))
 
     def take(self) -> list[Sample]:
@@ -126,6 +143,10 @@ class DdsHost:
             )
             for received, source, message in self._end._arriving.take()
         ]
+
+    def prepare(self) -> None:
+        """See ``Transport``."""
+        self._end.prepare()
 
     def send(self, values: Sequence[float]) -> None:
         """See ``Transport``."""
@@ -163,6 +184,7 @@ class DdsDevice:
 
     def __init__(self, wire: Wire) -> None:
         self._end = _End(wire, (wire.commands, Float64MultiArray, DEFAULT), (wire.states, JointState, DEFAULT))
+        self._end.prepare()
 
     def publish(self, stamp: float, names: Sequence[str], position: Sequence[float]) -> None:
         """See ``Device``."""

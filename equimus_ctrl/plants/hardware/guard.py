@@ -21,22 +21,18 @@ class Seen:
         position: (nj,) latest angles [rad].
         stamp: when they were measured, by this machine's clock [s].
         device_stamp: the same by the device's own [s].
-        arrived: when the latest sample came [s].
         source: who sent it.
         samples: that counted.
         ignored: that had come before, or came too late for their order.
-        lateness: how much later than the quickest each one came, the largest [s].
     """
 
     clock: ClockMap
     position: Array
     stamp: float
     device_stamp: float
-    arrived: float
     source: int
     samples: int = 1
     ignored: int = 0
-    lateness: float = 0.0
 
 
 class Guard:
@@ -54,7 +50,6 @@ class Guard:
         self._low, self._high = spec.joint_low - safety.joint_margin, spec.joint_high + safety.joint_margin
         self.command_low: Array = np.array(spec.command_low)
         self.command_high: Array = np.minimum(spec.command_high, safety.pressure)
-        self._dt = spec.control_dt
 
     def angles(self, sample: Sample) -> Array | str:
         """(nj,) of a sample [rad], or why there are none."""
@@ -75,7 +70,7 @@ class Guard:
         if isinstance(angles, str):
             return angles
         clock = ClockMap.of(sample.stamp, sample.received)
-        seen = Seen(clock, angles, clock.local(sample.stamp), sample.stamp, sample.received, sample.source)
+        seen = Seen(clock, angles, clock.local(sample.stamp), sample.stamp, sample.source)
         return self._wrong(angles) or seen
 
     def next(self, seen: Seen, sample: Sample) -> Seen | str:
@@ -104,8 +99,7 @@ class Guard:
                 )
         clock = seen.clock.seen(sample.stamp, sample.received)
         return Seen(
-            clock, angles, clock.local(sample.stamp), sample.stamp, sample.received, sample.source,
-            seen.samples + 1, seen.ignored, max(seen.lateness, clock.late(sample.stamp, sample.received)),
+            clock, angles, clock.local(sample.stamp), sample.stamp, sample.source, seen.samples + 1, seen.ignored
         )  # fmt: skip
 
     def stale(self, seen: Seen, now: float) -> str:
@@ -115,9 +109,9 @@ class Guard:
             return ""
         return f"the latest measurement is {age:.3g} s old, expected one at least every {self.safety.stale:g} s"
 
-    def limited(self, asked: Array, before: Array) -> Array:
-        """(na,) the command nearest to what is asked for within all limits [Pa]."""
-        reach = self.safety.slew * self._dt
+    def limited(self, asked: Array, before: Array, span: float) -> Array:
+        """(na,) the command nearest to what is asked for within all limits, so long after the one before [Pa]."""
+        reach = self.safety.slew * span
         return np.clip(np.clip(asked, before - reach, before + reach), self.command_low, self.command_high)
 
     def _wrong(self, angles: Array) -> str:

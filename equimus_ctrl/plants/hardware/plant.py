@@ -7,7 +7,7 @@ import signal
 import threading
 import time as clock
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable
+from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable, RecordingError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.hardware.guard import Guard, Seen
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
@@ -29,8 +29,11 @@ LOOKS = 0.25
 """How often it is looked who else is on the wire [s]."""
 VENTS = 3
 """So many times 0 Pa is sent, a period apart, where a run ends: one may be lost."""
-PAUSED = 0.5
-"""Before a run, who does not send for this share of the time after which measurements are stale stood still."""
+PAUSED, MOST_PAUSES = 0.5, 20
+"""Before a run, who does not send for this share of the time after which measurements are stale stood still; and how
+often that may be."""
+EARLY = 1e-6
+"""Share of a period that rounding may take."""
 NEAR = 2e-3
 """Before a deadline a sleep ends by so much, and the rest is waited for in short ones [s]."""
 
@@ -102,7 +105,9 @@ class HardwarePlant:
     ) -> None:
         self.settings = s = settings or HardwareSettings()
         self.armed, self._record_to = armed, record
-        self._spec = make_spec(model.morphology, 1 / s.rate, nominal or model, model.phase)
+        spec = make_spec(model.morphology, 1 / s.rate, nominal or model, model.phase)
+        highest = frozen_array(np.minimum(spec.command_high, s.safety.pressure))
+        self._spec = replace(spec, command_high=highest)
         calibrations, self._channels = s.for_robot(self._spec.joints, self._spec.actuators)
         self.guard = Guard(self._spec, s.safety, calibrations)
         self._wire = transport or transport_entry(s.wire.transport).host(s.wire)
@@ -115,11 +120,12 @@ class HardwarePlant:
         self._clipped = np.zeros(len(self._spec.actuators), dtype=bool)
         self._origin, self._k, self._due, self._begun = math.nan, 0, math.inf, False
         self._target, self._held_since, self._beat = self._command, math.inf, -math.inf
-        self._vented = self._closed = False
+        self._vented = self._closing = self._closed = self._resync = False
+        self._sent_at, self._pauses = -math.inf, 0
         self._tripped, self._in_a_row = "", 0
         self._lock, self._stop = threading.RLock(), threading.Event()
         self._watch: threading.Thread | None = None
-        self._previous_signal: Any = None
+        self._previous_signals: dict[int, Any] = {}
 
     @property
     def spec(self) -> PlantSpec:
@@ -144,7 +150,7 @@ class HardwarePlant:
         target = self.guard.command_low if start is None or start.command is None else start.command
         if target.shape != self._command.shape:
             raise ConfigError(f"start command has shape {target.shape}, expected {self._command.shape}")
-        if np.any(target < self.guard.command_low) or np.any(target > self.guard.command_high):
+        if not np.all((target >= self.guard.command_low) & (target <= self.guard.command_high)):
             raise ConfigError(
                 f"start command {target.tolist()} Pa lies outside the limits of {self.guard.command_low.tolist()} to "
                 f"{self.guard.command_high.tolist()} Pa"
@@ -176,33 +182,28 @@ class HardwarePlant:
         if not self._begun:
             self._begin()
         now, dt = clock.monotonic(), self._spec.control_dt
-        instant = self._origin + self._k * dt
-        applied = self.guard.limited(asked, self._command)
+        behind = max(math.floor((now - self._origin) / dt - self._k + EARLY), 0)
+        self._in_a_row = self._in_a_row + behind if behind else 0
+        self.counts.misses += behind
+        if self._in_a_row > self.settings.safety.misses:
+            self._fault(
+                f"the controller missed {self._in_a_row} deadlines of {dt * 1e3:.3g} ms in a row, expected at most "
+                f"{self.settings.safety.misses}"
+            )
+        self._judge(now)
+        applied = self.guard.limited(asked, self._command, min(now - self._sent_at, dt))
         self._clipped, self._command = applied != asked, applied
         self._send(applied)
         if self.counts.latency is not None and self._seen is not None:
             self.counts.latency.append(now - self._seen.stamp)
-        behind = max(math.floor((now - instant) / dt), 0)
         self._k += 1 + behind
-        if behind:
-            self.counts.misses += behind
-            self._in_a_row += 1
-            if self._in_a_row > self.settings.safety.misses:
-                self._fault(
-                    f"the controller missed {self._in_a_row} deadlines of {dt * 1e3:.3g} ms in a row, expected at most "
-                    f"{self.settings.safety.misses}"
-                )
-        else:
-            self._in_a_row = 0
         self._due = self._origin + self._k * dt
         self._wait(self._due)
         woken = clock.monotonic()
         if self.counts.lateness is not None:
             self.counts.lateness.append(woken - self._due)
         self._due += dt
-        assert self._seen is not None
-        if wrong := self._tripped or self._taken() or self.guard.stale(self._seen, woken):
-            self._fault(wrong)
+        self._judge(woken)
         return self._observation()
 
     def silence(self) -> str:
@@ -217,24 +218,26 @@ class HardwarePlant:
         """Vent, and let go of the robot."""
         if self._closed:
             return
+        self._closing = True
+        if self._watch is not None:  # a robot that was never taken over is another's
+            self._vent("")
         self._closed = True
-        self._vent("")
         self._stop.set()
         try:
             if self._watch is not None:
                 self._watch.join()
-            if self.armed:
-                for _ in range(VENTS - 1):
-                    clock.sleep(self._spec.control_dt)
-                    self._transmit(np.zeros(len(self._command)))
+                if self.armed:
+                    for _ in range(VENTS - 1):
+                        clock.sleep(self._spec.control_dt)
+                        self._transmit(np.zeros(len(self._command)))
             if self._stream is not None:
                 self._taken()
         finally:
             if self._stream is not None:
                 self._stream.close()
             self._wire.close()
-            if self._previous_signal is not None:
-                signal.signal(signal.SIGTERM, self._previous_signal)
+            for number, handler in self._previous_signals.items():
+                signal.signal(number, handler)
 
     def _require_open(self) -> None:
         if self._closed:
@@ -257,6 +260,16 @@ class HardwarePlant:
             clock.sleep(1e-3)
         if trouble := self._wire.trouble():
             raise NotAvailable(f"the robot was not armed: {trouble}")
+        if self.armed:
+            self._wire.prepare()
+            while not self._wire.listeners():
+                if clock.monotonic() > until:
+                    raise NotAvailable(f"the robot was not armed: {self._deaf()}")
+                clock.sleep(1e-3)
+
+    def _deaf(self) -> str:
+        wire = self.settings.wire
+        return f"nobody listens to {wire.commands}, domain {wire.domain}"
 
     def _begin(self) -> None:
         """The first instant is now, if the robot has been held for long enough without a break.
@@ -287,16 +300,25 @@ class HardwarePlant:
         if self._tripped:
             self._fault(self._tripped)
 
+    def _judge(self, now: float) -> None:
+        """A fault where something has tripped, or measurements are wrong or missing."""
+        assert self._seen is not None
+        if wrong := self._tripped or self._taken() or self.guard.stale(self._seen, now):
+            self._fault(wrong)
+
     def _taken(self) -> str:
         """Takes what has been measured meanwhile; the fault that it shows, empty where it shows none."""
         assert self._seen is not None
         for sample in self._wire.take():
-            found = self.guard.next(self._seen, sample)
+            found = self.guard.first(sample) if self._resync else self.guard.next(self._seen, sample)
             if isinstance(found, str):
                 return found
             if found.samples > self._seen.samples:
-                self._write(found)
-            self._seen = found
+                try:
+                    self._write(found)
+                except RecordingError as error:
+                    return str(error)
+            self._seen, self._resync = found, False
         return ""
 
     def _write(self, seen: Seen) -> None:
@@ -329,11 +351,12 @@ class HardwarePlant:
         with self._lock:
             if self.armed and not self._vented:
                 self._transmit(command)
+                self._sent_at = clock.monotonic()
                 self._keep(command)
 
     def _keep(self, command: Array) -> None:
         """A row of the recording, which waits for the next measurement: the command holds from now on."""
-        if self._begun:
+        if self._begun and self._stream is not None:
             self._pending.append((clock.monotonic() - self._origin, command))
 
     def _transmit(self, command: Array) -> None:
@@ -352,7 +375,10 @@ class HardwarePlant:
                 self.counts.fault = self._tripped
             nothing = np.zeros(len(self._command))
             if self.armed and not self._vented:
-                self._transmit(nothing)
+                try:
+                    self._transmit(nothing)
+                except Exception as error:  # whatever the transport has, this is to be told and gone on from
+                    self._tripped += f"; 0 Pa could not be sent ({type(error).__name__}: {error})"
                 self._keep(nothing)
             self._vented, self._command = True, nothing
 
@@ -378,23 +404,33 @@ class HardwarePlant:
     def _watch_over(self) -> None:
         dt, looked = self._spec.control_dt, clock.monotonic()
         self._beat = fresh = looked
-        allowed = max(self.settings.safety.misses, 1) * dt
-        while not self._stop.wait(dt / 2 if self._begun else dt):
+        allowed = (self.settings.safety.misses + 0.5) * dt
+        paused = max(PAUSED * self.settings.safety.stale, 2.5 * dt)
+        while not self._stop.wait(dt / 2 if self._begun and not self._vented else dt):
             if self._vented:
-                return
+                # Who hangs never closes; one message may be lost.
+                if self.armed:
+                    self._transmit(np.zeros(len(self._command)))
+                continue
             wrong = ""
             with self._lock:
                 now = clock.monotonic()
                 if not self._begun:
                     assert self._seen is not None
-                    if now - self._beat > PAUSED * self.settings.safety.stale:
-                        # This process stood still, and the device may have vented meanwhile.
-                        self._command, self._held_since = np.zeros(len(self._command)), now
-                        fresh = now + self.settings.safety.stale
+                    if now - self._beat > paused:
+                        # This process stood still, the device may have vented, and what waits came long ago.
+                        self._command = np.zeros(len(self._command))
+                        self._wire.take()
+                        self._resync, fresh = True, now + self.settings.safety.stale
+                        self._pauses += 1
                     self._beat = now
-                    self._command = self.guard.limited(self._target, self._command)
+                    if not np.array_equal(self._command, self._target):
+                        self._held_since = now
+                    self._command = self.guard.limited(self._target, self._command, dt)
                     self._send(self._command)
                     wrong = self._taken() or (self.guard.stale(self._seen, now) if now > fresh else "")
+                    if self._pauses > MOST_PAUSES:
+                        wrong = f"this process stood still {self._pauses} times before the run began"
                 elif now > self._due + allowed:
                     wrong = (
                         f"the controller has not answered for {now - self._due + dt:.3g} s, expected a command every "
@@ -402,6 +438,8 @@ class HardwarePlant:
                     )
             if not wrong and now > looked + LOOKS:
                 looked, wrong = now, self._wire.trouble()
+                if self.armed and not wrong and not self._wire.listeners():
+                    wrong = self._deaf()
             if wrong:
                 self._vent(wrong)
 
@@ -410,8 +448,11 @@ class HardwarePlant:
             return
 
         def told(number: int, frame: FrameType | None) -> None:
-            if self._closed:  # on its way out already
+            if self._closing:  # on its way out already
                 return
-            self._fault("the process was told to end (SIGTERM)")
+            self._fault(f"the process was told to end ({signal.Signals(number).name})")
 
-        self._previous_signal = signal.signal(signal.SIGTERM, told)
+        for name in ("SIGTERM", "SIGHUP"):
+            if hasattr(signal, name):
+                number = getattr(signal, name)
+                self._previous_signals[number] = signal.signal(number, told)

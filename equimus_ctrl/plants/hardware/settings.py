@@ -11,6 +11,8 @@ from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.settings import settings_from, table_of
 
 FORMAT = "equimus-ctrl/hardware/1"
+LEAST_STALE = 3.0
+"""So many periods may go by without a measurement at least: with fewer, none that is late could be told from none."""
 MOST_DOMAIN = 232
 """DDS works out its ports from the domain; beyond this there are none."""
 
@@ -144,6 +146,11 @@ class HardwareSettings:
                 raise ConfigError(f"{key} is {value:g}, expected more than 0")
         if not (math.isfinite(self.settle) and self.settle >= 0):
             raise ConfigError(f"settle is {self.settle:g}, expected at least 0")
+        if self.safety.stale < LEAST_STALE / self.rate:
+            raise ConfigError(
+                f"safety: stale is {self.safety.stale:g} s, expected at least {LEAST_STALE:g} periods of "
+                f"{1 / self.rate:.4g} s"
+            )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], where: str = "hardware settings") -> HardwareSettings:

@@ -33,6 +33,10 @@ class Transport(Protocol):
         """All measurements that came since the last call, in the order in which they came."""
         ...
 
+    def prepare(self) -> None:
+        """Be ready to send; until then nobody is to take this end for one that commands."""
+        ...
+
     def send(self, values: Sequence[float]) -> None:
         """Send a command."""
         ...
