@@ -4,6 +4,7 @@ from .controllers.lqr import LqrController as LqrController, LqrSettings as LqrS
 from .controllers.nmpc import NmpcController as NmpcController, NmpcSettings as NmpcSettings
 from .controllers.open_loop import OpenLoopController as OpenLoopController
 from .controllers.pid import PidController as PidController, PidGains as PidGains, PidSettings as PidSettings
+from .controllers.sampling import SamplingController as SamplingController, SamplingSettings as SamplingSettings
 from .effects import (
     AsymmetricLag as AsymmetricLag,
     Backlash as Backlash,
@@ -69,6 +70,8 @@ from .models.morphology import (
 )
 from .models.symbolic import symbolic_model as symbolic_model
 from .plants.events import Load as Load, Push as Push
+from .plants.hardware.plant import HardwarePlant as HardwarePlant
+from .plants.hardware.settings import HardwareSettings as HardwareSettings
 from .plants.mujoco_plant import MujocoPlant as MujocoPlant, PlantRates as PlantRates
 from .plants.replay import ReplayPlant as ReplayPlant
 from .scenarios.references import (
