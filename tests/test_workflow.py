@@ -262,7 +262,11 @@ def test_effects_on_a_replay_are_refused(leg_dir: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "kind", "sentence"),
     [
-        ({"plant": "mojoco"}, eq.ConfigError, "there is no plant 'mojoco'; did you mean 'mujoco'? (known: hardware, mujoco, re"),
+        (
+            {"plant": "mojoco"},
+            eq.ConfigError,
+            "there is no plant 'mojoco'; did you mean 'mujoco'? (known: hardware, mujoco, re",
+        ),
         ({"plant": "replay"}, eq.NotAvailable, "the replay plant plays the scenario's recording, and there is none"),
         ({"noise": -1.0}, eq.ConfigError, "noise is -1 rad, expected 0 or more"),
         ({"controller": "PID"}, eq.ControllerError, "there is no controller 'PID'"),
