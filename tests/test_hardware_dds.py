@@ -82,7 +82,7 @@ def test_controllers_track_over_the_wire_as_in_simulation(leg: Path, name: str) 
     with closing(HardwarePlant(MODEL, quick(SHARED), armed=True)) as plant:
         real = run(plant, own, reference, 6.0)
     assert plant.counts.fault == ""
-    # Where both are within the noise there is nothing to compare.
+    # The floor is what a measurement that is up to a period old makes of this motion: the PID knows nothing of its age.
     assert np.all(rmse(real) <= np.maximum(1.2 * rmse(simulated), 2e-3))
 
 
