@@ -114,20 +114,23 @@ class Inverse:
         reached: Array = shaped_commands(self._effects, self.actuators, command[None])[0]
         return np.asarray(reached - self._holding(state))
 
-    def follow(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array, InverseState]:
+    def follow(
+        self, reference: Reference, times: Array, state: InverseState, stamps: Array | None = None
+    ) -> tuple[Array, Array, InverseState]:
         """What to command, and what the sensors show of a robot that follows.
 
         Args:
             reference: of the true angles; looked at ahead of time where valves are late.
             times: (n,) successive control instants [s].
             state: how far it has been followed.
+            stamps: (n,) when what is known at each of them was measured [s]; then, by default.
 
         Returns:
             Angles (n, nj) that the sensors show [rad], commands (n, na) within the useful range [Pa], and the state
             after the last of them.
         """
         feed, states = self._feed(reference, times, state)
-        seen, held = self._seen(reference, times, state)
+        seen, held = self._seen(reference, times if stamps is None else stamps, state)
         return seen, self.commands(feed), replace(state, states=states, held=held)
 
     def target(self, reference: Reference, time: float, state: InverseState) -> tuple[Target, InverseState]:

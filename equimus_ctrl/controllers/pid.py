@@ -236,18 +236,27 @@ class PidController:
         return PidState(memory, offset, observation.time, spec, constants, gains, law, low, high, inverse, following)
 
     def step(self, observation: Observation, reference: Reference, state: PidState) -> tuple[Array, PidState]:
-        """The next command, within the plant's limits."""
+        """The next command, within the plant's limits.
+
+        What was measured is compared with where the robot was to be then; pressures are fed forward for now.
+        """
         s, spec = self.settings, state.spec
         offset, following, fed = state.offset, state.inverse_state, np.empty(len(spec.actuators))
+        now, measured = observation.time, max(observation.stamp, state.begun)
         if state.inverse is not None and following is not None:
-            shown, planned, following = state.inverse.follow(reference, np.array([observation.time]), following)
+            instants = np.array([now]), np.array([measured])
+            shown, planned, following = state.inverse.follow(reference, instants[0], following, instants[1])
             r, fed = shown[0], planned[0]
         else:
-            wanted = reference.position(observation.time)
             if np.isnan(offset).any():
-                offset = observation.position - wanted
-            r = wanted + state.law.blend(observation.time - state.begun, s.start_time) * offset
-            state.law.static_feed(r, s.feedforward, state.constants, fed)
+                offset = observation.position - reference.position(measured)
+
+            def pose(time: float) -> Array:
+                weight = state.law.blend(time - state.begun, s.start_time)
+                return np.asarray(reference.position(time) + weight * offset)
+
+            r = pose(measured)
+            state.law.static_feed(r if measured == now else pose(now), s.feedforward, state.constants, fed)
         memory = state.memory.copy()
         command = np.empty(len(spec.actuators))
         state.law.pid_command(

@@ -285,10 +285,12 @@ class HardwarePlant:
             )
         with self._lock:
             self._begun = True
-            self._origin, self._k = clock.monotonic(), 0
+            # A period after the last command, or what may change within a period would depend on when it was sent.
+            self._origin, self._k = max(clock.monotonic(), self._sent_at + self._spec.control_dt), 0
             self._due = self._origin + self._spec.control_dt
             assert self._seen is not None
             self._last = (self._seen.stamp - self._origin, self._seen.position)
+        self._wait(self._origin)
 
     def _settled(self) -> None:
         """Waits until the start's command has been held for as long as it has to."""
