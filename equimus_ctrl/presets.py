@@ -20,10 +20,38 @@ from typing import Any
 
 import tomlkit
 
-from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, unknown_name
+from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, ModelError, unknown_name
 
+MJCF = (".xml", ".mjcf")
+"""What files of MuJoCo's XML end with."""
 KINDS = ("controllers", "hardware", "scenarios", "tuning")
 _PACKAGE = Path(__file__).resolve().parent
+
+
+def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
+    """(name, text in one piece, files that it names) of a file of MuJoCo's XML.
+
+    Raises:
+        ConfigError: where there is no such file.
+        ModelError: where MuJoCo cannot load it.
+    """
+    import mujoco  # takes a while, and few need it here
+
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such file")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compile()
+        xml = spec.to_xml()
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"{path}: MuJoCo cannot load it ({' '.join(str(error).split())})") from None
+    assets = {name: data if isinstance(data, bytes) else str(data).encode() for name, data in spec.assets.items()}
+    for folder in {path.parent, path.parent / spec.meshdir, path.parent / spec.texturedir}:
+        for part in (*spec.meshes, *spec.hfields, *spec.textures):
+            name = getattr(part, "file", "")
+            if name and name not in assets and (folder / name).is_file():
+                assets[name] = (folder / name).read_bytes()
+    return spec.modelname or path.stem, xml, assets
 
 
 def checkout() -> Path | None:
@@ -77,6 +105,11 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+def relative(path: Path, folder: Path) -> str:
+    """A path as a file in a folder names it."""
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
 def toml_text(data: Mapping[str, Any], comment: str = "") -> str:

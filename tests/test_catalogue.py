@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.controllers.pid import PidController, PidGains, PidSettings
-from equimus_ctrl.effects import REGISTRY, Effect, make
+from equimus_ctrl.effects import Effect, catalogue, make
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model, places
@@ -71,7 +71,7 @@ KINKED = {"coulomb_friction": 1e-3, "stribeck_friction": 1e-3, "hysteresis": 1e-
 
 LEG = nominal_leg()
 HERE = {kind: names[-1] for kind, names in places(LEG).items()} | {"link": "thigh"}
-CASES = [(name, kind) for name, cls in sorted(REGISTRY.items()) for kind in cls.sits_at]
+CASES = [(name, kind) for name, cls in catalogue("elastic").items() for kind in cls.sits_at]
 every_case = pytest.mark.parametrize(("name", "kind"), CASES)
 
 PID = PidSettings({"maa": PidGains(200.0, 200.0, 3.0), "baa": PidGains(60.0, 60.0, 1.0)})
@@ -118,7 +118,7 @@ def plain(phase: Phase) -> Array:
 
 
 def test_the_catalogue_is_whole() -> None:
-    own = {name for name, cls in REGISTRY.items() if cls.__module__.startswith("equimus_ctrl.")}
+    own = {name for name, cls in catalogue("elastic").items() if cls.__module__.startswith("equimus_ctrl.")}
     assert own == CATALOGUE == {name for name, _ in STRONG}
 
 

@@ -14,7 +14,6 @@ from morphologies import pendulum
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl.effects import (
-    REGISTRY,
     CoulombFriction,
     Creep,
     Effect,
@@ -24,6 +23,7 @@ from equimus_ctrl.effects import (
     NonlinearStiffness,
     ParallelSpring,
     StribeckFriction,
+    catalogue,
 )
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.engines import compiled
@@ -174,7 +174,7 @@ def test_the_laws_hold_in_stance_too() -> None:
 
 def test_every_law_is_tried_here() -> None:
     tried = {type(e) for effects in EFFECTS.values() for e in effects} | {CoulombFriction, StribeckFriction}
-    laws = {cls for cls in REGISTRY.values() if issubclass(cls, ForceEffect)}
+    laws = {cls for cls in catalogue("elastic").values() if issubclass(cls, ForceEffect)}
     assert {cls for cls in laws if cls.__module__.startswith("equimus_ctrl.")} <= tried
 
 

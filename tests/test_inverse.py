@@ -13,7 +13,7 @@ import equimus_ctrl as eq
 from equimus_ctrl.controllers.inverse import SMOOTHING, Inverse
 from equimus_ctrl.controllers.pid_kernel import blend
 from equimus_ctrl.effects import Effect, make
-from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.effects.base import catalogue
 from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.valves import command_for, shaped_commands, useful_commands
 from equimus_ctrl.engines.rest import rest_pose
@@ -258,5 +258,5 @@ def test_commands_of_no_use_are_not_given() -> None:
 
 def test_the_catalogue_s_pushes_are_all_tried() -> None:
     names = {e.name for own in KNOWN.values() for e in own}
-    pushing = {name for name, cls in REGISTRY.items() if cls.__module__.startswith("equimus_ctrl.")} - names
+    pushing = {name for name, cls in catalogue("elastic").items() if cls.__module__.startswith("equimus_ctrl.")} - names
     assert pushing == {"stribeck_friction", "rate_limit", "filling_flow", "saturation", "cutoff", "joint_stop"}

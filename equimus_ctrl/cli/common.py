@@ -19,7 +19,16 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, and nothing else there.")]
 ModelFile = Annotated[
-    Path | None, typer.Option("--model", metavar="FILE", help="Model file (TOML); the nominal leg by default.")
+    Path | None,
+    typer.Option("--model", metavar="FILE", help="Model file (TOML), or MuJoCo's XML; the nominal leg by default."),
+]
+FreeFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--parameters",
+        metavar="FILE",
+        help="File (TOML) of what may be wrong about the model's numbers, see list parameters --write.",
+    ),
 ]
 Recordings = Annotated[
     Path | None,

@@ -12,6 +12,7 @@ import typer
 from equimus_ctrl.cli.common import (
     Bounds,
     EffectFiles,
+    FreeFile,
     Json,
     ModelFile,
     Patterns,
@@ -54,13 +55,22 @@ def diagnose(
         typer.Option(
             "--free",
             metavar="NAME",
-            help="Numbers of the model that may be wrong; stiffness, area, rest length and damping by default.",
+            help="Numbers of the model that may be wrong; what is known least by default, see list parameters.",
         ),
     ] = None,
     fix: Annotated[
         list[str] | None, typer.Option("--fix", metavar="NAME", help="Numbers that are right all the same.")
     ] = None,
     bound: Bounds = None,
+    parameters: FreeFile = None,
+    shoot: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Of a robot from MuJoCo's XML: cut trials into windows of this length, each from its own free start; "
+            "by default as long as the model as it came stays near.",
+        ),
+    ] = None,
     most: Annotated[int, typer.Option(help="Largest number of effects that are looked for together.")] = 3,
     threads: Annotated[int | None, typer.Option(help="Of the simulations; all cores by default.")] = None,
     effects: EffectFiles = None,
@@ -76,6 +86,7 @@ def diagnose(
     [bold]Examples[/bold]
     equimus-ctrl diagnose concealed --report report --write-model corrected.toml
     equimus-ctrl diagnose triangle.csv --until 20 --json
+    equimus-ctrl diagnose runs --model robot.xml --parameters free.toml --write-model corrected.toml
     """  # noqa: D301
     from equimus_ctrl import presets
 
@@ -100,6 +111,8 @@ def diagnose(
             heldout=heldout or (),
             until=until,
             window=window,
+            shoot=shoot,
+            parameters=parameters,
             most=most,
             threads=threads,
             progress=show,
@@ -117,8 +130,7 @@ def diagnose(
             files.append(report / "record.json")
             presets.write_text(files[-1], presets.json_text(record))
     if write_model is not None:
-        workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem))
-        files.append(write_model)
+        files += workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem), model)
     from equimus_ctrl.report.diagnosis_text import tell
 
     tell(console, found)

@@ -12,6 +12,7 @@ from equimus_ctrl.cli.common import (
     EffectFiles,
     EngineName,
     Figures,
+    FreeFile,
     Json,
     ModelFile,
     Patterns,
@@ -49,7 +50,7 @@ def identify(
         typer.Option(
             "--free",
             metavar="NAME",
-            help="What may change, such as 'maa.*'; stiffness, area, rest length and damping by default.",
+            help="What may change, such as 'maa.*'; what is known least by default, see list parameters.",
         ),
     ] = None,
     fix: Annotated[
@@ -57,6 +58,7 @@ def identify(
     ] = None,
     bound: Bounds = None,
     select: Patterns = None,
+    parameters: FreeFile = None,
     heldout: Annotated[
         list[Path] | None,
         typer.Option("--heldout", metavar="PATH", help="Trials or poses that only judge; those fitted are left out."),
@@ -91,6 +93,7 @@ def identify(
     equimus-ctrl identify my_recordings --write-model identified.toml
     equimus-ctrl identify step_release.csv --window 5 9 --select 'step_release_p1*' --heldout step_release.csv
     equimus-ctrl identify static_poses_36.csv --json
+    equimus-ctrl identify runs --model robot.xml --free '*.mass' --free '*.damping'
     equimus-ctrl identify static_poses_13.csv my_recordings --free '*.damping' --free 'maa.*' --bound maa.area=3e-4,5e-4
     """  # noqa: D301
     from equimus_ctrl import presets
@@ -114,6 +117,7 @@ def identify(
             free=free,
             fix=fix or (),
             bounds=limits,
+            parameters=parameters,
             select=select,
             heldout=heldout or (),
             window=window,
@@ -134,8 +138,7 @@ def identify(
 
         files = write_results(folder, draw, record)
     if write_model is not None:
-        workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem))
-        files.append(write_model)
+        files += workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem), model)
     tell(console, found)
     tell_files(console, files)
     if as_json:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, print_json
+from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, check_model_file, people, print_json, tell_files
+from equimus_ctrl.errors import ConfigError
 
 
 class Kind(StrEnum):
@@ -18,20 +20,27 @@ class Kind(StrEnum):
     plants = "plants"
     effects = "effects"
     models = "models"
+    parameters = "parameters"
 
 
 def list_names(
     kind: Annotated[Kind, typer.Argument(help="What to list.")],
     effects: EffectFiles = None,
+    model: ModelFile = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the parameters of a model to be edited, for --parameters."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """List scenarios, controllers, plants, effects or built-in models.
+    """List scenarios, controllers, plants, effects, built-in models, or the parameters of a model.
 
     \b
     [bold]Examples[/bold]
     equimus-ctrl list scenarios
     equimus-ctrl list effects --json
     equimus-ctrl list effects --effects docs/examples/drag.py
+    equimus-ctrl list parameters --model robot.xml --write free.toml
     """  # noqa: D301
     from rich.console import Console
     from rich.markup import escape
@@ -41,7 +50,10 @@ def list_names(
         from equimus_ctrl.workflow import load_effects
 
         load_effects(effects)
-    rows = _rows(kind)
+    for option, given in (("--model", model), ("--write", write)):
+        if given is not None and kind is not Kind.parameters:
+            raise ConfigError(f"{option} is for list parameters, not for list {kind.value}")
+    rows = _parameters(model, write) if kind is Kind.parameters else _rows(kind)
     if as_json:
         print_json({kind.value: rows})
         return
@@ -53,6 +65,21 @@ def list_names(
         summary = escape(str(row["summary"])) + (f"\n[dim]{escape(detail)}[/dim]" if detail else "")
         table.add_row(f"[bold]{row['name']}[/bold]", summary)
     console.print(table)
+
+
+def _parameters(model: Path | None, write: Path | None) -> list[dict[str, Any]]:
+    from equimus_ctrl import workflow
+
+    robot = workflow.load_model(model)
+    rows = workflow.parameter_rows(robot)
+    if write is not None:
+        check_model_file(write)
+        workflow.offer(write, robot)
+        tell_files(people(), [write])
+    for row in rows:
+        free = f", free by default from {row['low']:g} to {row['high']:g}" if row["free"] else ""
+        row["summary"] = f"{row['value']:g} {'' if row['unit'] == '1' else row['unit']}".rstrip() + free
+    return rows
 
 
 def _rows(kind: Kind) -> list[dict[str, Any]]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, Seen
+from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.batch import KNOWN_KINDS
+from equimus_ctrl.engines.machine import command_at, pushes, realise
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.parameters import (
     FreeParameter,
@@ -19,7 +22,9 @@ from equimus_ctrl.identification.parameters import (
 )
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.model import Model, places
+from equimus_ctrl.models.machine import Machine
+from equimus_ctrl.models.model import Model, machine_of, places
+from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.types import Array
 
 SLOPE_SAMPLES = 4
@@ -91,6 +96,8 @@ def uncertain(
 ) -> FreeParameters:
     """The numbers of a model that may be wrong, see ``free_parameters``; damping between narrower bounds."""
     chosen = free_parameters(model, names, bounds, fix)
+    if machine_of(model) is not None:
+        return chosen
     known = dict(bounds or {})
     own = model.morphology.parameters()
     for f in chosen.free:
@@ -168,6 +175,8 @@ def refined(hypothesis: Hypothesis, values: Array) -> Hypothesis:
 
 def seen_places(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
     """For each place of a robot what recordings show of it."""
+    if machine_of(model) is not None:
+        return _seen_of_machine(model, segments)
     m = model.morphology
     kinematics = Kinematics(m, model.phase)
     times = [s.trial.sample_times for s in segments]
@@ -199,6 +208,46 @@ def seen_places(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
     return {name: first for kind in ("link", "foot", "base") for name in places(m)[kind]} | found
 
 
+def _seen_of_machine(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
+    """The same of a machine: pushes are those of its drives and of gravity along what was measured."""
+    machine = machine_of(model)
+    assert machine is not None
+    own = realise(model)
+    times = [s.trial.sample_times for s in segments]
+    angles = np.concatenate([s.measured for s in segments])
+    speeds = np.concatenate([_speed(s.trial.sample_times, s.measured) for s in segments])
+    rows = np.concatenate([command_at(s.trial, s.trial.sample_times[SLOPE_SAMPLES:-SLOPE_SAMPLES]) for s in segments])
+    middles = np.concatenate([s.measured[SLOPE_SAMPLES:-SLOPE_SAMPLES] for s in segments])
+    chosen = slice(None, None, max(len(middles) // FEW, 1))
+    drives, weights = pushes(own, middles[chosen], speeds[chosen], rows[chosen])
+    largest = np.maximum(
+        np.abs(np.concatenate([np.vstack([s.trial.before, s.trial.commands]) for s in segments])).max(axis=0), 1e-9
+    )
+    interval = float(np.median(np.concatenate([np.diff(t) for t in times])))
+    duration = float(max(t[-1] - t[0] for t in times))
+    mass = float(own.mujoco.body_mass[1:].sum())
+    speed = np.maximum(np.quantile(np.abs(speeds), 0.95, axis=0), 1e-6)
+    by_drive = {drive.name: float(np.abs(drives[:, i]).max()) for i, drive in enumerate(machine.actuators)}
+    found = {}
+    for j, joint in enumerate(machine.joints):
+        low, high = _covered(angles[:, j])
+        own_drives = [i for i, drive in enumerate(machine.actuators) if drive.joint == joint.name]
+        whole = drives[:, own_drives].sum(axis=1)
+        push = max(float(np.quantile(np.abs(v), 0.95)) for v in (whole, weights[:, j])) or 1.0
+        pulled = max((by_drive[machine.actuators[i].name] for i in own_drives), default=push)
+        found[joint.name] = Seen(
+            low, high, float(speed[j]), push, float(largest.max()), interval, duration, mass, pulled
+        )
+    ends = {
+        drive.name: replace(found[drive.joint], command=float(largest[i]), drive=by_drive[drive.name])
+        for i, drive in enumerate(machine.actuators)
+    }
+    first = found[machine.joint_names[0]]
+    others = {name: first for kind in ("link", "foot", "base") for name in places(model.morphology)[kind]}
+    # A joint and its drive may have one name; sizes of both are those of the joint then.
+    return others | ends | found
+
+
 def _covered(values: Array) -> tuple[float, float]:
     low, high = (float(v) for v in np.quantile(values, [0.01, 0.99]))
     least = 1e-3 * max(abs(low), abs(high), 1e-3)
@@ -218,13 +267,18 @@ def candidates(
     m = model.morphology
     seen, where = seen_places(model, segments), places(m)
     found: dict[tuple[str, tuple[str, ...]], Candidate] = {}
+    robots = "elastic" if machine_of(model) is None else "mjcf"
     for name in sorted(registry):
         cls = registry[name]
-        if not issubclass(cls, KNOWN_KINDS):
+        if not issubclass(cls, KNOWN_KINDS) or robots not in cls.robots:
             continue
         for kind in cls.sits_at:
+            if robots == "mjcf" and issubclass(cls, ForceEffect) and kind != "joint":
+                continue
             # The last link's tip is the foot: one place is not to have two names.
-            sites = [site for site in where[kind] if not (kind == "link" and "foot" in cls.sits_at and site == m.foot)]
+            sites = [
+                site for site in where[kind] if not (kind == "link" and "foot" in cls.sits_at and _is_foot(m, site))
+            ]
             groups: list[tuple[str, ...]] = [(site,) for site in sites]
             if cls.alike and len(sites) > 1 and kind in ("joint", "actuator"):
                 groups.append(tuple(sites))
@@ -234,6 +288,10 @@ def candidates(
                 if usable:
                     found.setdefault((name, group), Candidate(cls, group, tuple(usable)))
     return list(found.values())
+
+
+def _is_foot(robot: Morphology, link: str) -> bool:
+    return not isinstance(cast("object", robot), Machine) and link == robot.foot
 
 
 def _attaches(model: Model, cls: type[Effect], locations: tuple[str, ...], values: Mapping[str, float]) -> bool:

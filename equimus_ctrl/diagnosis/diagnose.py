@@ -32,9 +32,10 @@ from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.where import excess_of, where_off
-from equimus_ctrl.identification.fit import STEP, Simulator, reduced_simulator, residuals_of
+from equimus_ctrl.identification.fit import STEP, Simulator, machine_simulator, reduced_simulator, residuals_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood
-from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.parameters import FreeParameters, place_unit
+from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
 ALIKE = 10.0
@@ -45,6 +46,8 @@ BLURRED = 0.05
 """Where something stays unexplained, rivals within this share of a finding's gain cannot be told apart either."""
 COARSE = 2 * STEP
 """Physics step of the reduced engine where candidates are screened [s], where the robot allows it."""
+MACHINES_COARSE = 2.0
+"""The same for machines, in units of the MuJoCo model's own."""
 FINE = STEP / 3
 """The same where rivals are told apart."""
 Finely = Callable[[Fitted], Fitted]
@@ -83,7 +86,7 @@ def diagnose(
         free: the model, and what may be wrong about its numbers.
         split: trials to fit and trials to judge by.
         settings: how it goes.
-        simulator: the engine; the reduced one by default.
+        simulator: the engine; the reduced one by default, MuJoCo for machines.
         designs: experiments to choose from where something cannot be told apart.
         progress: see ``Progress``.
 
@@ -95,6 +98,10 @@ def diagnose(
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         if simulator is not None:
             data = Data(free, split.train, simulator)
+        elif (machine := machine_of(free.model)) is not None:
+            step = machine.timestep
+            engines = [machine_simulator(dt, settings.threads) for dt in (None, MACHINES_COARSE * step)]
+            data = Data(free, split.train, *engines)
         else:
             engines = [reduced_simulator(threads=settings.threads, longest=step) for step in (STEP, COARSE, FINE)]
             data = Data(free, split.train, *engines)
@@ -149,7 +156,6 @@ def _diagnose(
         )
     }
     noise = found.best.noise
-    m = free.model.morphology
     progress("done", 1.0, found.best.label)
     return Diagnosis(
         verdict,
@@ -161,7 +167,7 @@ def _diagnose(
         tuple(split.train),
         tuple(split.heldout),
         residuals,
-        where_off(m.joint_names, m.actuator_names, split.train, found.base.fit.residuals, noise),
+        where_off(free.model, split.train, found.base.fit.residuals, noise),
         findings,
         rest.leftovers,
         doubtful,
@@ -363,10 +369,9 @@ def _detectable(search: Search, found: Searched) -> tuple[Detectable, ...]:
         size = _smallest(s, search.threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))
         unit = s.candidate.effect.parameter_info()[key]["unit"]
-        turning, _, straight = unit.partition(" | ")
-        at_joint = s.candidate.locations[0] in search.data.free.model.morphology.joint_names
+        told = place_unit(search.data.free.model, unit, s.candidate.locations[0])
         named = Named(s.candidate.effect.name, s.candidate.locations)
-        smallest.append(Detectable(named, key, size, turning if at_joint or not straight else straight))
+        smallest.append(Detectable(named, key, size, told))
     return tuple(smallest)
 
 

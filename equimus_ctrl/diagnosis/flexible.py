@@ -14,8 +14,10 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from equimus_ctrl.diagnosis.response import Linearised, along_actuator
+from equimus_ctrl.engines.machine_motion import Pushed
 from equimus_ctrl.engines.motion import Inner, Motion
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array, frozen_array
 
 FUNCTIONS, SPOTS, FINE, SURFACE = 8, 16, 40, 5
@@ -160,12 +162,14 @@ class Scene:
         elif kind in ("pos", "vel"):
             i = self.joints.index(name)
             values = self.values(lambda m: (m.position if kind == "pos" else m.velocity)[:, i])
-            unit = "rad" if kind == "pos" else "rad/s"
+            unit = place_unit(self.model, "rad" if kind == "pos" else "rad/s", name)
         else:
             i = self.actuators.index(name)
             part = {"cmd": "pressure", "len": "length", "rate": "rate"}[kind]
             values = self.values(lambda m: getattr(m, part)[:, i])
             unit = {"cmd": "Pa", "len": "m", "rate": "m/s"}[kind]
+            if machine_of(self.model) is not None:
+                unit = place_unit(self.model, {"cmd": "command", "len": "rad", "rate": "rad/s"}[kind], name)
         return Axis.over(coordinate, unit, values, functions), values
 
     def acts_on(self, actuator: int) -> tuple[str, ...]:
@@ -376,6 +380,8 @@ AT_ACTUATORS: dict[str, Maker] = {
     "memory": _memory,
 }
 """What groups there are: a new kind is one more function here."""
+OF_DRIVES = ("own pressure", "damping by pressure")
+"""Those that drives of machines have, whose commands stand in the place of pressures."""
 
 
 def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
@@ -387,14 +393,15 @@ def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
     """
     scene = Scene(model, tuple(motions))
     found: list[Group] = []
-    for count, table in ((len(scene.joints), AT_JOINTS), (len(scene.actuators), AT_ACTUATORS)):
+    at_actuators = AT_ACTUATORS if machine_of(model) is None else {kind: AT_ACTUATORS[kind] for kind in OF_DRIVES}
+    for count, table in ((len(scene.joints), AT_JOINTS), (len(scene.actuators), at_actuators)):
         for index in range(count):
             for kind, make in table.items():
                 found += [replace(group, kind=kind) for group in make(scene, index)]
     return found
 
 
-def responses(linearised: Linearised, groups: Sequence[Group]) -> list[list[Array]]:
+def responses(linearised: Linearised | Pushed, groups: Sequence[Group]) -> list[list[Array]]:
     """For each group and trial (m, nj, k) the change of the measured angles by each function [rad].
 
     Many columns at once take hardly longer than a few.

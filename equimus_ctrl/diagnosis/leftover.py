@@ -7,15 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.diagnosis.explained import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group, groups, harmonics, responses
-from equimus_ctrl.diagnosis.response import linearise
+from equimus_ctrl.diagnosis.response import Linearised, linearise
 from equimus_ctrl.diagnosis.weighing import Weighing, weigh
+from equimus_ctrl.engines.machine_motion import Pushed, pushed
 from equimus_ctrl.engines.motion import Motion, motion
 from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
 SLOWEST, FASTEST = 0.2, 4.0
@@ -63,13 +66,20 @@ def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = 2e-3) -> Linear
     """The linear model about a fit; None where its motion cannot be followed."""
     model = fitted.fit.model
     weighing = weigh(data.times, fitted.fit, noise)
-    motions = []
+    starts = [behind_sensors([model], start[None, :])[0] for start in fitted.fit.starts]
+    trials = [segment.trial for segment in data.segments]
+    linearised: Linearised | Pushed
     try:
-        for segment, start in zip(data.segments, fitted.fit.starts, strict=True):
-            motions.append(motion(model, segment.trial, behind_sensors([model], start[None, :])[0], dt))
+        if machine_of(model) is None:
+            motions = [motion(model, trial, start, dt) for trial, start in zip(trials, starts, strict=True)]
+            linearised = linearise(model, motions)
+        else:
+            seen = seen_places(model, data.segments)
+            scale = np.array([seen[name].push for name in model.morphology.joint_names])
+            linearised = pushed(model, trials, starts, scale)
+            motions = list(linearised.motions)
     except SimulationDiverged:
         return None
-    linearised = linearise(model, motions)
     longest = max(m.time[-1] - m.time[0] for m in motions)
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)

@@ -13,6 +13,8 @@ from equimus_ctrl.diagnosis.flexible import Axis, Group
 from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, linear, nuisances
 from equimus_ctrl.diagnosis.results import Leftover
 from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
 LEAST_GAIN = 40.0
@@ -145,6 +147,8 @@ def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, t
     names = {"joint": data.free.model.morphology.joint_names, "actuator": data.free.model.morphology.actuator_names}
     places = tuple(names[kind][i] for kind, i in group.pushes)
     unit = _unit("N·m" if kinds == {"joint"} else "N", group)
+    if machine_of(data.free.model) is not None:
+        unit = place_unit(data.free.model, _unit("N·m", group), places[0])
     return Leftover(
         joint,
         share,

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.engines.predict import check_columns
-from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
+from equimus_ctrl.identification.fit import DIVERGED, Simulator, residuals_of, simulator_for
+from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.segments import Segment, cut
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Recording
 
 EVERY = 4
@@ -24,6 +26,12 @@ LEAST_STEP = 500.0
 """Commands that stay within this do not move a robot [Pa]."""
 LEAST_MOTION = 5e-3
 """A joint that stays within this does not move [rad]."""
+LEAST_WAY = 1e-4
+"""The same of a machine's joint [rad or m]."""
+LENGTHS = (8.0, 4.0, 2.0, 1.0, 0.5)
+"""Of windows that are tried [s]."""
+NEAR, MOSTLY = 0.5, 0.8
+"""So near to what was measured, in units of its standard deviation, a model is to stay in this share of the windows."""
 MOST_ANGLE = 12.6
 """Angles beyond two turns are degrees [rad]."""
 
@@ -46,6 +54,7 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
     if not recordings:
         raise ConfigError("no recording was given to diagnose")
     names = (*model.morphology.actuator_names, *model.morphology.joint_names)
+    machine = machine_of(model)
     for r in recordings:
         if not (np.all(np.isfinite(r.position)) and np.all(np.isfinite(r.command)) and np.all(np.isfinite(r.time))):
             raise ConfigError(f"{r.name}: holds numbers that are not finite; leave out the rows where nothing was seen")
@@ -56,14 +65,14 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
                 f"{LEAST_SAMPLES} samples over {LEAST_DURATION:g} s"
             )
         largest = float(np.abs(r.position).max())
-        if largest > MOST_ANGLE:
+        if largest > MOST_ANGLE and machine is None:
             j = int(np.abs(r.position).max(axis=0).argmax())
             raise ConfigError(
                 f"{r.name}: {r.joints[j]} reaches {largest:.4g} rad, more than two turns; are the angles in degrees? "
                 "They are expected in rad"
             )
     moved = np.max([np.ptp(np.vstack([r.command, r.command_before]), axis=0) for r in recordings], axis=0)
-    if moved.max() < LEAST_STEP:
+    if moved.max() < LEAST_STEP and machine is None:  # others may swing by themselves
         raise ConfigError(
             f"the commands never move: they change by at most {moved.max():.3g} Pa in any trial, expected at least "
             f"{LEAST_STEP:g} Pa; record steps, staircases or sweeps"
@@ -71,10 +80,12 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
     everything = np.concatenate([r.position for r in recordings])
     for j, name in enumerate(recordings[0].joints):
         span = float(np.ptp(everything[:, j]))
-        if span < LEAST_MOTION:
+        least = LEAST_MOTION if machine is None else LEAST_WAY
+        if span < least:
+            unit = place_unit(model, "rad", name)
             raise ConfigError(
-                f"joint {name} never moves: it stays within {span:.2g} rad in all trials, expected at least "
-                f"{LEAST_MOTION:g} rad (columns: {', '.join(names)})"
+                f"joint {name} never moves: it stays within {span:.2g} {unit} in all trials, expected at least "
+                f"{least:g} {unit} (columns: {', '.join(names)})"
             )
 
 
@@ -85,6 +96,8 @@ def split(
     heldout: Sequence[str] = (),
     until: float | None = None,
     window: tuple[float, float] | None = None,
+    shoot: float | None = None,
+    simulator: Simulator | None = None,
 ) -> Split:
     """Decide which trials are fitted and which judge.
 
@@ -95,6 +108,8 @@ def split(
             one its end.
         until: of every trial only what comes before this time is fitted, and the rest judges too [s].
         window: (from, to) of each trial that counts at all [s].
+        shoot: length of the windows that trials of a machine are cut into [s]; see ``window_length`` for the default.
+        simulator: that follows a machine.
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, or nothing is left to fit.
@@ -115,21 +130,69 @@ def split(
             judging = {len(recordings) - 1}
         else:
             judging = set(range(EVERY - 1, len(recordings), EVERY))
+    if machine_of(model) is not None and shoot is None:
+        shoot = window_length(model, recordings, window, simulator)
     train, unseen = [], []
     for k, r in enumerate(recordings):
         low, high = window or (float(r.time[0]), float(r.time[-1]))
         if k in judging:
-            unseen += _cut(model, r, k, (low, high))
+            unseen += _cut(model, r, k, (low, high), shoot)
             continue
         edge = high if until is None else min(until, high)
         if edge > low:
-            train += _cut(model, r, k, (low, edge), fit_start=True)
+            train += _cut(model, r, k, (low, edge), shoot, fit_start=True)
         if edge < high and np.count_nonzero(r.time > edge) >= LEAST_SAMPLES:
-            unseen += _cut(model, r, k, (float(np.nextafter(edge, high)), high))
+            unseen += _cut(model, r, k, (float(np.nextafter(edge, high)), high), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
     return Split(tuple(train), tuple(unseen))
 
 
-def _cut(model: Model, r: Recording, k: int, window: tuple[float, float], fit_start: bool = False) -> list[Segment]:
-    return [replace(s, recording=k) for s in cut(model, [r], window=window, fit_start=fit_start)]
+def check_settings(free: FreeParameters, parts: Split) -> None:
+    """Raise ConfigError where a number is free that every recording gives by itself."""
+    segments = (*parts.train, *parts.heldout)
+    for name in free.names:
+        if all(name in s.trial.settings for s in segments):
+            raise ConfigError(
+                f"{name} is free, but the notes of every recording set it (set.{name}); leave it out, or let the notes "
+                f"give factors (times.{name})"
+            )
+
+
+def _cut(
+    model: Model, r: Recording, k: int, window: tuple[float, float], shoot: float | None, fit_start: bool = False
+) -> list[Segment]:
+    return [replace(s, recording=k) for s in cut(model, [r], window=window, shoot=shoot, fit_start=fit_start)]
+
+
+def window_length(
+    model: Model,
+    recordings: Sequence[Recording],
+    window: tuple[float, float] | None,
+    simulator: Simulator | None = None,
+) -> float | None:
+    """The longest windows over which a machine's model, as it came, stays near to what was measured [s].
+
+    Whole trials where it does, which tell most; where nothing holds a joint in place, small errors grow and windows are
+    short. None for whole trials.
+
+    Raises:
+        SimulationDiverged: where the model diverges in all windows, however short.
+    """
+    follow, sound = simulator or simulator_for(model), False
+    spread = np.concatenate([r.position for r in recordings]).std(axis=0)
+    for length in (None, *LENGTHS):
+        if length is not None and all(length > r.time[-1] - r.time[0] for r in recordings):
+            continue
+        segments = [s for r in recordings for s in cut(model, [r], window=window, shoot=length)]
+        residuals = residuals_of(model, segments, follow)
+        errors = np.array([np.sqrt((r**2).mean(axis=0)) for r in residuals])
+        sound = sound or bool(np.any(errors < DIVERGED / 2))
+        if np.mean(np.all(errors < NEAR * spread, axis=1)) >= MOSTLY:
+            return length
+    if not sound:
+        raise SimulationDiverged(
+            f"{model.name}: the model diverges on the recorded commands, even over windows of {LENGTHS[-1]:g} s; check "
+            "the signs and units of the commands, masses, inertias and the physics step"
+        )
+    return LENGTHS[-1]

@@ -9,9 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import Where
+from equimus_ctrl.diagnosis.units import Shown
 from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array
 
 JUST = 0.5
@@ -44,27 +48,24 @@ def excess_of(residuals: Sequence[Array], noise: Noise) -> Array:
     return np.asarray(np.maximum((np.concatenate(residuals) ** 2).mean(axis=0) / sigma**2 - 1.0, 0.0))
 
 
-def where_off(
-    joints: Sequence[str], actuators: Sequence[str], segments: Sequence[Segment], residuals: Sequence[Array],
-    noise: Noise,
-) -> tuple[Where, ...]:  # fmt: skip
+def where_off(model: Model, segments: Sequence[Segment], residuals: Sequence[Array], noise: Noise) -> tuple[Where, ...]:
     """Joints by their share of the excess error, each with the phase and the region where it is densest.
 
     Args:
-        joints: names.
-        actuators: names.
+        model: as it came, for names and units.
         segments: what was measured.
         residuals: of the refitted model, for each segment (m, nj) [rad].
         noise: of the joints.
     """
+    joints = model.morphology.joint_names
     sigma = np.array([own.sigma for own in noise])
     per_joint = excess_of(residuals, noise)
     whole = float(per_joint.sum())
     found = []
     for j in np.argsort(-per_joint):
         squares = [np.maximum((r[:, j] / sigma[j]) ** 2 - 1.0, -1.0) for r in residuals]
-        when = _densest(_phases(actuators, segments, j), squares)
-        region = _densest(_regions(joints, actuators, segments, j), squares)
+        when = _densest(_phases(model, segments, j), squares)
+        region = _densest(_regions(model, segments, j), squares)
         share = float(per_joint[j]) / whole if whole > 0 else 0.0
         found.append(Where(joints[j], share, when, region))
     return tuple(found)
@@ -118,7 +119,7 @@ def _classes(text: str, segments: Sequence[Segment], of: Callable[[Segment], NDA
     return Class(text, tuple(of(segment) for segment in segments))
 
 
-def _phases(actuators: Sequence[str], segments: Sequence[Segment], j: int) -> list[Class]:
+def _phases(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
     usual = float(np.quantile(np.concatenate([np.abs(speeds(s)[:, j]) for s in segments]), 0.95))
     found = [
         _classes("at rest", segments, lambda s: np.abs(speeds(s)[:, j]) < STILL * usual),
@@ -126,7 +127,9 @@ def _phases(actuators: Sequence[str], segments: Sequence[Segment], j: int) -> li
         _classes("moving down", segments, lambda s: speeds(s)[:, j] < -STILL * usual),
         _classes("near a turn of the motion", segments, lambda s: _turning(speeds(s)[:, j], STILL * usual)),
     ]
-    for a, name in enumerate(actuators):
+    if machine_of(model) is not None:
+        return found
+    for a, name in enumerate(model.morphology.actuator_names):
         for text, sign in (("filling", 1.0), ("venting", -1.0)):
 
             def just(s: Segment, a: int = a, sign: float = sign) -> NDArray[np.bool_]:
@@ -148,24 +151,26 @@ def _turning(speed: Array, least: float) -> NDArray[np.bool_]:
     return near
 
 
-def _regions(joints: Sequence[str], actuators: Sequence[str], segments: Sequence[Segment], j: int) -> list[Class]:
+def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
     found = []
-    coordinates: list[tuple[str, str, float, Callable[[Segment], Array]]] = [
-        (f"{name} angles", "°", 180 / np.pi, lambda s, i=i: s.measured[:, i])  # type: ignore[misc]
+    joints, actuators = model.morphology.joint_names, model.morphology.actuator_names
+    coordinates: list[tuple[str, Shown, Callable[[Segment], Array]]] = [
+        (f"{name} {units.noun(model, name)}s", units.position(model, name), lambda s, i=i: s.measured[:, i])  # type: ignore[misc]
         for i, name in enumerate(joints)
     ]
+    plain = Shown(place_unit(model, "rad/s", joints[j]), 1.0)
     coordinates += [
-        (f"{joints[j]} speeds", "rad/s", 1.0, lambda s: np.abs(speeds(s)[:, j])),
+        (f"{joints[j]} speeds", plain, lambda s: np.abs(speeds(s)[:, j])),
         *[
-            (f"commands of {name}", "kPa", 1e-3, lambda s, a=a: commands(s)[0][:, a])
+            (f"commands of {name}", units.command(model, name), lambda s, a=a: commands(s)[0][:, a])
             for a, name in enumerate(actuators)
         ],
     ]
-    for text, unit, factor, of in coordinates:
+    for text, shown, of in coordinates:
         values = [of(s) for s in segments]
         edges = np.quantile(np.concatenate(values), np.linspace(0, 1, REGIONS + 1))
         for low, high in itertools.pairwise(edges):
             if high > low:
-                told = f"{text} of {low * factor:.3g} to {high * factor:.3g} {unit}"
+                told = f"{text} of {low * shown.factor:.3g} to {high * shown.factor:.3g} {shown.unit}".rstrip()
                 found.append(Class(told, tuple((v >= low) & (v <= high) for v in values)))
     return found

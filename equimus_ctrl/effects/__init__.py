@@ -1,7 +1,19 @@
 """Physics that can be attached to a model."""
 
-from equimus_ctrl.effects.base import REGISTRY, Effect, make, parameter, parse, register
+from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, make, parameter, parse, register
 from equimus_ctrl.effects.bodies import BodyEffect, GravityTilt, JointStop, PayloadMass
+from equimus_ctrl.effects.drives import (
+    ActuatorGain,
+    AsymmetricDamping,
+    AsymmetricFriction,
+    ConstantForce,
+    DriveCompliance,
+    DrivePlay,
+    LoadFriction,
+    QuadraticDamping,
+    TorqueSaturation,
+    ViscousFriction,
+)
 from equimus_ctrl.effects.force import (
     CoulombFriction,
     Creep,
@@ -29,13 +41,19 @@ from equimus_ctrl.effects.valves import (
 
 __all__ = [
     "REGISTRY",
+    "ActuatorGain",
+    "AsymmetricDamping",
+    "AsymmetricFriction",
     "AsymmetricLag",
     "Backlash",
     "BodyEffect",
+    "ConstantForce",
     "CoulombFriction",
     "Creep",
     "Cutoff",
     "DeadZone",
+    "DriveCompliance",
+    "DrivePlay",
     "Effect",
     "FillingFlow",
     "FirstOrderLag",
@@ -43,10 +61,12 @@ __all__ = [
     "GravityTilt",
     "Hysteresis",
     "JointStop",
+    "LoadFriction",
     "NarrowingArea",
     "NonlinearStiffness",
     "ParallelSpring",
     "PayloadMass",
+    "QuadraticDamping",
     "RateLimit",
     "Saturation",
     "SensorDelay",
@@ -56,8 +76,11 @@ __all__ = [
     "ShapingEffect",
     "StribeckFriction",
     "SupplyCoupling",
+    "TorqueSaturation",
     "TransportDelay",
     "ValveEffect",
+    "ViscousFriction",
+    "catalogue",
     "make",
     "parameter",
     "parse",

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args
 from equimus_ctrl.errors import ConfigError, unknown_name
 
 Side = Literal["command", "force", "measurement"]
+Robots = Literal["elastic", "mjcf"]
 
 
 def parameter(unit: str, low: float, high: float, doc: str) -> Any:
@@ -32,6 +33,7 @@ class Seen:
         interval: usual time between samples [s].
         duration: of a trial [s].
         mass: of what moves [kg].
+        drive: largest push of the actuator, or of any, as the model has it [N·m or N]; 0 where it is not known.
     """
 
     low: float
@@ -42,6 +44,7 @@ class Seen:
     interval: float
     duration: float
     mass: float
+    drive: float = 0.0
 
     @property
     def span(self) -> float:
@@ -54,6 +57,7 @@ class Seen:
         known: dict[str, tuple[float, ...]] = {
             "s": tuple(n * self.interval for n in (2.5, 8.0, 25.0)),
             "Pa": _shares(self.command, 0.03, 0.1, 0.3),
+            "command": _shares(self.command, 0.03, 0.1, 0.3),
             "Pa/s": tuple(self.command / t for t in (0.1, 0.4, 1.5)),
             "kg": _shares(self.mass, 0.02, 0.1, 0.3),
             "rad/s": _shares(self.speed, 0.05, 0.2),
@@ -97,6 +101,8 @@ class Effect:
     """See ``grows_from``."""
     jumps: ClassVar[tuple[str, ...]] = ()
     """Parameters on which what is seen depends in steps, so that no slope leads to them: fits look around instead."""
+    robots: ClassVar[tuple[str, ...]] = ("elastic",)
+    """Kinds of robots that can have it: ``elastic`` (morphologies with elastic actuators), ``mjcf`` (MuJoCo's XML)."""
     exclusive: ClassVar[str | None] = None
     """Of effects that share this word one place can have only one; see ``slot``."""
 
@@ -160,6 +166,8 @@ class Effect:
             raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, expected a tuple of {', '.join(PLACES)}")
         if cls.side not in get_args(Side):
             raise ConfigError(f"{who}: side is {cls.side!r}, expected {' or '.join(get_args(Side))}")
+        if not set(cls.robots) or not set(cls.robots) <= set(get_args(Robots)):
+            raise ConfigError(f"{who}: robots is {cls.robots!r}, expected a tuple of {', '.join(get_args(Robots))}")
         if "__dataclass_fields__" not in vars(cls):
             raise ConfigError(f"{who}: is no dataclass; put @dataclass(frozen=True) between it and @register")
         bare = [f.name for f in fields(cls) if f.name != "location" and not {"low", "high"} <= set(f.metadata)]
@@ -178,6 +186,11 @@ class Effect:
 
 
 REGISTRY: dict[str, type[Effect]] = {}
+
+
+def catalogue(robots: Robots) -> dict[str, type[Effect]]:
+    """Name → class of all registered effects that a kind of robots can have."""
+    return {name: cls for name, cls in sorted(REGISTRY.items()) if robots in cls.robots}
 
 
 PLACES = ("joint", "actuator", "link", "foot", "base")
@@ -275,6 +288,16 @@ def check_exclusive(effects: Sequence[Effect], robot: Any, where: str) -> None:
                 f"{where}: {slot[1]!r} has two effects that exclude each other, {taken[slot]} and {effect.name}"
             )
         taken[slot] = effect.name
+
+
+def check_robots(effects: Sequence[Effect], kind: Robots, where: str) -> None:
+    """Raise ConfigError where an effect is not one of robots of a kind."""
+    for effect in effects:
+        if kind not in effect.robots:
+            what = "a robot from MuJoCo's XML" if kind == "mjcf" else "a robot with elastic actuators"
+            raise ConfigError(
+                f"{where}: {what} cannot have effect {effect.name} (it can: {', '.join(catalogue(kind))})"
+            )
 
 
 def require_kinds(effects: Sequence[Effect], kinds: tuple[type[Effect], ...], who: str) -> None:

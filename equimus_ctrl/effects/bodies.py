@@ -10,38 +10,20 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 from equimus_ctrl.effects.base import Effect, Seen, parameter, register
 
 
-class _Link(Protocol):
-    @property
-    def name(self) -> str: ...
-    @property
-    def length(self) -> float: ...
-    @property
-    def mass(self) -> float: ...
-    @property
-    def com(self) -> float: ...
-    @property
-    def inertia(self) -> float: ...
-
-
 class Robot(Protocol):
     """What these effects need of a morphology."""
-
-    @property
-    def foot(self) -> str:
-        """The link whose tip is the foot."""
-        ...
 
     @property
     def tilt(self) -> float:
         """Angle of gravity [rad]."""
         ...
 
-    def link(self, name: str) -> _Link:
-        """The link called ``name``."""
-        ...
-
     def with_parameters(self, values: Mapping[str, float]) -> Self:
         """A copy with some numbers replaced."""
+        ...
+
+    def with_payload(self, place: str, mass: float) -> Self:
+        """A copy that carries a point mass [kg]."""
         ...
 
     def middle(self, joint: str) -> float:
@@ -53,7 +35,7 @@ class Robot(Protocol):
         ...
 
 
-R = TypeVar("R", bound=Robot)
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -66,7 +48,7 @@ class BodyEffect(Effect):
         """Parameter name → new value, see ``Morphology.with_parameters``."""
         raise NotImplementedError
 
-    def changed(self, robot: R, modelled: R) -> R:
+    def changed(self, robot: Any, modelled: Any) -> Any:
         """The robot that this effect makes.
 
         Args:
@@ -79,20 +61,21 @@ class BodyEffect(Effect):
 @register
 @dataclass(frozen=True)
 class PayloadMass(BodyEffect):
-    """A point mass at a link's tip: the link's mass, centre and inertia become those of both together."""
+    """A point mass: the link's mass, centre and inertia become those of both together.
+
+    On a robot with elastic actuators it sits at a link's tip, on one from MuJoCo's XML at a site or at the centre of
+    mass of a body.
+    """
 
     name = "payload_mass"
+    robots = ("elastic", "mjcf")
     sits_at = ("foot", "link")
     summary = "mass that is not in the model, at a link's tip"
     alike = False
     mass: float = parameter("kg", 0.0, 100.0, "of the payload")
 
-    def changes(self, robot: Robot) -> dict[str, float]:
-        link = robot.link(robot.foot if self.location == "foot" else self.location)
-        mass = link.mass + self.mass
-        com = (link.mass * link.com + self.mass * link.length) / mass
-        inertia = link.inertia + link.mass * (link.com - com) ** 2 + self.mass * (link.length - com) ** 2
-        return {f"{link.name}.mass": mass, f"{link.name}.com": com, f"{link.name}.inertia": inertia}
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_payload(self.location, self.mass)
 
 
 @register
@@ -101,6 +84,7 @@ class GravityTilt(BodyEffect):
     """Gravity turned by ``angle`` against the base."""
 
     name = "gravity_tilt"
+    robots = ("elastic", "mjcf")
     sits_at = ("base",)
     summary = "the base is not level"
     angle: float = parameter("rad", -1.6, 1.6, "of gravity, from the base's downward axis")
@@ -154,7 +138,7 @@ class JointStop(BodyEffect):
         # The middle itself belongs to the upper side.
         return (low, math.nextafter(middle, low)) if self._side(robot) == "lower" else (middle, high)
 
-    def changed(self, robot: R, modelled: R) -> R:
+    def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_stop(self.location, self._side(modelled), (self.angle, self.stiffness, self.damping))
 
     def _side(self, robot: Robot) -> Literal["lower", "upper"]:

@@ -13,7 +13,7 @@ from typing import ClassVar, cast
 
 import casadi as ca
 
-from equimus_ctrl.effects.base import REGISTRY, Effect, Seen, parameter, register
+from equimus_ctrl.effects.base import REGISTRY, Effect, Robots, Seen, parameter, register
 from equimus_ctrl.errors import ConfigError
 
 Parameters = Mapping[str, ca.SX]
@@ -21,8 +21,8 @@ Parameters = Mapping[str, ca.SX]
 LEAST_LEFT = 0.2
 """A narrowing area grows to five times itself at most, however short its actuator becomes."""
 
-PROBE, REST = (0.73, -1.9, 1.9), 0.47
-"""Some x, rate, speed and rest length at which a law is asked whether its neutral parameters switch it off."""
+PROBE, REST, LOAD = (0.73, -1.9, 1.9), 0.47, 1.3
+"""Some x, rate, speed, rest length and load at which a law is asked whether its neutral parameters switch it off."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,10 @@ class ForceEffect(Effect):
     """Whether the effect has a ``dry_friction`` of its own; found out by itself."""
     scales: ClassVar[bool] = False
     """Whether it has a ``more_area`` of its own; found out by itself."""
+    loads: ClassVar[bool] = False
+    """Whether it has a ``friction_of_load`` of its own; found out by itself."""
+    mujoco_field: ClassVar[tuple[str, int | None] | None] = None
+    """Field of a degree of freedom in ``mujoco.MjModel`` that its only parameter is added to, and the entry there."""
     neutral: ClassVar[Mapping[str, float]]
     """Parameter values with which the effect does nothing; the others may be anything."""
 
@@ -43,6 +47,7 @@ class ForceEffect(Effect):
         super().__init_subclass__()
         cls.rubs = cls.dry_friction.__func__ is not ForceEffect.dry_friction.__func__  # type: ignore[attr-defined]
         cls.scales = cls.more_area.__func__ is not ForceEffect.more_area.__func__  # type: ignore[attr-defined]
+        cls.loads = cls.friction_of_load.__func__ is not ForceEffect.friction_of_load.__func__  # type: ignore[attr-defined]
         if cls.exclusive is None and hasattr(cls, "name"):
             cls.exclusive = cls.name
 
@@ -60,6 +65,8 @@ class ForceEffect(Effect):
             raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but what pushes sits at a joint or an actuator")
         if cls.scales and set(cls.sits_at) != {"actuator"}:
             raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but only an actuator has an area that may change")
+        if cls.loads and "elastic" in cls.robots:
+            raise ConfigError(f"{who}: robots is {cls.robots!r}, but only one of MuJoCo's XML has friction of loads")
         if not getattr(cls, "neutral", None) or not set(cls.neutral) <= set(info):
             raise ConfigError(f"{who}: neutral must give values of some of {', '.join(info)} that switch it off")
         x, rate, speed = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("speed")
@@ -68,7 +75,10 @@ class ForceEffect(Effect):
         states = ca.vertsplit(z) if cls.n_states else []
         try:
             rates, rests = list(cls.state_rate(x, rate, states, p)), list(cls.rest_state(x, p))
-            pushes = cls.force(x, rate, states, p), cls.dry_friction(x, speed, p), cls.more_area(x, ca.SX(REST), p)
+            pushes = (
+                cls.force(x, rate, states, p) + cls.friction_of_load(ca.SX(LOAD), speed, p),
+                cls.dry_friction(x, speed, p), cls.more_area(x, ca.SX(REST), p),
+            )  # fmt: skip
             symbols = [x, rate, speed, z, ca.vertcat(*p.values())]
             law = ca.Function("law", symbols, [*map(ca.SX, pushes), ca.vertcat(*rates), ca.vertcat(*rests)])
         except Exception as error:
@@ -111,6 +121,11 @@ class ForceEffect(Effect):
         """The greatest friction there can be at a sliding speed ≥ 0 [N·m] or [N]; solved at velocity level."""
         return ca.SX(0)
 
+    @classmethod
+    def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        """How much more dry friction there can be under a drive's push of a size ≥ 0 [N·m] or [N]."""
+        return ca.SX(0)
+
 
 @register
 @dataclass(frozen=True)
@@ -118,6 +133,7 @@ class CoulombFriction(ForceEffect):
     """Dry friction: −friction·sign(rate) while sliding, whatever holds the coordinate at rest up to that size."""
 
     name = "coulomb_friction"
+    robots = ("elastic", "mjcf")
     sits_at = ("joint", "actuator")
     summary = "dry friction"
     exclusive = "dry friction"
@@ -135,6 +151,7 @@ class StribeckFriction(ForceEffect):
     """Dry friction of size friction + breakaway/(1 + (rate/velocity)²) (Hess and Soom, 1990)."""
 
     name = "stribeck_friction"
+    robots = ("elastic", "mjcf")
     sits_at = ("joint",)
     summary = "static friction above the sliding one"
     exclusive = "dry friction"
@@ -162,6 +179,7 @@ class ParallelSpring(ForceEffect):
     """A spring beside the joint: −stiffness·(x − rest)."""
 
     name = "parallel_spring"
+    robots = ("elastic", "mjcf")
     sits_at = ("joint",)
     summary = "an unmodelled spring: a hose, a cable"
     alike = False
@@ -297,7 +315,7 @@ class Hysteresis(ForceEffect):
         return (ca.SX(0),)
 
 
-def force_laws() -> tuple[type[ForceEffect], ...]:
-    """All registered effects that push, by name."""
-    found = (cls for cls in REGISTRY.values() if issubclass(cls, ForceEffect))
+def force_laws(robots: Robots = "elastic") -> tuple[type[ForceEffect], ...]:
+    """All registered effects that push and that a kind of robots can have, by name."""
+    found = (cls for cls in REGISTRY.values() if issubclass(cls, ForceEffect) and robots in cls.robots)
     return tuple(sorted(cast("list[type[ForceEffect]]", list(found)), key=lambda cls: cls.name))

@@ -21,6 +21,7 @@ class SensorEffect(Effect):
 
     side = "measurement"
     sits_at = ("joint",)
+    robots = ("elastic", "mjcf")
 
     def apply(self, sensor: Array) -> None:
         """Write this effect into its joint's row (4,): offset [rad], scale, delay [s], play [rad]."""

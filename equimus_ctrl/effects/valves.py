@@ -74,6 +74,7 @@ class TransportDelay(ValveEffect):
     """P(t) = u(t − delay)."""
 
     name = "transport_delay"
+    robots = ("elastic", "mjcf")
     summary = "the command arrives late"
     delay: float = parameter("s", 0.0, 2.0, "time between command and its arrival")
 
@@ -87,6 +88,7 @@ class FirstOrderLag(ValveEffect):
     """dP/dt = (u − P)/time_constant."""
 
     name = "first_order_lag"
+    robots = ("elastic", "mjcf")
     summary = "the pressure follows the command with one time constant"
     exclusive = "lag"
     time_constant: float = parameter("s", 0.0, 5.0, "of the pressure")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,8 @@ class Trial:
         position: (nj,) angles there [rad].
         sample_times: (m,) ascending, none before ``start`` [s].
         velocity: (nj,) joint velocities at the start [rad/s]; none by default.
+        settings: numbers of the model that are known to be others in this trial, by dotted name.
+        factors: the same, in units of what the model has.
     """
 
     name: str
@@ -54,6 +56,8 @@ class Trial:
     position: Array
     sample_times: Array
     velocity: Array | None = None
+    settings: Mapping[str, float] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, recording: Recording, position: ArrayLike, window: tuple[float, float] | None = None) -> Trial:

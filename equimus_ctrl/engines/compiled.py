@@ -22,7 +22,14 @@ import casadi as ca
 import numba
 import platformdirs
 
-from equimus_ctrl.engines import lane_functions, lane_kernel, lane_math, lane_steps
+from equimus_ctrl.engines import (
+    lane_functions,
+    lane_kernel,
+    lane_math,
+    lane_steps,
+    machine_functions,
+    machine_kernel,
+)
 from equimus_ctrl.models import augmented, codegen, morphology, symbolic
 from equimus_ctrl.models.augmented import Laws
 from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
@@ -73,6 +80,13 @@ def load(model: Morphology, phase: Phase, kernel: ModuleType, laws: Laws = ()) -
         laws: force laws that the lanes have wherever they can sit.
     """
     return _load(structure(model), phase, kernel, laws)
+
+
+@lru_cache(maxsize=8)
+def load_machine(laws: Laws) -> tuple[ModuleType, ModuleType]:
+    """What is generated for laws at joints of machines, and the kernel (``engines.machine_kernel``) with it."""
+    generated = _generated("machine_laws", _machine_source(laws), [])
+    return generated, _led(machine_kernel, {machine_functions.__name__: generated})
 
 
 def prepared(model: Morphology, phase: Phase) -> Array:
@@ -255,6 +269,34 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws) -> str:
         "",
     ]
     return "\n".join([*header, "", functions])
+
+
+def _machine_source(laws: Laws) -> str:
+    symbols = [{key: ca.SX.sym(f"{law.name}_{key}") for key in law.parameter_info()} for law in laws]
+    count = max(sum(law.n_states for law in laws), 1)
+    x, rate, load, z = *(ca.SX.sym(name) for name in ("x", "rate", "load")), ca.SX.sym("z", count)
+    speed, states = ca.fabs(rate), ca.vertsplit(z)
+    push, bound, rates, used = ca.SX(0), ca.SX(0), [ca.SX(0)] * count, 0
+    for law, p in zip(laws, symbols, strict=True):
+        own = states[used : used + law.n_states]
+        push += law.force(x, rate, own, p)
+        bound += law.dry_friction(x, speed, p) + law.friction_of_load(ca.fabs(load), speed, p)
+        rates[used : used + law.n_states] = [ca.SX(r) for r in law.state_rate(x, rate, own, p)]
+        used += law.n_states
+    routine = codegen.Routine(
+        "joint_push", {"x": ca.vertcat(x, rate, load), "z": z}, ca.vertcat(push, ca.fmax(bound, 0), *rates)
+    )
+    text = codegen.generate([routine], ca.vertcat(*[s for p in symbols for s in p.values()]), DECORATOR)
+    entries = ", ".join(f"values[{i}]" for i in range(count))
+    header = [
+        "# Generated; safe to delete.",
+        "from __future__ import annotations\n",
+        "import math\n",
+        "import numpy as np",
+        "from numba import njit\n",
+        f"N_STATES = {count}\n",
+    ]
+    return "\n".join([*header, text, f"\n{DECORATOR}\ndef state_tuple(values):\n    return ({entries},)\n"])
 
 
 def _tuples(nj: int, na: int) -> str:

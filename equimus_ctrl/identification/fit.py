@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.engines.batch import Predicted, simulate
+from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -28,7 +29,7 @@ from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array
 
 STEP = 3e-3
@@ -40,9 +41,13 @@ DIFFERENCE = 1e-5
 """Step of the finite differences, in units of each parameter's scale."""
 START_DIFFERENCE = 1e-5
 """The same for angles [rad] and velocities [rad/s] at a start."""
+STARTS = 3
+"""So often the start of a machine's trial is improved where its model is judged."""
 DAMPINGS = 10.0 ** np.array([-3.0, -1.5, 0.0, 1.5])
 """Around the last damping, these factors are tried side by side, with two choices of starts each: a block of lanes
 costs as much as one."""
+ONE_BY_ONE = np.array([0.1])
+"""The same where simulations take as long side by side as one after the other."""
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
 IDLE = 1e-9
 """A parameter with less than this share of the strongest one's effect is not moved."""
@@ -74,6 +79,26 @@ def reduced_simulator(dt: float | None = None, threads: int | None = None, longe
         return simulate(models, trials, starts=true, dt=chosen[0], threads=threads, check=dt is not None)
 
     return run
+
+
+def machine_simulator(dt: float | None = None, threads: int | None = None) -> Simulator:
+    """MuJoCo, for machines.
+
+    Args:
+        dt: physics step [s]; the MuJoCo model's by default.
+        threads: as many as there are cores by default.
+    """
+
+    def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
+        true = [behind_sensors(models, rows) for rows in starts]
+        return simulate_machines(models, [s.trial for s in segments], starts=true, dt=dt, threads=threads)
+
+    return run
+
+
+def simulator_for(model: Model, threads: int | None = None) -> Simulator:
+    """The engine that a model is fitted with: MuJoCo for machines, else the reduced one."""
+    return reduced_simulator(threads=threads) if machine_of(model) is None else machine_simulator(threads=threads)
 
 
 @dataclass(frozen=True)
@@ -178,11 +203,43 @@ class _Point:
 
 
 def residuals_of(model: Model, segments: Sequence[Segment], simulator: Simulator) -> list[Array]:
-    """For each segment (m, nj) measured − predicted from its measured start [rad]; DIVERGED where there is none."""
+    """For each segment (m, nj) measured − predicted from its measured start [rad]; DIVERGED where there is none.
+
+    Of machines, which do not start at rest, from the start that fits best.
+    """
     if not segments:
         return []
-    found = simulator([model], segments, [s.start[None, :] for s in segments])
-    return [_residual(s, f, 0) for s, f in zip(segments, found, strict=True)]
+    starts = [s.start for s in segments]
+    found = simulator([model], segments, [start[None, :] for start in starts])
+    residuals = [_residual(s, f, 0) for s, f in zip(segments, found, strict=True)]
+    if machine_of(model) is None:
+        return residuals
+    for _ in range(STARTS):
+        starts, residuals = _better_starts(model, segments, simulator, starts, residuals)
+    return residuals
+
+
+def _better_starts(
+    model: Model, segments: Sequence[Segment], simulator: Simulator, starts: list[Array], residuals: list[Array]
+) -> tuple[list[Array], list[Array]]:
+    """One step of Gauss and Newton for each segment's start, where it helps."""
+    n = len(starts[0])
+    rows = [np.vstack([start, start + START_DIFFERENCE * np.eye(n)]) for start in starts]
+    found = simulator([model] * (n + 1), segments, rows)
+    tried = []
+    for start, residual, f in zip(starts, residuals, found, strict=True):
+        with np.errstate(invalid="ignore", over="ignore"):
+            slopes = np.moveaxis(f.position[1:] - f.position[0], 0, -1).reshape(residual.size, n) / START_DIFFERENCE
+        step = np.linalg.lstsq(slopes, residual.ravel(), rcond=1e-9)[0] if np.all(np.isfinite(slopes)) else np.zeros(n)
+        tried.append(np.array([start + share * step for share in (1.0, 0.3)]))
+    found = simulator([model] * 2, segments, tried)
+    moved, left = [], []
+    for segment, start, residual, rows_tried, f in zip(segments, starts, residuals, tried, found, strict=True):
+        choices = [(residual, start), *((_residual(segment, f, k), rows_tried[k]) for k in range(2))]
+        best = min(choices, key=lambda choice: float((choice[0] ** 2).sum()))
+        left.append(best[0])
+        moved.append(best[1])
+    return moved, left
 
 
 class Problem:
@@ -207,6 +264,7 @@ class Problem:
         self.simulator = simulator
         self.noise = noise
         self.evaluations = 0
+        self.side_by_side = machine_of(parameters.model) is None
 
     def whitened(self, segment: Segment, values: Array) -> Array:
         """Residuals or derivatives (m, nj, ...) of a segment as they count."""
@@ -279,7 +337,7 @@ class Problem:
                 target = np.concatenate([left, self._start_residual(segment, start)])
                 start[:s] += solve_triangular(upper, basis.T @ target)
             moved.append(start)
-        if not any(segment.free_start for segment in self.segments):
+        if not self.side_by_side or not any(segment.free_start for segment in self.segments):
             return [moved]
         return [moved, [old + 0.1 * (new - old) for old, new in zip(point.starts, moved, strict=True)]]
 
@@ -348,7 +406,7 @@ def fit(
     Args:
         parameters: what is free.
         segments: what was measured.
-        simulator: the engine; the reduced one by default.
+        simulator: the engine; see ``simulator_for`` for the default.
         settings: how it searches.
         noise: of the joints, by which residuals count; all alike without.
         begin: where the search may begin, the best of them is taken; the model as it came by default.
@@ -360,7 +418,7 @@ def fit(
     """
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
-        problem = Problem(parameters, segments, simulator or reduced_simulator(), noise)
+        problem = Problem(parameters, segments, simulator or simulator_for(parameters.model), noise)
         return _fit(problem, settings or FitSettings(), begin, notify)
 
 
@@ -383,9 +441,10 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
     slopes = problem.slopes(point)
     weights = np.zeros(p)
     damping, converged = 1e-2, False
+    around = DAMPINGS if problem.side_by_side else ONE_BY_ONE
     for _ in range(settings.steps):
         weights = np.maximum(weights, np.linalg.norm(slopes.factor, axis=0))
-        dampings = np.clip(damping * DAMPINGS, LEAST_DAMPING, MOST_DAMPING)
+        dampings = np.clip(damping * around, LEAST_DAMPING, MOST_DAMPING)
         changes = [_step(parameters, point.theta, slopes, weights * np.sqrt(d)) for d in dampings]
         thetas = [parameters.moved(point.theta, parameters.scale * c) for c in changes]
         tried = problem.points(thetas, [problem.moved_starts(point, slopes, c) for c in changes])
@@ -394,7 +453,7 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
         if gain > 0:
             point, damping = tried[best], float(dampings[best])
         elif dampings[-1] < MOST_DAMPING and np.abs(changes[-1]).max() > settings.tolerance:
-            damping = float(dampings[-1]) * 10
+            damping = float(dampings[-1]) * (10 if problem.side_by_side else 100)
             continue
         notify(problem.evaluations, float(np.sqrt(sum((r**2).sum() for r in point.residuals) / samples)))
         slopes = problem.slopes(point) if gain > 0 else slopes
@@ -402,6 +461,8 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
             converged = True
             break
     spread = parameters.high - parameters.low
+    if not problem.side_by_side:
+        spread = np.minimum(spread, parameters.scale)  # what bounds hold of machines of any size lies far apart
     low, high = point.theta - parameters.low < 1e-6 * spread, parameters.high - point.theta < 1e-6 * spread
 
     def known() -> Uncertainty:

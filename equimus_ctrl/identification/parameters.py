@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError, unknown_name
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array
 
 DEFAULT_KINDS = ("stiffness", "area", "rest_length", "damping")
@@ -126,20 +126,35 @@ class FreeParameters:
 def unit_of(model: Model, name: str) -> str:
     """The SI unit of a model's parameter."""
     parts = name.split(".")
+    machine = machine_of(model)
     if found := model.effect_parameters().get(name):
         effect, key = found
-        unit = str(effect.parameter_info()[key]["unit"])
-        joint, _, actuator = unit.partition(" | ")
-        return (joint if parts[0] in model.morphology.joint_names else actuator) if actuator else unit
+        return place_unit(model, str(effect.parameter_info()[key]["unit"]), effect.location)
+    if machine is not None:
+        return machine.unit(name)
     if parts[-1] in _UNIT:
         return _UNIT[parts[-1]]
     turning = parts[0] in model.morphology.joint_names
     return {"stiffness": ("N/m", "N·m/rad"), "damping": ("N·s/m", "N·m·s/rad")}[parts[-1]][turning]
 
 
+def place_unit(model: Model, unit: str, place: str) -> str:
+    """The unit of an effect's parameter at a place, see ``effects.base.parameter``: joints and actuators may differ."""
+    joint, _, actuator = unit.partition(" | ")
+    machine = machine_of(model)
+    if machine is not None:
+        return machine.turned(joint, place)
+    return joint if place in model.morphology.joint_names or not actuator else actuator
+
+
 def default_names(model: Model) -> list[str]:
-    """Stiffness, area, rest length and damping of every actuator, damping of every joint, and all of the effects."""
-    m = model.morphology
+    """What is least known: of a machine see ``Machine.default_names``, and all of the effects.
+
+    Of a morphology stiffness, area, rest length and damping of every actuator and damping of every joint.
+    """
+    m, machine = model.morphology, machine_of(model)
+    if machine is not None:
+        return [*machine.default_names(), *model.effect_parameters()]
     names = [f"{a.name}.{key}" for key in DEFAULT_KINDS for a in m.actuators]
     names += [f"{joint.name}.damping" for joint in m.joints]
     return names + [name for name in model.parameters() if name not in m.parameters()]
@@ -166,6 +181,8 @@ def default_bounds(model: Model, name: str) -> tuple[float, float]:
     if found := model.effect_parameters().get(name):
         effect, key = found
         return effect.bounds(key, model.morphology)
+    if (machine := machine_of(model)) is not None:
+        return machine.bounds(name)
     value, kind = model.parameters()[name], name.split(".")[-1]
     if kind in _FACTOR and value > 0:
         return value / _FACTOR[kind], value * _FACTOR[kind]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,13 +12,17 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.predict import behind_sensors, check_columns, measured_start, modelled_start
-from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
 SLOPE_SPAN = 0.1
 """Half the time over which a window's first angles and velocities are read off by a parabola [s]."""
+SLOPE_SAMPLES = 6
+"""The same of machines, in samples."""
+SET, TIMES = "set.", "times."
+"""What notes begin with that give a number of the model for one recording, by itself or as a factor on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +36,7 @@ class Segment:
         start: (2 nj,) angles and velocities at the start as the sensors show them [rad, rad/s].
         free_start: how many numbers of the start are free: none, the angles (nj), or angles and velocities (2 nj).
             What was read off the measurements then counts as one more sample, see ``start_weights``.
+        slope_span: half the time over which a start was read off [s].
     """
 
     trial: Trial
@@ -38,12 +44,13 @@ class Segment:
     recording: int
     start: Array
     free_start: int = 0
+    slope_span: float = SLOPE_SPAN
 
     @property
     def start_weights(self) -> Array:
         """(free_start,) what a start's distance from the measured one weighs: an angle's as much as a sample's."""
         nj = self.measured.shape[1]
-        return np.repeat([1.0, SLOPE_SPAN / 2], nj)[: self.free_start]
+        return np.repeat([1.0, self.slope_span / 2], nj)[: self.free_start]
 
 
 def cut(
@@ -60,7 +67,8 @@ def cut(
         model: whose names the recordings must have.
         recordings: what was measured.
         window: (from, to) what is compared [s]; all of it by default. The motion starts with the recording.
-        shoot: cut what is compared into windows of this length, each from its own free angles and velocities [s].
+        shoot: cut what is compared into windows of this length, each from its own free angles and velocities [s]. A
+            machine does not start at rest: without windows each of its trials is one.
         fit_start: let each recording's first angles be free.
 
     Raises:
@@ -79,33 +87,33 @@ def cut(
                 f"{recording.name}: has {np.count_nonzero(inside)} samples between {low:g} and {high:g} s, too few to "
                 f"identify from; expected at least {LEAST_SAMPLES} (it lasts from {time[0]:g} to {time[-1]:g} s)"
             )
-        if shoot is None:
+        if shoot is None and machine_of(model) is None:
             whole = Trial.of(recording, modelled_start(model, recording))
             start = np.concatenate([measured_start(recording), np.zeros(len(recording.joints))])
             trial = _sampled(whole, np.array(time[inside]))
             nj = len(recording.joints)
             segments.append(Segment(trial, np.array(recording.position[inside]), index, start, nj if fit_start else 0))
         else:
-            segments += _windows(model, recording, index, inside, shoot)
+            segments += _windows(model, recording, index, inside, shoot or math.inf)
     return segments
 
 
 def _sampled(trial: Trial, times: Array) -> Trial:
-    return Trial(
-        trial.name, trial.times, trial.commands, trial.before, trial.start, trial.position, times, trial.velocity
-    )
+    return replace(trial, sample_times=times)
 
 
 def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.bool_], length: float) -> list[Segment]:
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
+    # A robot that a motor drives changes its speed within a tenth of a second.
+    span = SLOPE_SPAN if machine_of(model) is None else SLOPE_SAMPLES * float(np.median(np.diff(time)))
     found: list[Segment] = []
     for a, b in pairwise(edges):
         chosen = (time >= a) & ((time < b) | (b == high))
         if np.count_nonzero(chosen) < LEAST_SAMPLES:
             continue
-        start = np.concatenate(_local_motion(recording, float(a)))
+        start = np.concatenate(_local_motion(recording, float(a), span))
         position, velocity = np.split(behind_sensors([model], start[None, :])[0], 2)
         trial = Trial(
             f"{recording.name} from {a:.3f} s",
@@ -116,8 +124,11 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
             position,
             np.array(time[chosen]),
             velocity,
+            noted(model, recording, SET),
+            noted(model, recording, TIMES),
         )
-        found.append(Segment(trial, np.array(recording.position[chosen]), index, start, 2 * len(recording.joints)))
+        measured = np.array(recording.position[chosen])
+        found.append(Segment(trial, measured, index, start, 2 * len(recording.joints), span))
     if not found:
         raise ConfigError(
             f"{recording.name}: no shooting window of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "
@@ -126,10 +137,33 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
     return found
 
 
-def _local_motion(recording: Recording, at: float) -> tuple[Array, Array]:
+def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
+    """What a recording's notes say of numbers of a machine: ``set.servo.kp = 3.2``, or ``times.servo.kp = 2``.
+
+    Raises:
+        ConfigError: where there is no such number, or the value is none.
+    """
+    machine, found = machine_of(model), {}
+    for key, text in recording.notes.items():
+        if not key.startswith(prefix):
+            continue
+        name = key.removeprefix(prefix)
+        if machine is None:
+            raise ConfigError(f"{recording.name}: note {key!r} is for robots from MuJoCo's XML alone")
+        if not machine.has_parameters([name]):
+            raise ConfigError(unknown_name("parameter", name, machine.parameters(), f"{recording.name}: note {key}"))
+        try:
+            found[name] = float(text)
+        except ValueError:
+            raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected a number") from None
+        machine.with_parameters(found)
+    return found
+
+
+def _local_motion(recording: Recording, at: float, span: float) -> tuple[Array, Array]:
     """Angles and velocities at an instant, from a parabola through the measurements around it."""
     time = recording.time
-    near = np.abs(time - at) <= SLOPE_SPAN
+    near = np.abs(time - at) <= span
     while np.count_nonzero(near) < 4:
         near[np.argsort(np.abs(time - at))[:5]] = True
     basis = np.vander(time[near] - at, 3, increasing=True)

@@ -18,14 +18,16 @@ A model file is TOML:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass, replace
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, cast, get_args, get_origin, get_type_hints
 
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
 from equimus_ctrl.models.leg import MORPHOLOGIES, nominal_leg
+from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.morphology import BASE, Morphology, Phase
 
 FORMAT = "equimus-ctrl/model/1"
@@ -53,8 +55,11 @@ class Model:
         m = self.morphology
         if self.phase not in get_args(Phase):
             raise ConfigError(unknown_name("phase", str(self.phase), get_args(Phase), m.name))
+        effects_base.check_robots(self.effects, "elastic" if machine_of(self) is None else "mjcf", m.name)
         effects_base.check_locations(self.effects, places(m), m.name)
         effects_base.check_exclusive(self.effects, m, m.name)
+        if (machine := machine_of(self)) is not None:
+            changed_bodies(self.effects, machine)
 
     @property
     def name(self) -> str:
@@ -107,8 +112,24 @@ class Model:
         return Model(self.morphology.with_parameters(left), tuple(effects), self.phase)
 
 
+def machine_model(machine: Machine, effects: Sequence[Effect] = ()) -> Model:
+    """A robot from MuJoCo's XML with effects attached.
+
+    A ``Machine`` stands in the place of a morphology: it has all of what identification and diagnosis ask of one.
+    """
+    return Model(cast("Morphology", machine), tuple(effects))
+
+
+def machine_of(model: Model) -> Machine | None:
+    """The machine that a model is of; None where it is of a morphology."""
+    found: object = model.morphology
+    return found if isinstance(found, Machine) else None
+
+
 def places(morphology: Morphology) -> dict[str, tuple[str, ...]]:
     """Kind of place → the names of those an effect can sit at."""
+    if isinstance(machine := cast("object", morphology), Machine):
+        return machine.places()
     return {
         "joint": morphology.joint_names,
         "actuator": morphology.actuator_names,
@@ -123,19 +144,46 @@ def nominal_model() -> Model:
     return Model(nominal_leg())
 
 
-def model_from_dict(data: Mapping[str, Any], where: str = "model") -> Model:
+def model_from_dict(
+    data: Mapping[str, Any], where: str = "model", read_mjcf: Callable[[str], Machine] | None = None
+) -> Model:
     """A model from what a model file holds.
+
+    Args:
+        data: the file's table.
+        where: what messages start with.
+        read_mjcf: gives the machine of an MJCF file that is named in it.
 
     Raises:
         ConfigError: for an unknown key, a wrong type or an unknown name, in one sentence that starts with ``where``.
         ModelError: for a morphology that cannot be.
     """
     try:
+        if "mjcf" in data:
+            return _machine_from_dict(data, where, read_mjcf)
         return _model_from_dict(data, where)
     except (ConfigError, ModelError) as error:
         if str(error).startswith(f"{where}: "):
             raise
         raise type(error)(f"{where}: {error}") from None
+
+
+def _machine_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[str], Machine] | None) -> Model:
+    known = ("format", "name", "mjcf", "parameters", "effects")
+    for key in data:
+        if key not in known:
+            raise ConfigError(unknown_name("key", key, known, where))
+    if data.get("format", FORMAT) != FORMAT:
+        raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r}")
+    if not isinstance(data["mjcf"], str) or read_mjcf is None:
+        raise ConfigError(f"{where}: mjcf is {data['mjcf']!r}, expected the name of a file of MuJoCo's XML")
+    machine = read_mjcf(data["mjcf"]).with_parameters(_numbers(data.get("parameters", {}), f"{where}: parameters"))
+    name = data.get("name", machine.name)
+    if not isinstance(name, str):
+        raise ConfigError(f"{where}: name is {name!r}, expected a text")
+    return machine_model(
+        replace(machine, name=name), [_effect(e, where) for e in _tables(data.get("effects", []), where)]
+    )
 
 
 def _model_from_dict(data: Mapping[str, Any], where: str) -> Model:
@@ -166,6 +214,14 @@ def _model_from_dict(data: Mapping[str, Any], where: str) -> Model:
 
 def model_to_dict(model: Model) -> dict[str, Any]:
     """What a model file of ``model`` holds; ``model_from_dict`` gives the same model back."""
+    if (machine := machine_of(model)) is not None:
+        return {
+            "format": FORMAT,
+            "name": model.name,
+            "mjcf": machine.source,
+            "parameters": dict(machine.values),
+            "effects": [{"effect": e.name, "location": e.location, **e.parameters()} for e in model.effects],
+        }
     base = next((n for n, make in MORPHOLOGIES.items() if _same_shape(make(), model.morphology)), None)
     data: dict[str, Any] = {"format": FORMAT, "name": model.name, "phase": model.phase}
     if base is None:

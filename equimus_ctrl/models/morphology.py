@@ -348,6 +348,15 @@ class Morphology:
             return j.upper.angle - math.pi / 2
         return math.pi / 2 + self.tilt if j.parent == BASE else 0.0
 
+    def with_payload(self, place: str, mass: float) -> Morphology:
+        """A copy with a point mass [kg] at the tip of a link, or at the foot: the last link's tip."""
+        link = self.link(self.foot if place == "foot" else place)
+        whole = link.mass + mass
+        com = (link.mass * link.com + mass * link.length) / whole
+        inertia = link.inertia + link.mass * (link.com - com) ** 2 + mass * (link.length - com) ** 2
+        own = {"mass": whole, "com": com, "inertia": inertia}
+        return self.with_parameters({f"{link.name}.{key}": value for key, value in own.items()})
+
     def with_stop(self, joint: str, side: Literal["lower", "upper"], stop: tuple[float, float, float]) -> Morphology:
         """A copy in which a joint's stop is another, or is where there was none.
 

@@ -9,14 +9,15 @@ from typing import cast
 import casadi as ca
 import numpy as np
 
+from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import Finding, Leftover
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import SensorEffect
-from equimus_ctrl.identification.parameters import unit_of
+from equimus_ctrl.identification.parameters import place_unit, unit_of
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.report.diagnosis_panels import (
     BEYOND,
@@ -73,7 +74,7 @@ def leftover_panel(scene: Scene, left: Leftover) -> Panel | None:
     values = scene.values(left.axis)
     return Panel(
         f"at {' and '.join(left.places)}",
-        f"{coordinate(left.axis).removeprefix('the ')} {along.bracket}",
+        f"{coordinate(left.axis, scene.model).removeprefix('the ')} {along.bracket}",
         f"push {push.bracket}",
         (Line(x, np.zeros(len(x)), "as modelled", True), Line(x, y, "push that is left")),
         (x, y - half, y + half),
@@ -98,7 +99,7 @@ class _Law:
     p: Array
 
     @classmethod
-    def of(cls, effect: ForceEffect) -> _Law:
+    def of(cls, effect: ForceEffect, load: float = 0.0) -> _Law:
         x, rate, speed = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("speed")
         z = ca.SX.sym("z", effect.n_states)
         states = ca.vertsplit(z) if effect.n_states else []
@@ -106,7 +107,7 @@ class _Law:
         names = ca.vertcat(*p.values())
         parts = [
             ca.SX(effect.force(x, rate, states, p)),
-            ca.SX(effect.dry_friction(x, speed, p)),
+            ca.SX(effect.dry_friction(x, speed, p)) + effect.friction_of_load(ca.SX(load), speed, p),
             ca.vertcat(*effect.state_rate(x, rate, states, p)),
         ]
         function = ca.Function("law", [x, rate, speed, z, names], parts)
@@ -151,10 +152,14 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
     """Push against the coordinate, against its rate, around a loop and after a step: those that say anything."""
     place, seen = best.location, scene.seen[best.location]
     joint = place in scene.model.morphology.joint_names
-    long, short = ("rad", "angle") if joint else ("m", "length")
+    machine = machine_of(scene.model)
+    long, short = ("rad", units.noun(scene.model, place)) if joint else ("m", "length")
+    torque = "N·m" if joint else "N"
+    if machine is not None:
+        long, torque = machine.turned(long, place), machine.turned(torque, place)
     if best.scales:
         return [_area_panel(scene, best, others)]
-    law, rest = _Law.of(best), [_Law.of(o) for o in others]
+    law, rest = _Law.of(best, seen.push), [_Law.of(o, seen.push) for o in others]
     middle, half = (seen.low + seen.high) / 2, seen.span / 2
     x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
     rate = np.concatenate(
@@ -181,8 +186,8 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
 
     loop, still, moving = around(law), at_rest(law), in_motion(law)
     size = max(float(np.abs(curve).max()) for curve in (loop, still, moving))
-    push = reading("N·m" if joint else "N", size)
-    label = f"{'torque' if joint else 'force'} {push.bracket}"
+    push = reading(torque, size)
+    label = f"{'torque' if torque == 'N·m' else 'force'} {push.bracket}"
     far, quick = reading(long, float(np.abs(x).max())), reading(f"{long}/s", seen.speed)
     axis, data = f"{short} of {place} {far.bracket}", scene.position(place) * far.factor
 
@@ -240,6 +245,8 @@ def _area_panel(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) 
 def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:
     """What another robot's weight, springs and stops do to the joints at rest, and which numbers it has."""
     m = scene.model.morphology
+    if machine_of(scene.model) is not None:
+        return [Panel("numbers of the effect", rows=_numbers_of(scene.model, best[0]))]
 
     def robot(effects: Sequence[Effect]) -> Morphology:
         return changed_bodies((*scene.model.effects, *effects), m)
@@ -283,6 +290,16 @@ def _torque(robot: Morphology, model: Model, what: str, poses: Array) -> Array:
         return np.array([kinematics.rest_torque(q)[0] for q in poses])
 
     return torque(more) - (torque(less) if less else 0.0)
+
+
+def _numbers_of(model: Model, effect: Effect) -> tuple[tuple[str, ...], ...]:
+    """(what, how much) of an effect's parameters."""
+    info = effect.parameter_info()
+    rows = []
+    for key, value in effect.parameters().items():
+        told = reading(place_unit(model, info[key]["unit"], effect.location), value)
+        rows.append((str(info[key]["doc"]), told(number(value * told.factor))))
+    return tuple(rows)
 
 
 def _changed_numbers(model: Model, before: Morphology, after: Morphology) -> tuple[tuple[str, ...], ...]:

@@ -46,7 +46,7 @@ def leftover_figure(scene: Scene, left: Leftover) -> Figure | None:
     panel = leftover_panel(scene, left)
     if panel is None:
         return None
-    title = f"Unexplained at {left.location}: a push that goes with {coordinate(left.depends_on)}"
+    title = f"Unexplained at {left.location}: a push that goes with {coordinate(left.depends_on, scene.model)}"
     return _figure(textwrap.fill(title, 58), [panel], "95 % interval")
 
 

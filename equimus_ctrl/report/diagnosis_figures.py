@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis
 from equimus_ctrl.diagnosis.where import commands, speeds
 from equimus_ctrl.identification.fit import DIVERGED
@@ -32,7 +33,7 @@ from equimus_ctrl.report.diagnosis_drawing import (
 )
 from equimus_ctrl.report.diagnosis_panels import Panel, Scene
 from equimus_ctrl.report.diagnosis_sentences import sentence
-from equimus_ctrl.report.diagnosis_words import listed, short
+from equimus_ctrl.report.diagnosis_words import listed, number, short
 from equimus_ctrl.types import Array
 
 COLOURS = {"nominal": "#B0A08A", "refitted": "#D55E00", "corrected": "#0072B2"}
@@ -42,7 +43,6 @@ LONG_NAME = 34
 BINS, LEAST_IN_BIN = 12, 5
 STEP_SHARE = 0.02
 """Share of the largest command that a change must have to count as a step."""
-MRAD, KPA = 1e3, 1e-3
 
 
 def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
@@ -99,19 +99,21 @@ def _trial_name(diagnosis: Diagnosis, k: int) -> str:
 def _draw_angles(axes: Axes, diagnosis: Diagnosis, k: int, j: int, states: Sequence[str]) -> None:
     segment = _part(diagnosis)[1][k]
     time, measured = segment.trial.sample_times, segment.measured[:, j]
-    axes.plot(time, np.degrees(measured), color=style.RECORDED, linewidth=2.2, alpha=0.45)
+    factor = units.position(diagnosis.model, diagnosis.joints[j]).factor
+    axes.plot(time, measured * factor, color=style.RECORDED, linewidth=2.2, alpha=0.45)
     for state in states:
-        predicted = np.degrees(measured - _residual(diagnosis, state, k)[:, j])
+        predicted = (measured - _residual(diagnosis, state, k)[:, j]) * factor
         axes.plot(time, predicted, color=COLOURS[state], linewidth=1.3)
     axes.set_xlim(time[0], time[-1])
 
 
 def _draw_residuals(axes: Axes, diagnosis: Diagnosis, k: int, j: int) -> None:
-    time, sigma = _part(diagnosis)[1][k].trial.sample_times, _sigma(diagnosis)[j] * MRAD
+    factor = units.error(diagnosis.model, diagnosis.joints[j]).factor
+    time, sigma = _part(diagnosis)[1][k].trial.sample_times, _sigma(diagnosis)[j] * factor
     axes.axhspan(-2 * sigma, 2 * sigma, color=style.SHADE, linewidth=0)
     top = 3 * sigma
     for state in story.states(diagnosis)[1:]:
-        values = _residual(diagnosis, state, k)[:, j] * MRAD
+        values = _residual(diagnosis, state, k)[:, j] * factor
         if np.isfinite(values).any():
             top = max(top, float(np.nanquantile(np.abs(values), 0.995)) * 1.1)
         axes.plot(time, values, color=COLOURS[state], linewidth=1.0, alpha=0.9)
@@ -119,17 +121,25 @@ def _draw_residuals(axes: Axes, diagnosis: Diagnosis, k: int, j: int) -> None:
     axes.set_xlim(time[0], time[-1])
 
 
-def _draw_commands(axes: Axes, segment: Segment) -> None:
+def _draw_commands(axes: Axes, diagnosis: Diagnosis, segment: Segment) -> None:
     values, _, _ = commands(segment)
-    for a in range(values.shape[1]):
-        axes.step(
-            segment.trial.sample_times, values[:, a] * KPA, where="post", color=style.actuator_colour(a), linewidth=1.1
-        )
+    for a, name in enumerate(diagnosis.model.morphology.actuator_names):
+        shown = values[:, a] * units.command(diagnosis.model, name).factor
+        axes.step(segment.trial.sample_times, shown, where="post", color=style.actuator_colour(a), linewidth=1.1)
 
 
 def _state_handles(states: Sequence[str]) -> list[Artist]:
     handles: list[Artist] = [Line2D([], [], color=style.RECORDED, linewidth=2.2, alpha=0.45, label="measured")]
     return handles + [Line2D([], [], color=COLOURS[s], linewidth=1.6, label=WORDS[s]) for s in states]
+
+
+def _position_label(diagnosis: Diagnosis, joint: str) -> str:
+    return f"{units.noun(diagnosis.model, joint)} {units.position(diagnosis.model, joint).bracket}"
+
+
+def _command_label(diagnosis: Diagnosis) -> str:
+    told = {units.command(diagnosis.model, name).unit for name in diagnosis.model.morphology.actuator_names}
+    return f"[{', '.join(sorted(told))}]" if told != {""} else "command"
 
 
 def before_after_figure(diagnosis: Diagnosis) -> Figure:
@@ -144,14 +154,16 @@ def before_after_figure(diagnosis: Diagnosis) -> Figure:
         for j, joint in enumerate(joints):
             _draw_angles(grid[0, j], diagnosis, k, j, states)
             _draw_residuals(grid[1, j], diagnosis, k, j)
-            _draw_commands(grid[2, j], segment)
-            errors = [float(np.sqrt(np.mean(_residual(diagnosis, s, k)[:, j] ** 2))) * MRAD for s in states]
-            title = f"{joint}: RMSE {' → '.join('diverged' if np.isnan(e) else f'{e:.1f}' for e in errors)} mrad"
+            _draw_commands(grid[2, j], diagnosis, segment)
+            unit = units.error(diagnosis.model, joint)
+            errors = [float(np.sqrt(np.mean(_residual(diagnosis, s, k)[:, j] ** 2))) * unit.factor for s in states]
+            shown = ("diverged" if np.isnan(e) else number(e) if e < 1 else f"{e:.1f}" for e in errors)
+            title = f"{joint}: RMSE {' → '.join(shown)} {unit.unit}"
             if j == 0:
                 title = f"{_trial_name(diagnosis, k)}\n{title}"
-            style.dress(grid[0, j], title=title, y="angle [°]" if j == 0 else "")
-            style.dress(grid[1, j], y="error [mrad]" if j == 0 else "")
-            style.dress(grid[2, j], x="time [s]", y="[kPa]" if j == 0 else "")
+            style.dress(grid[0, j], title=title, y=_position_label(diagnosis, joint) if j == 0 else "")
+            style.dress(grid[1, j], y=f"error {unit.bracket}" if j == 0 else "")
+            style.dress(grid[2, j], x="time [s]", y=_command_label(diagnosis) if j == 0 else "")
         block.align_ylabels()
     handles = _state_handles(states)
     handles.append(Patch(facecolor=style.SHADE, label="± 2 σ of the noise"))
@@ -167,29 +179,35 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
     states = story.states(diagnosis)[1:]
     segments = (*diagnosis.train, *diagnosis.heldout)
     rows = {s: (*diagnosis.residuals[s].train, *diagnosis.residuals[s].heldout) for s in states}
-    residuals = {s: np.concatenate(r) * MRAD for s, r in rows.items()}
-    angles = np.degrees(np.concatenate([s.measured for s in segments]))
-    rates = np.degrees(np.concatenate([speeds(s) for s in segments]))
-    pressures = np.concatenate([commands(s)[0] for s in segments]) * KPA
-    since = np.concatenate([_since_step(s, float(pressures.max()) / KPA) for s in segments])
-    shared = [(f"command of {name} [kPa]", pressures[:, a]) for a, name in enumerate(m.actuator_names)]
+    model = diagnosis.model
+    residuals = {s: np.concatenate(r) for s, r in rows.items()}
+    angles = np.concatenate([s.measured for s in segments])
+    rates = np.concatenate([speeds(s) for s in segments])
+    given = np.concatenate([commands(s)[0] for s in segments])
+    since = np.concatenate([_since_step(s, float(given.max())) for s in segments])
+    told = [units.command(model, name) for name in m.actuator_names]
+    shared = [
+        (f"command of {name} {u.bracket}".rstrip(), given[:, a] * u.factor)
+        for a, (name, u) in enumerate(zip(m.actuator_names, told, strict=True))
+    ]
     figure = style.new_figure(WIDTH + 1, 0.9 + 3.3 * len(m.joints), "Where the error lies")
     columns = 3 + len(shared)
     grid = figure.subplots(
         2 * len(m.joints), columns, squeeze=False, sharey="row", height_ratios=[1.3, 1] * len(m.joints)
     )
     for j, joint in enumerate(m.joint_names):
+        place, fast, unit = (of(model, joint) for of in (units.position, units.speed, units.error))
         own = [
             ("time since a step [s]", since),
-            (f"angle of {joint} [°]", angles[:, j]),
-            (f"speed of {joint} [°/s]", rates[:, j]),
+            (f"{units.noun(model, joint)} of {joint} {place.bracket}", angles[:, j] * place.factor),
+            (f"speed of {joint} {fast.bracket}", rates[:, j] * fast.factor),
             *shared,
         ]
-        sigma = _sigma(diagnosis)[j] * MRAD
+        sigma = _sigma(diagnosis)[j] * unit.factor
         for c, (label, values) in enumerate(own):
             top, bottom = grid[2 * j, c], grid[2 * j + 1, c]
             for state in states:
-                x, size, mean = _binned(values, residuals[state][:, j], even=c > 0)
+                x, size, mean = _binned(values, residuals[state][:, j] * unit.factor, even=c > 0)
                 top.plot(x, size, color=COLOURS[state], linewidth=1.4, marker="o", markersize=3.5)
                 bottom.plot(x, mean, color=COLOURS[state], linewidth=1.4, marker="o", markersize=3.5)
             top.axhline(sigma, color=style.INK, linewidth=1.0, linestyle=":")
@@ -202,8 +220,8 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
                     axes.xaxis.set_major_formatter("{x:g}")
                     axes.xaxis.set_minor_formatter(NullFormatter())
             title = f"{joint}: size of the error" if c == 0 else ""
-            style.dress(top, title=title, y="RMS [mrad]" if c == 0 else "")
-            style.dress(bottom, x=label, y="mean [mrad]" if c == 0 else "")
+            style.dress(top, title=title, y=f"RMS {unit.bracket}" if c == 0 else "")
+            style.dress(bottom, x=label, y=f"mean {unit.bracket}" if c == 0 else "")
             bottom.xaxis.label.set_size(style.SMALL_SIZE)
         grid[2 * j, 0].set_ylim(bottom=0)
     figure.align_ylabels()
@@ -261,8 +279,9 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
     states = story.states(diagnosis)[-2:]
     _draw_angles(top, diagnosis, k, j, states)
     _draw_residuals(bottom, diagnosis, k, j)
-    style.dress(top, title=f"{diagnosis.joints[j]}, {_trial_name(diagnosis, k)}", y="angle [°]")
-    style.dress(bottom, x="time [s]", y="error [mrad]")
+    joint = diagnosis.joints[j]
+    style.dress(top, title=f"{joint}, {_trial_name(diagnosis, k)}", y=_position_label(diagnosis, joint))
+    style.dress(bottom, x="time [s]", y=f"error {units.error(diagnosis.model, joint).bracket}")
     top.tick_params(labelbottom=False)
     panel = _first_panel(diagnosis, scene)
     if panel is None:
@@ -297,12 +316,16 @@ def _draw_against_noise(axes: Axes, diagnosis: Diagnosis) -> None:
     """Error of every state of the model and the noise, joint by joint."""
     part, _ = _part(diagnosis)
     rows = np.arange(len(diagnosis.joints))
+    shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
+    factors = np.array([u.factor for u in shown])
     for s, state in enumerate(STATES[:2]):
-        errors = diagnosis.rmse(state, part) * MRAD  # type: ignore[arg-type]
+        errors = diagnosis.rmse(state, part) * factors  # type: ignore[arg-type]
         axes.barh(rows + 0.36 * (s - 0.5), errors, height=0.34, color=COLOURS[state], label=WORDS[state])
-    for row, sigma in enumerate(_sigma(diagnosis) * MRAD):
+    for row, sigma in enumerate(_sigma(diagnosis) * factors):
         axes.vlines(sigma, row - 0.4, row + 0.4, color=style.INK, linewidth=1.4, linestyle=":")
     axes.set_yticks(rows, diagnosis.joints)
     axes.invert_yaxis()
-    style.dress(axes, title="error, and the noise (dotted)", x="RMSE [mrad]")
+    style.dress(
+        axes, title="error, and the noise (dotted)", x=f"RMSE [{', '.join(dict.fromkeys(u.unit for u in shown))}]"
+    )
     axes.grid(False, axis="y")

@@ -8,11 +8,14 @@ import math
 from collections.abc import Sequence
 from html import escape
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.identification.results import together
+from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.report import diagnosis_text as story
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
@@ -27,7 +30,6 @@ from equimus_ctrl.report.diagnosis_words import (
     short,
 )
 
-MRAD = 1e3
 CSS = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: #222; background: #fff;
@@ -134,23 +136,30 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: int = 1, st
 
 def _size(diagnosis: Diagnosis) -> str:
     told, *_ = story.against_noise(diagnosis)
-    rows = []
+    rows: list[tuple[str, ...]] = []
+    shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
+    factors, alike = np.array([u.factor for u in shown]), len({u.unit for u in shown}) == 1
     for part, words in (("train", "fitted"), ("heldout", "held out")):
         if not getattr(diagnosis, part):
             continue
         for state in story.states(diagnosis):
-            values = diagnosis.rmse(state, part) * MRAD  # type: ignore[arg-type]
-            rows.append((f"{words}: {WORDS[state]}", *(number(v) for v in values), number(together(values))))
-    sigma = [own.sigma * MRAD for own in diagnosis.best.noise]
-    rows.append(("noise", *(number(v) for v in sigma), number(math.sqrt(sum(v**2 for v in sigma) / len(sigma)))))
+            values = diagnosis.rmse(state, part) * factors  # type: ignore[arg-type]
+            whole = (number(together(values)),) if alike else ()
+            rows.append((f"{words}: {WORDS[state]}", *(number(v) for v in values), *whole))
+    sigma = [own.sigma * u.factor for own, u in zip(diagnosis.best.noise, shown, strict=True)]
+    whole = (number(math.sqrt(sum(v**2 for v in sigma) / len(sigma))),) if alike else ()
+    rows.append(("noise", *(number(v) for v in sigma), *whole))
     colour = [
-        f"{joint}: {number(own.white * MRAD)} mrad white, {number(own.coloured * MRAD)} mrad correlated over "
-        f"{number(own.time * 1e3)} ms"
-        for joint, own in zip(diagnosis.joints, diagnosis.best.noise, strict=True)
+        f"{joint}: {number(own.white * u.factor)} {u.unit} white, {number(own.coloured * u.factor)} {u.unit} "
+        f"correlated over {number(own.time * 1e3)} ms"
+        for joint, own, u in zip(diagnosis.joints, diagnosis.best.noise, shown, strict=True)
         if own.coloured > 0
     ]
     coloured = f"<p>The noise is coloured.</p>{_list(colour)}" if colour else ""
-    table = _table(("RMSE in mrad, trials", *diagnosis.joints, "all joints"), rows)
+    names = diagnosis.joints
+    heads = names if alike else tuple(f"{j} [{u.unit}]" for j, u in zip(names, shown, strict=True))
+    first = f"RMSE in {shown[0].unit}, trials" if alike else "RMSE, trials"
+    table = _table((first, *heads, *(("all joints",) if alike else ())), rows)
     return f"<p>{escape(told)}</p>{table}{coloured}"
 
 
@@ -193,7 +202,7 @@ def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     body = _list(story.remains(diagnosis))
     for k, left in enumerate(diagnosis.leftover):
         if figure := figures.get(f"unexplained_{k + 1}"):
-            alt = f"The push at {left.location} that nothing explains, against {coordinate(left.axis)}"
+            alt = f"The push at {left.location} that nothing explains, against {coordinate(left.axis, diagnosis.model)}"
             body += _figure(figure, alt)
     return body
 
@@ -256,7 +265,9 @@ def _detectable(diagnosis: Diagnosis) -> str:
 
 
 def _provenance(diagnosis: Diagnosis, command_line: str) -> str:
-    rows = [("model", diagnosis.model.name), ("phase", diagnosis.model.phase)]
+    rows = [("model", diagnosis.model.name)]
+    if machine_of(diagnosis.model) is None:
+        rows.append(("phase", diagnosis.model.phase))
     for words, segments in (("trials fitted", diagnosis.train), ("trials held out", diagnosis.heldout)):
         names = dict.fromkeys(s.trial.name for s in segments)
         rows.append((words, ", ".join(names) or "none"))

@@ -15,7 +15,7 @@ from equimus_ctrl.effects.base import Effect, Seen
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array
 
 BEYOND = 0.12
@@ -121,7 +121,7 @@ class Scene:
             return np.asarray((self.angles if kind == "pos" else self.speeds)[:, m.joint_names.index(name)])
         if kind == "cmd" and name in m.actuator_names:
             return np.asarray(self.commands[:, m.actuator_names.index(name)])
-        if kind == "len" and name in m.actuator_names:
+        if kind == "len" and name in m.actuator_names and machine_of(self.model) is None:
             kinematics, own = Kinematics(m, self.model.phase), m.actuator_names.index(name)
             poses = self.angles[:: max(len(self.angles) // FEW, 1)]
             return np.array([kinematics.lengths(q)[own] for q in poses])

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from equimus_ctrl.diagnosis.results import Estimate, Finding
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.report.diagnosis_words import estimate_text, listed, quantity
 
 
@@ -37,6 +37,9 @@ class _Told:
     def __getitem__(self, key: str) -> str:
         return estimate_text(self.finding.parameters[key])
 
+    def unit(self, key: str) -> str:
+        return self.finding.parameters[key].unit
+
     def value(self, key: str) -> float:
         return self.finding.parameters[key].value
 
@@ -48,6 +51,8 @@ class _Told:
 
 
 def _pressures(t: _Told) -> str:
+    if machine_of(t.model) is not None:
+        return f"The {t.one_or('push', 'pushes')} of {t.at}"
     return f"The {t.one_or('pressure', 'pressures')} of {t.at}"
 
 
@@ -156,7 +161,57 @@ def _joint_stop(t: _Told) -> str:
     )
 
 
+def _viscous_friction(t: _Told) -> str:
+    return f"Friction at {t.the} in proportion to speed, of {t['damping']}{t.one_or('', ' each')}."
+
+
+def _quadratic_damping(t: _Told) -> str:
+    return f"A drag at {t.the} that grows with the square of speed, of {t['drag']}{t.one_or('', ' each')}."
+
+
+def _asymmetric_damping(t: _Told) -> str:
+    more = "forwards" if t.value("difference") > 0 else "backwards"
+    size = t.scaled("difference", t.unit("difference"), math.copysign(1.0, t.value("difference")))
+    return f"Viscous friction at {t.the} is larger {more}, by {size}."
+
+
+def _asymmetric_friction(t: _Told) -> str:
+    return f"Dry friction at {t.the} differs between directions: {t['forward']} forwards and {t['backward']} backwards."
+
+
+def _load_friction(t: _Told) -> str:
+    share = t.scaled("share", "%", 100.0)
+    return f"Dry friction at {t.the} of {share} of what the drive pushes: a gear's losses."
+
+
+def _constant_force(t: _Told) -> str:
+    return f"A constant push on {t.the} of {t['size']}."
+
+
+def _joint_compliance(t: _Told) -> str:
+    return (
+        f"Between {t.the} and its drive there is a spring of {t['stiffness']} with a damping of {t['damping']}: the "
+        "drive gives way."
+    )
+
+
+def _drive_play(t: _Told) -> str:
+    return f"Between {t.the} and its drive there is a play of {t['play']}."
+
+
+def _actuator_gain(t: _Told) -> str:
+    side = "more" if t.value("factor") > 1 else "less"
+    size = t.scaled("factor", "%", math.copysign(100.0, t.value("factor") - 1), 1.0)
+    return f"{t.at} {t.one_or('pushes', 'push')} {size} {side} than {t.one_or('it is', 'they are')} taken to."
+
+
+def _torque_saturation(t: _Told) -> str:
+    return f"{_pressures(t)} {t.one_or('stops', 'stop')} growing at {t['level']}: a saturation."
+
+
 def _payload_mass(t: _Told) -> str:
+    if machine_of(t.model) is not None:
+        return f"At {t.at} sits a mass of {t['mass']} that is not in the model."
     where = "the foot" if t.places[0] == "foot" else f"the tip of the {t.places[0]}"
     return f"At {where} sits a mass of {t['mass']} that is not in the model."
 
@@ -167,7 +222,7 @@ def _gravity_tilt(t: _Told) -> str:
 
 def _sensor_offset(t: _Told) -> str:
     too = "much" if t.value("offset") > 0 else "little"
-    size = t.scaled("offset", "rad", math.copysign(1.0, t.value("offset")))
+    size = t.scaled("offset", t.unit("offset"), math.copysign(1.0, t.value("offset")))
     return f"The measured angle of {t.the} is {size} too {too}: a sensor's offset."
 
 
@@ -210,6 +265,16 @@ SENTENCES: Mapping[str, Callable[[_Told], str]] = {
     "sensor_scale": _sensor_scale,
     "sensor_delay": _sensor_delay,
     "backlash": _backlash,
+    "viscous_friction": _viscous_friction,
+    "quadratic_damping": _quadratic_damping,
+    "asymmetric_damping": _asymmetric_damping,
+    "asymmetric_friction": _asymmetric_friction,
+    "load_friction": _load_friction,
+    "constant_force": _constant_force,
+    "joint_compliance": _joint_compliance,
+    "drive_play": _drive_play,
+    "actuator_gain": _actuator_gain,
+    "torque_saturation": _torque_saturation,
 }
 """Effect → its sentence; others get the general one."""
 

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from equimus_ctrl.diagnosis import units
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, sample, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
+from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.report.diagnosis_panels import Line, Panel, Scene, band, changes, in_time, name_of, settled
-from equimus_ctrl.report.diagnosis_words import quantity
+from equimus_ctrl.report.diagnosis_words import number, quantity
 from equimus_ctrl.types import Array
 
 POINTS = 241
@@ -19,7 +22,6 @@ STEP = 1e-3
 """Of pressures and angles over time [s]."""
 SHORTEST, LONGEST = 0.1, 10.0
 """Half of what is drawn of a response [s]."""
-KPA = 1e-3
 TYPICAL = (0.15, 0.85)
 """Quantiles of the commands between which a step is typical."""
 TIMES_THE_PLAY = 8.0
@@ -36,6 +38,9 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
     """
     names = scene.model.morphology.actuator_names
     own = names.index(best[0].location)
+    shown_in = units.command(scene.model, names[own])
+    factor = shown_in.factor
+    push = "pressure" if machine_of(scene.model) is None else "what acts"
     commands = scene.commands
     rest = [i for i in range(len(names)) if i != own]
     grid = np.linspace(0.0, max(float(commands[:, own].max()), 1.0), POINTS)
@@ -43,7 +48,7 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
     def static(effects: Sequence[Effect], demand: float) -> Array:
         asked = np.full((POINTS, len(names)), demand)
         asked[:, own] = grid
-        return np.asarray(shaped_commands((*scene.model.effects, *effects), names, asked)[:, own] * KPA)
+        return np.asarray(shaped_commands((*scene.model.effects, *effects), names, asked)[:, own] * factor)
 
     busy = float(np.quantile(commands[:, rest], 0.9)) if rest else 0.0
     demand = busy if changes(static(best, busy), static(best, 0.0)) else 0.0
@@ -51,10 +56,10 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
     found = []
     if changes(curve, plain):
         told = f"while {quantity(demand, 'Pa')} are asked of the others" if demand else "once it has settled"
-        lines = (Line(grid * KPA, plain, "without", True), Line(grid * KPA, curve, name_of(best)))
-        around = band(grid * KPA, curve, [static(o, demand) for o in others])
-        axis = f"command of {names[own]} [kPa]"
-        found.append(Panel(told, axis, "pressure [kPa]", lines, around, commands[:, own] * KPA))
+        lines = (Line(grid * factor, plain, "without", True), Line(grid * factor, curve, name_of(best)))
+        around = band(grid * factor, curve, [static(o, demand) for o in others])
+        axis = f"command of {names[own]} {shown_in.bracket}"
+        found.append(Panel(told, axis, f"{push} {shown_in.bracket}", lines, around, commands[:, own] * factor))
     low, high = _typical_step(commands[:, own])
     if changes(curve, plain) and np.allclose(np.interp([low, high], grid, curve - plain), 0.0):
         low, high = 0.0, float(grid[-1])  # such as a level that a typical command does not reach
@@ -68,7 +73,7 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
         out = np.empty((round(2.1 * half / STEP), 2, len(names)))
         times = np.array([0.0, half])
         pressure_history(times, shaped[1:], shaped[0], valve_settings(whole, names), -0.1 * half, STEP, out)
-        return np.asarray(out[:, 0, own] * KPA)
+        return np.asarray(out[:, 0, own] * factor)
 
     def clock(half: float) -> Array:
         return np.asarray(np.arange(round(2.1 * half / STEP)) * STEP + STEP / 2 - 0.1 * half)
@@ -81,8 +86,11 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
     moving = response(best, half)
     lines = (Line(shown, response((), half), "without", True), Line(shown, moving, name_of(best)))
     around = band(shown, moving, [response(o, half) for o in others])
-    title = f"a step to {quantity(high, 'Pa')} and back to {quantity(low, 'Pa')}"
-    return [*found, Panel(title, axis, f"pressure of {names[own]} [kPa]", lines, around)]
+    ends = [f"{number(value * factor)} {shown_in.unit}".rstrip() for value in (high, low)]
+    if machine_of(scene.model) is None:
+        ends = [quantity(high, "Pa"), quantity(low, "Pa")]
+    title = f"a step to {ends[0]} and back to {ends[1]}"
+    return [*found, Panel(title, axis, f"{push} of {names[own]} {shown_in.bracket}", lines, around)]
 
 
 def _typical_step(commands: Array) -> tuple[float, float]:
@@ -97,6 +105,7 @@ def sensor_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequenc
     """
     m = scene.model.morphology
     joint = best[0].location
+    place, what = units.position(scene.model, joint), units.noun(scene.model, joint)
     own = m.joint_names.index(joint)
     seen = scene.seen[joint]
 
@@ -108,24 +117,26 @@ def sensor_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequenc
     true = np.linspace(seen.low, seen.high, POINTS)
 
     def error(row: Array) -> Array:
-        return np.asarray(np.degrees(row[OFFSET] + (row[SCALE] - 1) * true))
+        return np.asarray((row[OFFSET] + (row[SCALE] - 1) * true) * place.factor)
 
-    x = np.degrees(true)
+    x = true * place.factor
     if changes(error(now), error(plain)):
-        data = np.degrees(scene.position(joint))
+        data = scene.position(joint) * place.factor
         lines = (Line(x, error(plain), "without", True), Line(x, error(now), name_of(best)))
         around = band(x, error(now), [error(sensor(o)) for o in others])
-        axis = f"true angle of {joint} [°]"
-        found.append(Panel("error of what is shown", axis, "shown − true [°]", lines, around, data))
+        axis = f"true {what} of {joint} {place.bracket}"
+        found.append(Panel("error of what is shown", axis, f"shown − true {place.bracket}", lines, around, data))
         lines = (Line(x, x + error(plain), "without", True), Line(x, x + error(now), name_of(best)))
         around = band(x, x + error(now), [x + error(sensor(o)) for o in others])
-        found.append(Panel("what is shown", axis, "shown angle [°]", lines, around, data))
+        found.append(Panel("what is shown", axis, f"shown {what} {place.bracket}", lines, around, data))
     if any(now[key] != plain[key] for key in (LATE, PLAY)):
-        found += _to_and_fro(joint, seen.low, seen.high, seen.speed, (plain, now, [sensor(o) for o in others]), best)
+        sensors = plain, now, [sensor(o) for o in others]
+        found += _to_and_fro(scene.model, joint, seen.low, seen.high, seen.speed, sensors, best)
     return found
 
 
 def _to_and_fro(
+    model: Model,
     joint: str,
     low: float,
     high: float,
@@ -135,6 +146,7 @@ def _to_and_fro(
 ) -> list[Panel]:
     """A triangular motion about the middle, as wide as lets the effect be seen."""
     plain, now, others = sensors
+    place, what = units.position(model, joint), units.noun(model, joint)
     wide = min(high - low, TIMES_THE_PLAY * (now[PLAY] + now[LATE] * speed))
     quarter = wide / 2 / speed
     time = np.linspace(0.0, 8 * quarter, 8 * POINTS)
@@ -146,18 +158,19 @@ def _to_and_fro(
     def shown(row: Array) -> Array:
         out = np.empty(len(time))
         sample(true, rate, 0.0, float(time[1]), row, time, out)
-        return np.asarray(np.degrees(out[kept]))
+        return np.asarray(out[kept] * place.factor)
 
     clock, axis = in_time(time[kept] - time[kept][0])
     with_it, without, rest = shown(now), shown(plain), [shown(row) for row in others]
-    angle = np.degrees(true[kept])
+    angle = true[kept] * place.factor
     around = band(clock, with_it, rest)
     lines = (Line(clock, without, "without", True), Line(clock, with_it, name_of(best)))
-    ends = np.degrees([true.min(), true.max()])
-    bare = Line(ends, np.degrees(plain[OFFSET]) + plain[SCALE] * ends, "without", True)
+    ends = np.array([true.min(), true.max()]) * place.factor
+    bare = Line(ends, plain[OFFSET] * place.factor + plain[SCALE] * ends, "without", True)
     loops = bare, Line(angle, with_it, name_of(best))
-    title = f"to and fro at {quantity(speed, 'rad/s')}"
+    shown_as = f"shown {what} {place.bracket}"
+    title = f"to and fro at {quantity(speed, place_unit(model, 'rad/s', joint))}"
     return [
-        Panel(title, axis, f"shown angle of {joint} [°]", lines, around),
-        Panel("the same against the true angle", f"true angle of {joint} [°]", "shown angle [°]", loops),
+        Panel(title, axis, f"shown {what} of {joint} {place.bracket}", lines, around),
+        Panel(f"the same against the true {what}", f"true {what} of {joint} {place.bracket}", shown_as, loops),
     ]

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import STATES, Detectable, Diagnosis, Estimate, Experiment, Leftover
+from equimus_ctrl.diagnosis.units import Shown
 from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_words import (
     coordinate,
@@ -26,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["sentence", "tell"]
 
-MRAD = 1e3
 NOWHERE = "nowhere in particular"
 MOST_DETECTABLE = 24
 """Smallest effects that a terminal shows."""
@@ -63,8 +65,10 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
     told += f"; as it came, by {_times(sizes['nominal'])}."
     lines = [told]
     for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.best.noise, strict=True)):
-        first, last = (diagnosis.rmse(state, "train")[j] * MRAD for state in states(diagnosis)[-2:])
-        lines.append(f"{joint}: RMSE {number(first)} → {number(last)} mrad, noise {number(own.sigma * MRAD)} mrad")
+        unit = units.error(diagnosis.model, joint)
+        first, last = (diagnosis.rmse(state, "train")[j] * unit.factor for state in states(diagnosis)[-2:])
+        noise = number(own.sigma * unit.factor)
+        lines.append(f"{joint}: RMSE {number(first)} → {number(last)} {unit.unit}, noise {noise} {unit.unit}")
     return lines
 
 
@@ -86,16 +90,18 @@ def heldout(diagnosis: Diagnosis) -> str:
     if not (diagnosis.findings and diagnosis.heldout):
         return ""
     before, after = (diagnosis.rmse(state, "heldout") for state in ("refitted", "corrected"))
-    parts = [_fall(j, b, a) for j, b, a in zip(diagnosis.joints, before * MRAD, after * MRAD, strict=True)]
+    shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
+    parts = [_fall(j, b, a, u) for j, b, a, u in zip(diagnosis.joints, before, after, shown, strict=True)]
     n = len({s.recording for s in diagnosis.heldout})
     who = "On the trial held out" if n == 1 else f"On the {n} trials held out"
     return f"{who} the error changes by {listed(parts)}."
 
 
-def _fall(joint: str, before: float, after: float) -> str:
+def _fall(joint: str, before: float, after: float, unit: Shown) -> str:
     change = (after - before) / before if before > 0 else 0.0
     sign = "+" if change > 0 else "−" if change < 0 else ""
-    return f"{sign}{number(100 * abs(change), 0)} % at the {joint} ({number(before)} → {number(after)} mrad)"
+    sizes = f"{number(before * unit.factor)} → {number(after * unit.factor)}"
+    return f"{sign}{number(100 * abs(change), 0)} % at the {joint} ({sizes} {unit.unit})"
 
 
 def evidence(diagnosis: Diagnosis, k: int) -> str:
@@ -111,14 +117,14 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
 
 def remains(diagnosis: Diagnosis) -> list[str]:
     """What none of the findings explains, and effects that were not named because of it."""
-    lines = [_left(left) for left in diagnosis.leftover]
+    lines = [_left(left, diagnosis.model) for left in diagnosis.leftover]
     if diagnosis.doubtful:
         named = listed([short(named) for named in diagnosis.doubtful])
         lines.append(f"Of the known effects, {named} would fit best, but no better than a push without a name.")
     return lines
 
 
-def _left(left: Leftover) -> str:
+def _left(left: Leftover, model: Model) -> str:
     at = f" at {listed(left.places)}" if set(left.places) != {left.location} else ""
     size = ""
     if left.axis and len(left.push):
@@ -126,7 +132,7 @@ def _left(left: Leftover) -> str:
         largest, half = float(abs(left.push[k])), float(left.band[k])
         size = f", up to {estimate_text(Estimate(largest, largest - half, largest + half, left.unit))}"
     return (
-        f"At the {left.location}: a push{at} that goes with {coordinate(left.depends_on)}{size}; "
+        f"At the {left.location}: a push{at} that goes with {coordinate(left.depends_on, model)}{size}; "
         f"{percent(left.share)} of what remains, χ² falls by {number(left.gain)} (counts from {number(left.threshold)})"
     )
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from equimus_ctrl.diagnosis.results import Estimate, Named
+from equimus_ctrl.models.model import Model, machine_of
 
 DIGITS, MOST_DIGITS = 3, 5
 """Significant digits of a number without an interval, and of any."""
@@ -28,7 +29,8 @@ _READ: dict[str, tuple[tuple[float, str, float], ...]] = {
     "rad/s": ((math.inf, "°/s", _DEGREES),),
     "1": ((math.inf, "", 1.0),),
     "N/Pa": ((math.inf, "N/kPa", 1e3),),
-    **{unit: ((0.01, f"m{unit}", 1e3), (math.inf, unit, 1.0)) for unit in ("N", "N·m", "N·m/rad", "N·m·s/rad")},
+    **{unit: ((0.01, f"m{unit}", 1e3), (math.inf, unit, 1.0)) for unit in ("N·m", "N·m/rad", "N·m·s/rad")},
+    "N": ((0.01, "mN", 1e3), (math.inf, "N", 1.0)),
 }
 
 
@@ -149,6 +151,7 @@ def short(named: Named) -> str:
 
 _COORDINATES = {
     "pos": "the angle of {}",
+    "place": "the position of {}",
     "vel": "the speed of {}",
     "cmd": "the pressure of {}",
     "len": "the length of {}",
@@ -158,13 +161,24 @@ _COORDINATES = {
 }
 
 
-def coordinate(text: str) -> str:
-    """What a push depends on, in words: ``pos.hip·vel.hip`` → ``the angle of hip and the speed of hip``."""
+def coordinate(text: str, model: Model | None = None) -> str:
+    """What a push depends on, in words: ``pos.hip·vel.hip`` → ``the angle of hip and the speed of hip``.
+
+    Args:
+        text: as ``diagnosis.flexible`` calls it.
+        model: of the robot, whose joints may slide and whose commands may be no pressures.
+    """
+    machine = None if model is None else machine_of(model)
+    words = dict(_COORDINATES)
+    if machine is not None:
+        words["cmd"] = "the command of {}"
+        sliding = [joint.name for joint in machine.joints if joint.slides]
+        text = re.sub(r"\bpos\.([^−()+·]+)", lambda m: f"place.{m[1]}" if m[1] in sliding else m[0], text)
     text = re.sub(r"^time( at .*)?$|^time(?=·)", lambda m: f"the time since a trial's start{m[1] or ''}", text)
     text = re.sub(r"sign\(vel\.([^()]+)\)", r"the direction in which \1 moves", text)
-    kinds = "|".join(_COORDINATES)
+    kinds = "|".join(words)
     parts = []
     for part in text.split("·"):
-        named = re.sub(rf"\b({kinds})\.([^−()+]+)", lambda m: _COORDINATES[m[1]].format(m[2]), part)
+        named = re.sub(rf"\b({kinds})\.([^−()+]+)", lambda m: words[m[1]].format(m[2]), part)
         parts.append(named.replace("−the", " less the"))
     return listed(parts)

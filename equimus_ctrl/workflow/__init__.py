@@ -12,6 +12,7 @@ from equimus_ctrl.workflow.identify import (
     sensitivity_of,
     simulator_of,
 )
+from equimus_ctrl.workflow.machines import FreeNumbers, load_machine, offer, parameter_rows, read_free
 from equimus_ctrl.workflow.plugins import load_effects
 from equimus_ctrl.workflow.prove import Proof, put_to_proof
 from equimus_ctrl.workflow.runs import (
@@ -34,6 +35,7 @@ __all__ = [
     "CONTROLLERS",
     "Comparison",
     "Condition",
+    "FreeNumbers",
     "Identification",
     "Identified",
     "IdentifiedPoses",
@@ -53,10 +55,14 @@ __all__ = [
     "load_controller",
     "load_effects",
     "load_hardware",
+    "load_machine",
     "load_model",
     "load_scenario",
     "measure_delay",
+    "offer",
+    "parameter_rows",
     "put_to_proof",
+    "read_free",
     "recordings_of",
     "renamed",
     "run_scenario",

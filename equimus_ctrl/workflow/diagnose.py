@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
@@ -13,10 +14,11 @@ from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnos
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.search import SearchSettings
-from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.diagnosis.split import check_settings, split
 from equimus_ctrl.errors import ConfigError, EquimusError
-from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.models.model import Model, machine_of, nominal_model
 from equimus_ctrl.workflow.identify import Some, choose
+from equimus_ctrl.workflow.machines import read_free
 from equimus_ctrl.workflow.runs import gather, load_scenario
 
 SWEEPS = {"mean": (10.0, 15.0, 20.0), "amplitude": (4.0, 9.0), "high": (0.5, 2.0, 6.0)}
@@ -34,6 +36,8 @@ def diagnose_recordings(
     heldout: Sequence[str] = (),
     until: float | None = None,
     window: tuple[float, float] | None = None,
+    shoot: float | None = None,
+    parameters: Path | None = None,
     most: int = 3,
     threads: int | None = None,
     progress: Progress = lambda stage, share, best: None,
@@ -51,6 +55,8 @@ def diagnose_recordings(
         heldout: patterns of the names of trials that only judge; see ``diagnosis.split.split`` for the default.
         until: of every trial only what comes before this time is fitted, and the rest judges too [s].
         window: (from, to) of each trial that counts at all [s].
+        shoot: length of the windows that trials of a machine are cut into [s]; see ``split.window_length``.
+        parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` and ``bounds`` win.
         most: largest number of effects.
         threads: all cores by default.
         progress: called with the stage, the share done and the best hypothesis so far.
@@ -63,11 +69,18 @@ def diagnose_recordings(
         raise ConfigError(f"the largest number of effects is {most}, expected 1 to 6")
     if until is not None and not math.isfinite(until):
         raise ConfigError(f"the end of what is fitted is {until:g} s, expected a finite time")
-    trials = choose(gather(recordings), select)
-    parts = split(model, trials, heldout=heldout, until=until, window=window)
-    parameters = uncertain(model, free, bounds, fix)
+    if shoot is not None and machine_of(model) is None:
+        raise ConfigError("windows to shoot over are for robots from MuJoCo's XML; a leg's trials are fitted whole")
+    trials = choose(gather(recordings, model), select)
+    parts = split(model, trials, heldout=heldout, until=until, window=window, shoot=shoot)
+    if parameters is not None:
+        free, bounds = read_free(parameters, model).with_more(free, bounds)
+    chosen = uncertain(model, free, bounds, fix)
+    check_settings(chosen, parts)
     settings = DiagnosisSettings(SearchSettings(most_parts=most), threads)
-    return diagnose(parameters, parts, settings=settings, designs=sweeps(model), progress=progress)
+    return diagnose(
+        chosen, parts, settings=settings, designs=() if machine_of(model) else sweeps(model), progress=progress
+    )
 
 
 def sweeps(model: Model) -> list[Design]:

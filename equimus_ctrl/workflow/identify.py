@@ -12,22 +12,31 @@ from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.split import window_length
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.predict import Engine, behind_sensors, check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.crosscheck import cross_check
-from equimus_ctrl.identification.fit import FitSettings, Simulator, fit, reduced_simulator, residuals_of
+from equimus_ctrl.identification.fit import (
+    FitSettings,
+    Simulator,
+    fit,
+    machine_simulator,
+    reduced_simulator,
+    residuals_of,
+)
 from equimus_ctrl.identification.parameters import free_parameters
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged, together
 from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.sensitivity import SHARES, Sensitivity, sensitivity
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
-from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.models.model import Model, machine_of, nominal_model
 from equimus_ctrl.recordings import StaticPoses, read_static_poses
 from equimus_ctrl.recordings.sheet import header_of
 from equimus_ctrl.recordings.upstream import STATIC_POSES, kind
 from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.workflow.machines import read_free
 from equimus_ctrl.workflow.runs import gather
 
 TRIALS_ONLY = {"window": None, "shoot": None, "fit_start": False, "engine": "reduced", "dt": None}
@@ -121,12 +130,16 @@ def identify_recordings(
         EquimusError: where something given cannot be used.
     """
     model = model or nominal_model()
-    trials = choose(gather(recordings), select)
-    others = [] if heldout is None else _unseen(gather(heldout), trials)
+    trials = choose(gather(recordings, model), select)
+    others = [] if heldout is None else _unseen(gather(heldout, model), trials)
     parameters = free_parameters(model, free, bounds, fix)
-    simulator = simulator_of(engine, dt, threads)
+    if machine_of(model) is None:
+        simulator = simulator_of(engine, dt, threads)
+    else:
+        engine, simulator = "mujoco", machine_simulator(dt, threads)
+        shoot = shoot or window_length(model, trials, window, simulator)
     segments = cut(model, trials, window=window, shoot=shoot, fit_start=fit_start)
-    judged = cut(model, others, window=window)
+    judged = cut(model, others, window=window, shoot=None if machine_of(model) is None else shoot)
     share = _Share(min(folds, len(trials)) if min(folds, len(trials)) > 1 else 0, settings or FitSettings())
     progress("compiling", 0.0, math.nan)
     simulator([model], segments[:1], [segments[0].start[None, :]])
@@ -268,6 +281,7 @@ def identify_files(
     free: Sequence[str] | None = None,
     fix: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    parameters: Path | None = None,
     select: Sequence[str] | None = None,
     heldout: Sequence[Path | str] = (),
     progress: Progress = lambda stage, share, best: None,
@@ -285,6 +299,7 @@ def identify_files(
         free: names or patterns of what may change.
         fix: names or patterns of what stays as it is all the same.
         bounds: (low, high) of some of them.
+        parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` and ``bounds`` win.
         select: patterns of the names of the trials to use; all by default.
         heldout: files or folders that only judge: trials, or poses at rest.
         progress: see ``Progress``.
@@ -294,6 +309,14 @@ def identify_files(
         EquimusError: where something given cannot be used.
     """
     model = model or nominal_model()
+    if parameters is not None:
+        free, bounds = read_free(parameters, model).with_more(free, bounds)
+    if machine_of(model) is not None:
+        own = identify_recordings(
+            sources, model, free=free, fix=fix, bounds=bounds, select=select, heldout=heldout or None,
+            progress=progress, **trials_only,
+        )  # fmt: skip
+        return Identification(model, None, own)
     poses, files = _sorted_out(sources)
     judging_files, judging = _sorted_out(heldout)
     judging_poses = [_poses_for(model, path) for path in judging_files]
@@ -318,15 +341,15 @@ def identify_files(
     others = _unseen(gather(judging), trials) if judging else None
     if poses:
         judging_poses = [_unseen_poses(p, _stacked(poses)) for p in judging_poses]
-    parameters = free_parameters(model, free, bounds, fix)
-    limits = {f.name: (f.low, f.high) for f in parameters.free}
+    chosen = free_parameters(model, free, bounds, fix)
+    limits = {f.name: (f.low, f.high) for f in chosen.free}
     rest = None
     start = model
     if poses:
-        seen = [name for name in parameters.names if name in static_names(model)]
+        seen = [name for name in chosen.names if name in static_names(model)]
         if not seen:
             raise ConfigError(
-                f"none of the free parameters ({', '.join(parameters.names)}) is one that poses at rest are for "
+                f"none of the free parameters ({', '.join(chosen.names)}) is one that poses at rest are for "
                 f"({', '.join(static_names(model))}); give the trials alone"
             )
         rest = identify_poses(
@@ -338,7 +361,7 @@ def identify_files(
         )
         start = rest.fit.model
     found = identify_recordings(
-        trials, start, free=parameters.names, bounds=limits, heldout=others, progress=progress, **trials_only
+        trials, start, free=chosen.names, bounds=limits, heldout=others, progress=progress, **trials_only
     )
     # What was held out is judged against the model as it came, whatever the poses made of it.
     simulator = simulator_of(trials_only.get("engine", "reduced"), trials_only.get("dt"), trials_only.get("threads"))

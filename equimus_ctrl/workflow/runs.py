@@ -16,7 +16,7 @@ from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.predict import Engine, check_columns, predict
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
-from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
+from equimus_ctrl.models.model import Model, machine_model, machine_of, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.plants.hardware.plant import HardwarePlant, LoopCounts
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
@@ -27,20 +27,24 @@ from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_sce
 from equimus_ctrl.scenarios.scoring import Score, on_grid, score_run
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Controller, Plant, Recording, Run
+from equimus_ctrl.workflow.machines import load_machine, read_machine_set, write_corrected
 
 MOST_RATE = 1e5
 """Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""
 
 
 def load_model(path: Path | str | None = None) -> Model:
-    """The model in a model file; the nominal leg where ``path`` is None.
+    """The model in a model file or of MuJoCo's XML; the nominal leg where ``path`` is None.
 
     Raises:
         ConfigError, ModelError: where the file cannot be read or describes no model.
     """
     if path is None:
         return nominal_model()
-    return model_from_dict(presets.read_toml(Path(path)), str(path))
+    if Path(path).suffix.lower() in presets.MJCF:
+        return machine_model(load_machine(Path(path)))
+    folder = Path(path).parent
+    return model_from_dict(presets.read_toml(Path(path)), str(path), lambda name: load_machine(folder / name, name))
 
 
 def renamed(model: Model, name: str) -> Model:
@@ -48,9 +52,31 @@ def renamed(model: Model, name: str) -> Model:
     return replace(model, morphology=replace(model.morphology, name=name))
 
 
-def save_model(path: Path | str, model: Model) -> None:
-    """Write a model file, whole or not at all."""
-    presets.write_text(Path(path), presets.toml_text(model_to_dict(model)))
+def save_model(path: Path | str, model: Model, near: Path | None = None) -> list[Path]:
+    """Write a model file, whole or not at all; of a robot of MuJoCo's XML also the XML with all that it has fields for.
+
+    Args:
+        path: of the model file.
+        model: what is written.
+        near: file that the model was read from, by which its XML is found again.
+
+    Returns:
+        The files written.
+    """
+    path = Path(path)
+    machine = machine_of(model)
+    if machine is None:
+        presets.write_text(path, presets.toml_text(model_to_dict(model)))
+        return [path]
+    data = model_to_dict(model)
+    if near is not None:
+        found = near if near.suffix.lower() in presets.MJCF else near.parent / machine.source
+        data["mjcf"] = presets.relative(found, path.parent)
+    left = write_corrected(path.with_suffix(".xml"), model)
+    told = f"{path.with_suffix('.xml').name} has all of this in one MuJoCo model"
+    told += f", but for {', '.join(left)}." if left else "."
+    presets.write_text(path, presets.toml_text(data, told))
+    return [path, path.with_suffix(".xml")]
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -273,8 +299,14 @@ class RecordingsScore:
         }
 
 
-def gather(recordings: Path | str | Iterable[Path | str] | Sequence[Recording]) -> list[Recording]:
+def gather(
+    recordings: Path | str | Iterable[Path | str] | Sequence[Recording], model: Model | None = None
+) -> list[Recording]:
     """The trials that files, folders or trials themselves mean.
+
+    Args:
+        recordings: they.
+        model: of what; its joints and actuators are those wanted.
 
     Raises:
         RecordingError: where one cannot be read.
@@ -283,7 +315,8 @@ def gather(recordings: Path | str | Iterable[Path | str] | Sequence[Recording]) 
     files = [Path(item) for item in given if isinstance(item, Path | str)]
     trials = [item for item in given if isinstance(item, Recording)]
     if files or not trials:
-        trials += read_set(files)
+        machine = None if model is None else machine_of(model)
+        trials += read_set(files) if machine is None else read_machine_set(files, machine)
     return trials
 
 

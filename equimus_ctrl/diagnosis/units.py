@@ -1,0 +1,63 @@
+"""Units in which a person reads what joints and commands of a robot do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from equimus_ctrl.models.model import Model, machine_of
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A unit that a person reads.
+
+    Attributes:
+        unit: its sign, "" for a pure number.
+        factor: how many of it one of the SI unit is.
+    """
+
+    unit: str
+    factor: float
+
+    @property
+    def bracket(self) -> str:
+        """For the label of an axis, such as ``[kPa]``."""
+        return f"[{self.unit}]" if self.unit else ""
+
+
+DEGREES, MILLIMETRES = Shown("°", 180 / math.pi), Shown("mm", 1e3)
+
+
+def _slides(model: Model, joint: str) -> bool:
+    machine = machine_of(model)
+    return machine is not None and machine.slides(joint)
+
+
+def noun(model: Model, joint: str) -> str:
+    """What the coordinate of a joint is called."""
+    return "position" if _slides(model, joint) else "angle"
+
+
+def position(model: Model, joint: str) -> Shown:
+    """Of where a joint is."""
+    return MILLIMETRES if _slides(model, joint) else DEGREES
+
+
+def speed(model: Model, joint: str) -> Shown:
+    """Of how fast it moves."""
+    return Shown("mm/s", 1e3) if _slides(model, joint) else Shown("°/s", 180 / math.pi)
+
+
+def error(model: Model, joint: str) -> Shown:
+    """Of how far it is from where it was expected."""
+    return MILLIMETRES if _slides(model, joint) else Shown("mrad", 1e3)
+
+
+def command(model: Model, actuator: str) -> Shown:
+    """Of an actuator's command."""
+    machine = machine_of(model)
+    if machine is None:
+        return Shown("kPa", 1e-3)
+    unit = machine.turned("command", actuator)
+    return {"rad": DEGREES, "m": MILLIMETRES, "1": Shown("", 1.0)}.get(unit, Shown(unit, 1.0))

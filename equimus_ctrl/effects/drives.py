@@ -1,0 +1,225 @@
+"""Effects of joints that motors drive: friction of many kinds, drives that give way, forces that are off.
+
+They are for robots from MuJoCo's XML. What MuJoCo has a field for goes there; the rest is stepped with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from equimus_ctrl.effects.base import Seen, parameter, register
+from equimus_ctrl.effects.bodies import BodyEffect
+from equimus_ctrl.effects.force import ForceEffect, Parameters
+
+
+@register
+@dataclass(frozen=True)
+class ViscousFriction(ForceEffect):
+    """−damping·rate."""
+
+    name = "viscous_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "friction in proportion to speed"
+    mujoco_field = ("dof_damping", None)
+    neutral = {"damping": 0.0}  # noqa: RUF012
+    damping: float = parameter("N·m·s/rad", 0.0, 1e4, "torque for each speed")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["damping"] * rate
+
+
+@register
+@dataclass(frozen=True)
+class QuadraticDamping(ForceEffect):
+    """−drag·rate·|rate|."""
+
+    name = "quadratic_damping"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "drag that grows with the square of speed"
+    mujoco_field = ("dof_dampingpoly", 0)
+    neutral = {"drag": 0.0}  # noqa: RUF012
+    drag: float = parameter("N·m·s²/rad²", 0.0, 1e4, "torque for each square of speed")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["drag"] * rate * ca.fabs(rate)
+
+
+@register
+@dataclass(frozen=True)
+class AsymmetricDamping(ForceEffect):
+    """−difference·|rate|/2: damping that is larger by ``difference`` forwards than backwards."""
+
+    name = "asymmetric_damping"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "viscous friction that differs between the two directions"
+    alike = False
+    neutral = {"difference": 0.0}  # noqa: RUF012
+    difference: float = parameter("N·m·s/rad", -1e4, 1e4, "of the damping forwards over that backwards")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["difference"] * ca.fabs(rate) / 2
+
+
+@register
+@dataclass(frozen=True)
+class AsymmetricFriction(ForceEffect):
+    """Dry friction of size ``forward`` where rate > 0 and ``backward`` where rate < 0."""
+
+    name = "asymmetric_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "dry friction that differs between the two directions"
+    alike = False
+    exclusive = "dry friction"
+    neutral = {"forward": 0.0, "backward": 0.0}  # noqa: RUF012
+    forward: float = parameter("N·m", 0.0, 100.0, "size of the friction of forward motion")
+    backward: float = parameter("N·m", 0.0, 100.0, "of backward motion")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [
+            {"forward": size * share, "backward": size * (2 - share)}
+            for size in seen.sizes("N·m")
+            for share in (0.5, 0.9, 1.1, 1.5)
+        ]
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return (p["backward"] - p["forward"]) / 2
+
+    @classmethod
+    def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return (p["forward"] + p["backward"]) / 2
+
+
+@register
+@dataclass(frozen=True)
+class LoadFriction(ForceEffect):
+    """Dry friction of size share·|push of the drive|, beside any other: a gear's losses."""
+
+    name = "load_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "dry friction in proportion to what the drive pushes"
+    neutral = {"share": 0.0}  # noqa: RUF012
+    share: float = parameter("1", 0.0, 1.0, "of the drive's push")
+
+    @classmethod
+    def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return p["share"] * load
+
+
+@register
+@dataclass(frozen=True)
+class ConstantForce(ForceEffect):
+    """A constant push."""
+
+    name = "constant_force"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "a constant push: a drive's offset, a weight on a string"
+    alike = False
+    neutral = {"size": 0.0}  # noqa: RUF012
+    size: float = parameter("N·m", -1e3, 1e3, "of the push")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return p["size"]
+
+
+@register
+@dataclass(frozen=True)
+class DriveCompliance(BodyEffect):
+    """A spring and a damper between a drive, which turns with the joint's armature, and its joint."""
+
+    name = "joint_compliance"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "a drive that gives way: a belt, a flexible gear"
+    nothing = None
+    alike = False
+    exclusive = "compliance"
+    stiffness: float = parameter("N·m/rad", 1e-2, 1e7, "of the spring")
+    damping: float = parameter("N·m·s/rad", 0.0, 1e4, "of its damper")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        stiff = seen.push / seen.span
+        return [
+            {"stiffness": hard * stiff, "damping": 0.02 * hard * seen.push / seen.speed} for hard in (3.0, 10.0, 30.0)
+        ]
+
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_compliance(self.location, self.stiffness, self.damping, 0.0)
+
+
+@register
+@dataclass(frozen=True)
+class DrivePlay(BodyEffect):
+    """Play between a drive and its joint: beyond it a stiff spring and a damper, within it nothing.
+
+    These are as stiff as the drive's armature can follow, and a tenth of critical damping.
+    """
+
+    name = "drive_play"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "play between drive and joint"
+    alike = False
+    exclusive = "compliance"
+    play: float = parameter("rad", 0.0, 1.0, "way that the drive turns before its joint follows")
+
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_play(self.location, self.play)
+
+
+@register
+@dataclass(frozen=True)
+class ActuatorGain(BodyEffect):
+    """Forces of an actuator are ``factor`` times what they are taken to be."""
+
+    name = "actuator_gain"
+    robots = ("mjcf",)
+    sits_at = ("actuator",)
+    summary = "the drive pushes more or less than it is taken to"
+    nothing = 1.0
+    exclusive = "actuator_gain"
+    factor: float = parameter("1", 0.1, 10.0, "on the forces")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [{"factor": factor} for factor in (0.95, 1.05, 0.8, 1.25)]
+
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_gain(self.location, self.factor)
+
+
+@register
+@dataclass(frozen=True)
+class TorqueSaturation(BodyEffect):
+    """Forces of an actuator are no larger than ``level``, in either direction: a supply's voltage, a current limit."""
+
+    name = "torque_saturation"
+    robots = ("mjcf",)
+    sits_at = ("actuator",)
+    summary = "the drive's force stops growing at a level"
+    nothing = None
+    exclusive = "torque_saturation"
+    level: float = parameter("N·m", 1e-6, 1e6, "the greatest force there is")
+
+    @classmethod
+    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+        return [{"level": share * seen.drive} for share in (0.95, 0.85, 0.7, 0.55, 0.4)]
+
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_limit(self.location, self.level)

@@ -1,0 +1,349 @@
+"""Many models of a machine through many trials, stepped by MuJoCo."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from threading import local
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.command import pressure_history
+from equimus_ctrl.effects.force import ForceEffect, force_laws
+from equimus_ctrl.effects.sensors import sample, sensor_settings
+from equimus_ctrl.effects.valves import valve_settings
+from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines.batch import Predicted, Trial
+from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.errors import ConfigError, NotAvailable
+from equimus_ctrl.machine import processors
+from equimus_ctrl.models.machine import Machine, harden, rotor_of
+from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.types import Array
+
+Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
+
+
+@lru_cache(maxsize=1)
+def _step() -> int:
+    """Address of MuJoCo's ``mj_step``."""
+    folder, version = Path(mujoco.__file__).parent, mujoco.__version__
+    for name in (f"libmujoco.so.{version}", f"libmujoco.{version}.dylib", "mujoco.dll"):
+        try:
+            library = ctypes.CDLL(str(folder / name))
+        except OSError:
+            continue
+        address = ctypes.cast(library.mj_step, ctypes.c_void_p).value
+        assert address is not None
+        return address
+    raise NotAvailable(f"MuJoCo's library is not where its package is expected to have it, in {folder}")
+
+
+@dataclass(frozen=True, eq=False)
+class Realised:
+    """A model as MuJoCo and the kernel take it.
+
+    Attributes:
+        machine: with all effects on bodies and drives.
+        mujoco: its ``MjModel``; what the kernel changes of it is set anew before each run.
+        places: (nj, 2) of the joints in qpos and qvel.
+        rotors: (n, 3) of drives that turn by themselves: in qpos, in qvel, and which joint they drive.
+        laws: (nj, nc) prepared constants of what is stepped beside MuJoCo.
+        loss: (nj,) dry friction in the model.
+        valve: (na, 6).
+        sensor: (nj, 4).
+    """
+
+    machine: Machine
+    mujoco: Any
+    places: NDArray[np.int64]
+    rotors: NDArray[np.int64]
+    laws: Array
+    loss: Array
+    valve: Array
+    sensor: Array
+
+
+def realise(model: Model, trial: Trial | None = None) -> Realised:
+    """What MuJoCo and the kernel need of a machine with effects.
+
+    Args:
+        model: of a machine.
+        trial: in which some numbers are known to be others.
+    """
+    given = machine_of(model)
+    assert given is not None
+    settings: dict[str, float] = {}
+    if trial is not None and (trial.settings or trial.factors):
+        known = given.parameters()
+        settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
+    machine = changed_bodies(model.effects, given.with_parameters(settings) if settings else given)
+    own = machine.mujoco_model()
+    dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in machine.joints}
+    pushing = [e for e in model.effects if isinstance(e, ForceEffect)]
+    for effect in pushing:
+        if effect.mujoco_field is not None:
+            field, entry = effect.mujoco_field
+            (value,) = effect.parameters().values()
+            place = dofs[effect.location]
+            getattr(own, field)[place if entry is None else (place, entry)] += value
+        if effect.rubs or effect.loads:
+            harden(own, dofs[effect.location])
+    names = machine.joint_names
+    turning = [(own.joint(rotor_of(c.joint)), names.index(c.joint)) for c in machine.compliances]
+    rotors = [(int(rotor.qposadr[0]), int(rotor.dofadr[0]), j) for rotor, j in turning]
+    places = [(int(own.joint(name).qposadr[0]), dofs[name]) for name in names]
+    return Realised(
+        machine,
+        own,
+        np.array(places, dtype=np.int64),
+        np.array(rotors, dtype=np.int64).reshape(-1, 3),
+        _laws(pushing, names),
+        np.array([own.dof_frictionloss[dofs[name]] for name in names]),
+        valve_settings(model.effects, machine.actuator_names),
+        sensor_settings(model.effects, names),
+    )
+
+
+def condition_of(trial: Trial) -> Condition:
+    """What tells apart trials in which a model has other numbers."""
+    return tuple(sorted(trial.settings.items())), tuple(sorted(trial.factors.items()))
+
+
+def _stepped() -> tuple[type[ForceEffect], ...]:
+    return tuple(law for law in force_laws("mjcf") if law.mujoco_field is None)
+
+
+def _laws(effects: Sequence[ForceEffect], joints: Sequence[str]) -> Array:
+    """(nj, nc) prepared constants of the laws that MuJoCo has no field for."""
+    generated, _ = compiled.load_machine(_stepped())
+    attached = {(type(e), e.location): e for e in effects}
+    rows = []
+    for joint in joints:
+        values: list[float] = []
+        for law in _stepped():
+            own = attached.get((law, joint))
+            for key, meta in law.parameter_info().items():
+                values.append(law.neutral.get(key, meta["high"]) if own is None else float(getattr(own, key)))
+        rows.append(generated.prepare(np.array(values)))
+    return np.array(rows)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """MuJoCo's warnings of numbers that are huge are not printed meanwhile, nor put into a file: divergence is told."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+class _Scratch(local):
+    """One ``MjData`` for each size of model and thread: to make one takes as long as hundreds of steps."""
+
+    def __init__(self) -> None:
+        self.known: dict[tuple[int, ...], Any] = {}
+
+    def data(self, model: Any) -> Any:
+        key = (model.nq, model.nv, model.nu, model.nbody, model.ntendon, model.ngeom, model.nsite, hash(model.names))
+        if key not in self.known:
+            self.known[key] = mujoco.MjData(model)
+        data = self.known[key]
+        mujoco.mj_resetData(model, data)
+        return data
+
+
+_scratch = _Scratch()
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Where a machine's joints are on its physics steps.
+
+    Attributes:
+        start: [s].
+        dt: [s].
+        q: (steps + 1, nj) [rad or m].
+        v: (steps + 1, nj) [rad/s or m/s].
+        ctrl: (steps, na) commands that act over each step.
+        sound: number of entries that mean something.
+    """
+
+    start: float
+    dt: float
+    q: Array
+    v: Array
+    ctrl: Array
+    sound: int
+
+
+def steps_of(trial: Trial, dt: float) -> int:
+    """Physics steps that a trial takes."""
+    span = trial.sample_times[-1] - trial.start if len(trial.sample_times) else 0.0
+    return max(int(np.ceil(span / dt - 1e-9)), 1)
+
+
+def commands_on(trial: Trial, valve: Array, dt: float) -> Array:
+    """(steps, na) means of the commands behind their valves over physics steps."""
+    out = np.empty((steps_of(trial, dt), 2, trial.commands.shape[1]))
+    pressure_history(trial.times, trial.commands, trial.before, valve, trial.start, dt, out)
+    return np.ascontiguousarray(out[:, 0])
+
+
+def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array | None = None) -> Course:
+    """Step a machine through a trial.
+
+    Args:
+        own: the machine.
+        trial: what is done with it.
+        start: (2 nj,) coordinates and rates of the joints.
+        ctrl: see ``commands_on``.
+        push: (steps, nj) further pushes on the joints [N·m or N].
+    """
+    generated, kernel = compiled.load_machine(_stepped())
+    model, nj = own.mujoco, len(own.places)
+    data = _scratch.data(model)
+    model.dof_frictionloss[own.places[:, 1]] = own.loss
+    data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj:]
+    for q, v, joint in own.rotors:
+        data.qpos[q], data.qvel[v] = start[joint], start[nj + joint]
+    dt = float(model.opt.timestep)
+    out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
+    sound = kernel.run_machine(
+        _step(), model._address, data._address, own.places, own.laws, own.loss, np.full(nj, MAX_SPEED), ctrl,
+        np.empty((0, nj)) if push is None else push, np.zeros((nj, generated.N_STATES)), data.qpos, data.qvel,
+        data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt, out_q, out_v,
+    )  # fmt: skip
+    return Course(trial.start, dt, out_q, out_v, ctrl, int(sound))
+
+
+def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
+    """(m, nj) what sensors show of a path, and how many of the samples there are before it diverged."""
+    nj = len(own.places)
+    out = np.empty((len(times), nj))
+    with np.errstate(all="ignore"):
+        for j in range(nj):
+            column = np.empty(len(times))
+            q, v = np.ascontiguousarray(path.q[:, j]), np.ascontiguousarray(path.v[:, j])
+            sample(q, v, path.start, path.dt, own.sensor[j], times, column)
+            out[:, j] = column
+    if path.sound == len(path.q):
+        return out, len(times)
+    return out, int(np.searchsorted(times, path.start + (path.sound - 1) * path.dt, side="right"))
+
+
+def simulate_machines(
+    models: Sequence[Model],
+    trials: Sequence[Trial],
+    *,
+    starts: Sequence[Array] | None = None,
+    threads: int | None = None,
+    dt: float | None = None,
+) -> list[Predicted]:
+    """Every model through every trial, with the integrator, solver and step that the MuJoCo model asks for.
+
+    Dry friction that is an effect stops a joint within a step, through MuJoCo's own friction constraint. Other laws act
+    on the state at the beginning of a step.
+
+    Args:
+        models: of machines.
+        trials: what is predicted.
+        starts: for each trial (k, 2 nj) coordinates and rates at the start, one row a model; the trial's by default.
+        threads: to use; all cores by default. The result does not depend on it.
+        dt: another physics step [s].
+
+    Returns:
+        One ``Predicted`` for each trial.
+
+    Raises:
+        ConfigError: where ``dt`` is no step.
+    """
+    if dt is not None and not 0 < dt < float("inf"):
+        raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
+    first = machine_of(models[0])
+    assert first is not None
+    nj, k = len(first.joints), len(models)
+    results = [Predicted(np.empty((k, len(t.sample_times), nj)), np.zeros(k, dtype=np.int64)) for t in trials]
+    histories: dict[tuple[int, bytes, float], Array] = {}
+    count = max(threads or processors(), 1)
+    parts = max(math.ceil(count / k), 1)
+    chunks = [list(range(len(trials)))[p::parts] for p in range(min(parts, len(trials)))]
+
+    def command(i: int, own: Realised) -> Array:
+        key = (i, own.valve.tobytes(), float(own.mujoco.opt.timestep))
+        if key not in histories:
+            histories[key] = commands_on(trials[i], own.valve, key[2])
+        return histories[key]
+
+    def work(task: tuple[int, list[int]]) -> None:
+        which, chunk = task
+        made: dict[Condition, Realised] = {}
+        for i in chunk:
+            trial = trials[i]
+            condition = condition_of(trial)
+            if condition not in made:
+                made[condition] = realise(models[which], trial)
+                if dt is not None:
+                    made[condition].mujoco.opt.timestep = dt
+            own = made[condition]
+            if starts is not None:
+                start = np.asarray(starts[i][which], dtype=np.float64)
+                start = start if len(start) == 2 * nj else np.concatenate([start, np.zeros(nj)])
+            else:
+                velocity = np.zeros(nj) if trial.velocity is None else trial.velocity
+                start = np.concatenate([trial.position, velocity])
+            path = follow(own, trial, start, command(i, own))
+            results[i].position[which], results[i].reached[which] = measured_of(own, path, trial.sample_times)
+
+    tasks = [(which, chunk) for which in range(k) for chunk in chunks]
+    with quiet():
+        _, kernel = compiled.load_machine(_stepped())
+        if not kernel.run_machine.signatures:
+            work(tasks.pop(0))
+        if count == 1 or len(tasks) <= 1:
+            for task in tasks:
+                work(task)
+        else:
+            with ThreadPoolExecutor(count) as pool:
+                list(pool.map(work, tasks))
+    return results
+
+
+def command_at(trial: Trial, times: Array) -> Array:
+    """(n, na) the commands in force at instants (n,) [s]."""
+    rows = np.vstack([trial.before, trial.commands])
+    return np.asarray(rows[np.searchsorted(trial.times, times, side="right")])
+
+
+def pushes(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:
+    """Forces of the drives (n, na) and of gravity and motion on the joints (n, nj), without accelerations [N·m or N].
+
+    Args:
+        own: the machine.
+        position: (n, nj) of the joints.
+        velocity: (n, nj) their rates.
+        command: (n, na) in force.
+    """
+    model, data = own.mujoco, _scratch.data(own.mujoco)
+    drives, weights = np.empty((len(position), model.nu)), np.empty(position.shape)
+    for k in range(len(position)):
+        data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = position[k], velocity[k]
+        for q, v, joint in own.rotors:
+            data.qpos[q], data.qvel[v] = position[k, joint], velocity[k, joint]
+        data.ctrl[:] = command[k]
+        mujoco.mj_forward(model, data)
+        drives[k] = data.actuator_force
+        weights[k] = data.qfrc_bias[own.places[:, 1]]
+    return drives, weights

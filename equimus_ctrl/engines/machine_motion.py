@@ -1,0 +1,168 @@
+"""What moves inside a machine in a trial, and how it answers to small pushes: by simulating them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.machine import (
+    Condition,
+    Course,
+    Realised,
+    commands_on,
+    condition_of,
+    follow,
+    measured_of,
+    quiet,
+    realise,
+)
+from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.machine import processors
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Array
+
+SMALL = 1e-3
+"""A push that is simulated to see what it does, as a share of what the drives and gravity push."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pushed:
+    """A machine whose answers to small pushes are wanted, with its motions.
+
+    Attributes:
+        model: what moves.
+        trials: what was done.
+        starts: for each trial (2 nj,) coordinates and rates at its start.
+        motions: what came of it.
+        scale: (nj,) of pushes that are small [N·m or N].
+    """
+
+    model: Model
+    trials: tuple[Trial, ...]
+    starts: tuple[Array, ...]
+    motions: tuple[Motion, ...]
+    scale: Array
+
+    def response(self, torques: Sequence[Array]) -> list[Array]:
+        """For each trial (m, nj, k) the change of the measured coordinates for small pushes, over the push.
+
+        Args:
+            torques: for each trial (m − 1, nj, k), constant over each interval between samples [N·m or N].
+
+        Raises:
+            ConfigError: where there are not as many as trials.
+        """
+        if len(torques) != len(self.trials):
+            raise ConfigError(f"torques are for {len(torques)} trials, expected {len(self.trials)}")
+        found = [
+            np.zeros((len(t.sample_times), len(self.scale), torque.shape[2]))
+            for t, torque in zip(self.trials, torques, strict=True)
+        ]
+        count = torques[0].shape[2]
+
+        def work(columns: Sequence[int]) -> None:
+            known: dict[Condition, Realised] = {}
+            for i, trial in enumerate(self.trials):
+                condition = condition_of(trial)
+                if condition not in known:
+                    known[condition] = realise(self.model, trial)
+                own = known[condition]
+                dt = float(own.mujoco.opt.timestep)
+                ctrl = commands_on(trial, own.valve, dt)
+                plain, _ = measured_of(own, follow(own, trial, self.starts[i], ctrl), trial.sample_times)
+                for column in columns:
+                    torque = torques[i][:, :, column]
+                    size = float(np.max(np.abs(torque) / self.scale, initial=0.0))
+                    if size == 0.0:
+                        continue
+                    factor = SMALL / size
+                    push = _on_steps(trial, torque * factor, dt, len(ctrl))
+                    seen, reached = measured_of(own, follow(own, trial, self.starts[i], ctrl, push), trial.sample_times)
+                    if reached == len(seen):
+                        found[i][:, :, column] = (seen - plain) / factor
+
+        threads = processors()
+        with quiet(), ThreadPoolExecutor(threads) as pool:
+            list(pool.map(work, [range(k, count, threads) for k in range(threads)]))
+        return found
+
+
+def _on_steps(trial: Trial, torque: Array, dt: float, steps: int) -> Array:
+    """(steps, nj) means over physics steps of what is constant between samples (m − 1, nj)."""
+    times = trial.sample_times
+    whole = np.vstack([np.zeros_like(torque[:1]), np.cumsum(torque * np.diff(times)[:, None], axis=0)])
+    edges = trial.start + dt * np.arange(steps + 1)
+    sums = np.column_stack([np.interp(edges, times, column) for column in whole.T])
+    return np.ascontiguousarray(np.diff(sums, axis=0) / dt)
+
+
+def machine_motion(model: Model, trial: Trial, start: Array) -> Motion:
+    """Follow a machine through a trial.
+
+    Args:
+        model: what moves.
+        trial: its commands and sample times.
+        start: (2 nj,) coordinates and rates at the start.
+
+    Raises:
+        SimulationDiverged: where the simulation does.
+    """
+    own = realise(model, trial)
+    with quiet():
+        course = follow(own, trial, start, commands_on(trial, own.valve, float(own.mujoco.opt.timestep)))
+    if course.sound < len(course.q):
+        raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
+    names = own.machine.joint_names
+    gear = np.zeros((len(own.machine.actuators), len(names)))
+    for i, drive in enumerate(own.machine.actuators):
+        gear[i, names.index(drive.joint)] = own.mujoco.actuator_gear[drive.index, 0]
+    times = np.asarray(trial.sample_times)
+    edges = np.vstack([np.zeros_like(course.ctrl[:1]), np.cumsum(course.ctrl, axis=0) * course.dt])
+    grid = course.start + course.dt * np.arange(len(edges))
+    whole = np.column_stack([np.interp(times, grid, column) for column in edges.T])
+    middles = (times[1:] + times[:-1]) / 2
+    between = _inner(course, gear, middles, np.diff(whole, axis=0) / np.diff(times)[:, None])
+    step = np.clip(((times - course.start) / course.dt).astype(int), 0, len(course.ctrl) - 1)
+    at = _inner(course, gear, times, course.ctrl[step])
+    return Motion(**vars(at), name=trial.name, start=float(trial.start), between=between)
+
+
+def _inner(course: Course, gear: Array, times: Array, command: Array) -> Inner:
+    place = (times - course.start) / course.dt
+    step = np.clip(place.astype(int), 0, len(course.ctrl) - 1)
+    share = (place - step)[:, None]
+    q, v = course.q, course.v
+    position = hermite_arrays(q[step], v[step], q[step + 1], v[step + 1], course.dt, share)
+    velocity = v[step] + share * (v[step + 1] - v[step])
+    arm = np.broadcast_to(gear, (len(times), *gear.shape)).copy()
+    return Inner(
+        np.array(times),
+        position,
+        velocity,
+        command,
+        position @ gear.T,
+        velocity @ gear.T,
+        arm,
+        np.empty((len(times), 0)),
+    )
+
+
+def pushed(model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale: Array) -> Pushed:
+    """A machine with its motions through trials.
+
+    Args:
+        model: what moves.
+        trials: what is done.
+        starts: for each (2 nj,) coordinates and rates at the start.
+        scale: (nj,) usual size of pushes [N·m or N].
+
+    Raises:
+        SimulationDiverged: where it diverges in one of them.
+    """
+    motions = tuple(machine_motion(model, trial, start) for trial, start in zip(trials, starts, strict=True))
+    return Pushed(model, tuple(trials), tuple(starts), motions, scale)

@@ -1,0 +1,682 @@
+"""A robot that MuJoCo's own XML describes: hinges and slides, driven by motors, servos or general actuators.
+
+What is known of it are the numbers that its file holds. Each has a dotted name, such as ``arm.mass`` for a body,
+``elbow.damping`` for a joint and ``motor.gain`` for an actuator, and any of them can be changed.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
+from equimus_ctrl.types import Array
+
+BASE = "base"
+"""The place of what concerns the whole machine."""
+STIFF = 0.25
+"""Rate of a spring that stands for something rigid, in units of 1/step."""
+HARD = 0.9999
+"""Impedance of dry friction: what a rubbing joint at rest creeps is this near to nothing."""
+TRIES = 6
+"""States at which it is looked what a number changes."""
+CHANGED = 1e-3
+"""Share by which numbers are changed to see what they do."""
+INDEPENDENT = 1e-6
+"""A number whose effect is within this share of what others can do is left to them."""
+
+_FACTOR = {
+    "mass": 3.0, "inertia": 3.0, "kp": 3.0, "kv": 10.0, "gain": 2.0, "gravity": 1.02, "stiffness": 10.0,
+    "damping": 10.0, "quadratic_damping": 10.0, "armature": 10.0, "frictionloss": 10.0, "force_limit": 3.0,
+}  # fmt: skip
+_AWAY = {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0, "bias": 1.0}
+POSITIVE = frozenset(_FACTOR)
+"""Kinds of numbers that are at least 0."""
+
+Write = Callable[[Any, float], None]
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a machine.
+
+    Attributes:
+        name: dotted.
+        value: in the file.
+        unit: SI.
+        write: sets it in an ``mujoco.MjModel``.
+    """
+
+    name: str
+    value: float
+    unit: str
+    write: Write
+
+    @property
+    def kind(self) -> str:
+        """What follows the dot."""
+        return self.name.rpartition(".")[2]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One joint of a machine.
+
+    Attributes:
+        name: its name.
+        index: of the joint in MuJoCo's model.
+        position: its place in qpos.
+        dof: its place in qvel.
+        slides: whether it is a slide, else a hinge.
+        range: its ends [rad or m]; ±inf where it has none.
+    """
+
+    name: str
+    index: int
+    position: int
+    dof: int
+    slides: bool
+    range: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One actuator of a machine.
+
+    Attributes:
+        name: its name.
+        index: of the actuator in MuJoCo's model.
+        joint: name of the joint it drives.
+        servo: whether its force depends on where its joint is, so that its command is a goal.
+        unit: of its command.
+        range: of its commands.
+    """
+
+    name: str
+    index: int
+    joint: str
+    servo: bool
+    unit: str
+    range: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """A drive that moves its joint through a spring: the joint's armature turns by itself.
+
+    Attributes:
+        joint: between whose drive and link.
+        stiffness: of the spring [N·m/rad or N/m].
+        damping: of its damper [N·m·s/rad or N·s/m].
+        play: way over which neither acts [rad or m].
+    """
+
+    joint: str
+    stiffness: float
+    damping: float
+    play: float
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A robot from a MuJoCo model.
+
+    Attributes:
+        name: of the model.
+        xml: the model, in one piece.
+        assets: files that the XML names.
+        source: name of the file it came from.
+        values: numbers that are not as in the XML, by dotted name.
+        payloads: (body or site, mass [kg]) of what it carries beside.
+        compliances: drives that are not rigid.
+        gains: (actuator, factor) on the forces of actuators.
+        limits: (actuator, size) to which forces of actuators are limited [N·m or N].
+
+    Raises:
+        ModelError: where the XML is no model, or of a kind that is not for this.
+    """
+
+    name: str
+    xml: str
+    assets: Mapping[str, bytes] = field(default_factory=dict)
+    source: str = ""
+    values: Mapping[str, float] = field(default_factory=dict)
+    payloads: tuple[tuple[str, float], ...] = ()
+    compliances: tuple[Compliance, ...] = ()
+    gains: tuple[tuple[str, float], ...] = ()
+    limits: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", dict(self.values))
+        _ = self.joints, self.actuators
+
+    @property
+    def plan(self) -> Plan:
+        """What the file says."""
+        return _plan(self.name, self.xml, _Assets(self.assets))
+
+    @property
+    def joints(self) -> tuple[Axis, ...]:
+        """In the file's order."""
+        return self.plan.joints
+
+    @property
+    def actuators(self) -> tuple[Drive, ...]:
+        """In the file's order."""
+        return self.plan.drives
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Of the joints."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Of the actuators."""
+        return tuple(drive.name for drive in self.actuators)
+
+    @property
+    def timestep(self) -> float:
+        """The physics step that the file asks for [s]."""
+        return float(self.plan.base.opt.timestep)
+
+    def places(self) -> dict[str, tuple[str, ...]]:
+        """Kind of place → names of those an effect can sit at."""
+        return {
+            "joint": self.joint_names,
+            "actuator": self.actuator_names,
+            "link": self.plan.bodies,
+            "foot": self.plan.sites,
+            "base": (BASE,),
+        }
+
+    def parameters(self) -> dict[str, float]:
+        """Every number by its dotted name."""
+        return {number.name: self.values.get(number.name, number.value) for number in self.plan.numbers.values()}
+
+    def has_parameters(self, names: Sequence[str] | Mapping[str, float]) -> bool:
+        """Whether it has numbers of all these names."""
+        return all(name in self.plan.numbers for name in names)
+
+    def with_parameters(self, values: Mapping[str, float]) -> Machine:
+        """A copy with some numbers replaced.
+
+        Raises:
+            ModelError: for a name that does not exist, or a value that cannot be.
+        """
+        for name, value in values.items():
+            if name not in self.plan.numbers:
+                raise ModelError(unknown_name("parameter", name, self.plan.numbers, self.name))
+            if not math.isfinite(value) or (value < 0 and self.plan.numbers[name].kind in POSITIVE):
+                least = " of at least 0" if self.plan.numbers[name].kind in POSITIVE else ""
+                raise ModelError(f"{self.name}: {name} is {value:g}, expected a finite number{least}")
+        return replace(self, values={**self.values, **{name: float(v) for name, v in values.items()}})
+
+    def unit(self, name: str) -> str:
+        """Of a number, SI."""
+        return self.plan.numbers[name].unit
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """How far a number of this kind is believed to be off at most."""
+        value, kind = self.parameters()[name], self.plan.numbers[name].kind
+        if kind in _FACTOR and value > 0:
+            return value / _FACTOR[kind], value * _FACTOR[kind]
+        away = _AWAY.get(kind, max(abs(value), 1.0))
+        return (max(value - away, 0.0) if kind in POSITIVE else value - away), value + away
+
+    def slides(self, joint: str) -> bool:
+        """Whether a joint is a slide."""
+        return next(axis.slides for axis in self.joints if axis.name == joint)
+
+    def turned(self, unit: str, place: str) -> str:
+        """The unit of something at a joint or actuator, given for a hinge."""
+        drive = next((drive for drive in self.actuators if drive.name == place), None)
+        if unit == "command":
+            return drive.unit if drive else "1"
+        joint = drive.joint if drive else place
+        return SLIDING.get(unit, unit) if joint in self.joint_names and self.slides(joint) else unit
+
+    # What effects on bodies need of a robot.
+
+    @property
+    def tilt(self) -> float:
+        """Angle by which gravity is turned about ``tilt_axis`` [rad]."""
+        return self.parameters()["tilt"]
+
+    def with_payload(self, place: str, mass: float) -> Machine:
+        """A copy that carries a mass [kg] at a site, or at the centre of mass of a body."""
+        return replace(self, payloads=(*self.payloads, (place, mass)))
+
+    def with_compliance(self, joint: str, stiffness: float, damping: float, play: float = 0.0) -> Machine:
+        """A copy with a spring between a joint and its drive, see ``Compliance``.
+
+        Raises:
+            ConfigError: where nothing turns with the drive.
+        """
+        if self.parameters()[f"{joint}.armature"] <= 0:
+            raise ConfigError(
+                f"{self.name}: {joint} has no armature, expected more than 0: what turns with a drive that gives way"
+            )
+        return replace(self, compliances=(*self.compliances, Compliance(joint, stiffness, damping, play)))
+
+    def with_play(self, joint: str, play: float) -> Machine:
+        """A copy with play between a joint and its drive; beyond it a spring as stiff as physics steps can follow."""
+        armature = self.parameters()[f"{joint}.armature"]
+        rate = STIFF / self.timestep
+        return self.with_compliance(joint, armature * rate**2, 0.2 * armature * rate, play)
+
+    def with_gain(self, actuator: str, factor: float) -> Machine:
+        """A copy whose actuator's forces are as many times as large."""
+        return replace(self, gains=(*self.gains, (actuator, factor)))
+
+    def with_limit(self, actuator: str, size: float) -> Machine:
+        """A copy whose actuator's forces are limited to a size [N·m or N]."""
+        return replace(self, limits=(*self.limits, (actuator, size)))
+
+    def mujoco_model(self) -> Any:
+        """An ``mujoco.MjModel`` of one's own with all of this in it."""
+        joints = tuple(c.joint for c in self.compliances)
+        base = _with_rotors(self.xml, _Assets(self.assets), joints) if joints else self.plan.base
+        model = copy.copy(base)
+        for name, value in self.values.items():
+            self.plan.numbers[name].write(model, value)
+        for place, mass in self.payloads:
+            _add_mass(model, place, mass)
+        for name, factor in self.gains:
+            i = model.actuator(name).id
+            model.actuator_gainprm[i, :3] *= factor
+            model.actuator_biasprm[i, :3] *= factor
+        for name, size in self.limits:
+            i = model.actuator(name).id
+            model.actuator_forcelimited[i] = 1
+            model.actuator_forcerange[i] = -size, size
+        for c in self.compliances:
+            tendon = model.tendon(rotor_of(c.joint)).id
+            model.tendon_stiffness[tendon], model.tendon_damping[tendon] = c.stiffness, c.damping
+            model.tendon_lengthspring[tendon] = -c.play / 2, c.play / 2
+            model.dof_armature[model.joint(rotor_of(c.joint)).dofadr[0]] = self.parameters()[f"{c.joint}.armature"]
+            model.dof_armature[model.joint(c.joint).dofadr[0]] = 0.0
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+    def exported(self, model: Any, left: Sequence[str] = ()) -> str:
+        """MuJoCo's XML of this machine with the numbers that an ``MjModel`` made of it has.
+
+        Args:
+            model: see ``mujoco_model``; numbers may have been changed in it since.
+            left: what the XML cannot hold, for a comment.
+        """
+        joints = tuple(c.joint for c in self.compliances)
+        spec = _with_rotors_spec(self.xml, _Assets(self.assets), joints)
+        for body in spec.bodies[1:]:
+            b = model.body(body.name).id
+            body.mass, body.ipos, body.inertia = model.body_mass[b], model.body_ipos[b], model.body_inertia[b]
+            body.iquat, body.explicitinertial, body.fullinertia = model.body_iquat[b], True, [math.nan] * 6
+            for geom in body.geoms:
+                geom.mass = 0.0
+        for joint in spec.joints:
+            j, d = model.joint(joint.name).id, model.joint(joint.name).dofadr[0]
+            joint.damping = [model.dof_damping[d], *model.dof_dampingpoly[d]]
+            joint.armature, joint.frictionloss = model.dof_armature[d], model.dof_frictionloss[d]
+            joint.stiffness = [model.jnt_stiffness[j], *model.jnt_stiffnesspoly[j]]
+            joint.springref = model.qpos_spring[model.joint(joint.name).qposadr[0]]
+            joint.solref_friction, joint.solimp_friction = model.dof_solref[d], model.dof_solimp[d]
+        for actuator in spec.actuators:
+            a = model.actuator(actuator.name).id
+            actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
+            actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
+        for tendon in spec.tendons:
+            t = model.tendon(tendon.name).id
+            tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]
+            tendon.damping = [model.tendon_damping[t], *model.tendon_dampingpoly[t]]
+            tendon.springlength = model.tendon_lengthspring[t]
+        spec.option.gravity = model.opt.gravity
+        spec.compile()
+        text: str = spec.to_xml()
+        if left:
+            text = text.replace("\n", f"\n  <!-- Not in here: {', '.join(left)}. -->\n", 1)
+        return text
+
+    def default_names(self) -> list[str]:
+        """Numbers that tell by themselves how it moves: masses, inertias, and of joints what the file does not leave 0.
+
+        Those that others can stand in for are left out; actuators are taken to be known.
+        """
+        own = [n.name for n in self.plan.numbers.values()]
+        values = self.parameters()
+        wanted = [
+            n for kind in ("mass", "inertia", "armature") for n in own if n.endswith(f".{kind}") and values[n] > 0
+        ]
+        kept = self._independent(wanted)
+        kinds = ("damping", "quadratic_damping", "frictionloss", "stiffness")
+        return kept + [n for kind in kinds for n in own if n.rpartition(".")[2] == kind and values[n] > 0]
+
+    def _independent(self, names: Sequence[str]) -> list[str]:
+        """Of numbers on which forces depend linearly those that no combination of earlier ones can stand in for."""
+        model = self.mujoco_model()
+        data = mujoco.MjData(model)
+        rng = np.random.default_rng(0)
+        states = rng.normal(size=(TRIES, 3, model.nv))
+
+        def forces(machine: Machine) -> Array:
+            m, rows = machine.mujoco_model(), []
+            for q, v, a in states:
+                data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+                mujoco.mj_inverse(m, data)
+                rows.append(data.qfrc_inverse.copy())
+            return np.concatenate(rows)
+
+        before, basis, kept = forces(self), np.empty((TRIES * model.nv, 0)), []
+        for name in names:
+            value = self.parameters()[name]
+            column = (forces(self.with_parameters({name: value * (1 + CHANGED)})) - before) / CHANGED
+            left = column - basis @ (basis.T @ column)
+            if np.linalg.norm(left) > INDEPENDENT * max(np.linalg.norm(before), np.linalg.norm(column)):
+                basis = np.column_stack([basis, left / np.linalg.norm(left)])
+                kept.append(name)
+        return kept
+
+
+SLIDING = {
+    "rad": "m", "rad/s": "m/s", "N·m": "N", "N·m/rad": "N/m", "N·m·s/rad": "N·s/m", "N·m·s²/rad²": "N·s²/m²",
+    "kg·m²": "kg",
+}  # fmt: skip
+"""Units of a hinge → those of a slide."""
+
+
+@dataclass(frozen=True)
+class _Assets:
+    """Files by name, compared by what they are, so that plans can be kept."""
+
+    files: Mapping[str, bytes]
+
+    def __hash__(self) -> int:
+        return hash(tuple(sorted(self.files)))
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a file says of a machine.
+
+    Attributes:
+        base: MuJoCo's model of it, not to be changed.
+        joints: all of them.
+        drives: all actuators.
+        bodies: names of those that move.
+        sites: names of those that move.
+        numbers: dotted name → number.
+        tilt_axis: (3,) about which gravity can be turned.
+    """
+
+    base: Any
+    joints: tuple[Axis, ...]
+    drives: tuple[Drive, ...]
+    bodies: tuple[str, ...]
+    sites: tuple[str, ...]
+    numbers: Mapping[str, Number]
+    tilt_axis: Array
+
+    @cached_property
+    def by_joint(self) -> dict[str, Axis]:
+        """Name → joint."""
+        return {joint.name: joint for joint in self.joints}
+
+
+def _compiled(xml: str, assets: _Assets, name: str) -> Any:
+    try:
+        return mujoco.MjSpec.from_string(xml, assets=dict(assets.files)).compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(f"{name}: MuJoCo cannot load it ({reason})") from None
+
+
+@lru_cache(maxsize=32)
+def _plan(name: str, xml: str, assets: _Assets) -> Plan:
+    base = _compiled(xml, assets, name)
+    joints = _joints(base, name)
+    drives = _drives(base, name, joints)
+    moves = [b for b in range(1, base.nbody) if base.body_dofnum[b] or base.body_weldid[b]]
+    bodies = tuple(n for b in moves if (n := base.body(b).name) and base.body_mass[b] > 0)
+    sites = tuple(
+        s.name for s in (base.site(i) for i in range(base.nsite)) if s.name and base.site_bodyid[s.id] in moves
+    )
+    axis = _tilt_axis(base)
+    numbers = [*_body_numbers(base, bodies), *_joint_numbers(base, joints), *_drive_numbers(base, drives)]
+    size = float(np.linalg.norm(base.opt.gravity))
+    down = np.array(base.opt.gravity)
+
+    def turned(model: Any, angle: float) -> None:
+        across = np.cross(axis, down) / max(size, 1e-300)
+        now = float(np.linalg.norm(model.opt.gravity))
+        model.opt.gravity[:] = now * (math.cos(angle) * down / max(size, 1e-300) + math.sin(angle) * across)
+
+    def heavy(model: Any, value: float) -> None:
+        model.opt.gravity[:] *= value / max(float(np.linalg.norm(model.opt.gravity)), 1e-300)
+
+    if size > 0:
+        numbers += [Number("gravity", size, "m/s²", heavy)]
+    numbers += [Number("tilt", 0.0, "rad", turned)]
+    return Plan(base, joints, drives, bodies, sites, {n.name: n for n in numbers}, axis)
+
+
+def _joints(base: Any, name: str) -> tuple[Axis, ...]:
+    kinds = mujoco.mjtJoint
+    found = []
+    for i in range(base.njnt):
+        joint, kind = base.joint(i), int(base.jnt_type[i])
+        if kind not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
+            what = "free" if kind == int(kinds.mjJNT_FREE) else "ball"
+            raise ModelError(
+                f"{name}: joint {joint.name or i!r} is a {what} joint, expected hinges and slides alone: the base has "
+                "to be fixed"
+            )
+        if not joint.name:
+            raise ModelError(f"{name}: joint {i} has no name, by which a recording's columns could be told")
+        limited = bool(base.jnt_limited[i])
+        low, high = (float(v) for v in base.jnt_range[i]) if limited else (-math.inf, math.inf)
+        slides = kind == int(kinds.mjJNT_SLIDE)
+        found.append(Axis(joint.name, i, int(base.jnt_qposadr[i]), int(base.jnt_dofadr[i]), slides, (low, high)))
+    if not found:
+        raise ModelError(f"{name}: has no joint")
+    return tuple(found)
+
+
+def _drives(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
+    gains, biases = mujoco.mjtGain, mujoco.mjtBias
+    found = []
+    for i in range(base.nu):
+        actuator = base.actuator(i)
+        told = f"{name}: actuator {actuator.name or i!r}"
+        if not actuator.name:
+            raise ModelError(f"{told} has no name, by which a recording's columns could be told")
+        if int(base.actuator_trntype[i]) != int(mujoco.mjtTrn.mjTRN_JOINT):
+            raise ModelError(f"{told} does not drive a joint, expected motor, position or general actuators at joints")
+        if int(base.actuator_dyntype[i]) != int(mujoco.mjtDyn.mjDYN_NONE):
+            raise ModelError(f"{told} has a state of its own (dyntype), expected none; a lag is an effect here")
+        gain, kind = int(base.actuator_gaintype[i]), int(base.actuator_biastype[i])
+        if gain != int(gains.mjGAIN_FIXED) or kind not in (int(biases.mjBIAS_NONE), int(biases.mjBIAS_AFFINE)):
+            raise ModelError(
+                f"{told} is neither a motor nor a servo: expected a fixed gain and no bias or an affine one"
+            )
+        axis = next(a for a in joints if a.index == int(base.actuator_trnid[i, 0]))
+        bias = base.actuator_biasprm[i]
+        affine = kind == int(biases.mjBIAS_AFFINE)
+        servo = bool(affine and bias[1] != 0)
+        place, push = ("m", "N") if axis.slides else ("rad", "N·m")
+        unit = place if servo else push if base.actuator_gainprm[i, 0] == 1 else "1"
+        limited = bool(base.actuator_ctrllimited[i])
+        low, high = (float(v) for v in base.actuator_ctrlrange[i]) if limited else (-math.inf, math.inf)
+        found.append(Drive(actuator.name, i, axis.name, servo, unit, (low, high)))
+    if not found:
+        raise ModelError(f"{name}: has no actuator")
+    return tuple(found)
+
+
+def _tilt_axis(base: Any) -> Array:
+    """A horizontal axis about which turning gravity matters to the first joint for which it does."""
+    data = mujoco.MjData(base)
+    mujoco.mj_kinematics(base, data)
+    down = np.array(base.opt.gravity)
+    size = np.linalg.norm(down)
+    if size > 0:
+        down /= size
+        for i in range(base.njnt):
+            own = data.xaxis[i]
+            slides = int(base.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+            axis = np.cross(down, own) if slides else own - down * (down @ own)
+            if np.linalg.norm(axis) > 0.1:
+                return np.asarray(axis / np.linalg.norm(axis))
+    return np.array([0.0, 1.0, 0.0])
+
+
+def _setter(kind: str, name: str, array: str, *entry: int) -> Write:
+    """Sets one entry of an array; by name, for models with rotors have other indices."""
+
+    def write(model: Any, value: float) -> None:
+        getattr(model, array)[(_index(model, kind, name, array), *entry)] = value
+
+    return write
+
+
+def _index(model: Any, kind: str, name: str, array: str) -> int:
+    part = getattr(model, kind)(name)
+    if array.startswith("dof_"):
+        return int(part.dofadr[0])
+    return int(part.qposadr[0]) if array.startswith("qpos_") else int(part.id)
+
+
+def _body_numbers(base: Any, bodies: Sequence[str]) -> list[Number]:
+    found = []
+    for name in bodies:
+        b = base.body(name).id
+        found.append(Number(f"{name}.mass", float(base.body_mass[b]), "kg", _setter("body", name, "body_mass")))
+        moments = np.array(base.body_inertia[b])
+        share = moments / moments.max()
+
+        def inertia(model: Any, value: float, name: str = name, shape: Array = share) -> None:
+            model.body_inertia[model.body(name).id] = value * shape
+
+        found.append(Number(f"{name}.inertia", float(moments.max()), "kg·m²", inertia))
+        for k, axis in enumerate("xyz"):
+            found.append(
+                Number(f"{name}.com_{axis}", float(base.body_ipos[b, k]), "m", _setter("body", name, "body_ipos", k))
+            )
+    return found
+
+
+def _joint_numbers(base: Any, joints: Sequence[Axis]) -> list[Number]:
+    found = []
+    for joint in joints:
+        d = joint.dof
+        rows = [
+            ("damping", base.dof_damping[d], "N·m·s/rad", "dof_damping"),
+            ("quadratic_damping", base.dof_dampingpoly[d, 0], "N·m·s²/rad²", "dof_dampingpoly"),
+            ("armature", base.dof_armature[d], "kg·m²", "dof_armature"),
+            ("frictionloss", base.dof_frictionloss[d], "N·m", "dof_frictionloss"),
+            ("stiffness", base.jnt_stiffness[joint.index], "N·m/rad", "jnt_stiffness"),
+            ("springref", base.qpos_spring[joint.position], "rad", "qpos_spring"),
+        ]
+        for key, value, unit, array in rows:
+            write = _setter("joint", joint.name, array, *((0,) if array == "dof_dampingpoly" else ()))
+            told = SLIDING.get(unit, unit) if joint.slides else unit
+            found.append(Number(f"{joint.name}.{key}", float(value), told, write))
+    return found
+
+
+def _drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
+    found = []
+    for drive in drives:
+        i = drive.index
+        gain, bias = float(base.actuator_gainprm[i, 0]), base.actuator_biasprm[i]
+        slides = int(base.jnt_type[int(base.actuator_trnid[i, 0])]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        push, place = ("N", "m") if slides else ("N·m", "rad")
+        if drive.servo and math.isclose(float(bias[1]), -gain):
+
+            def stiff(model: Any, value: float, name: str = drive.name) -> None:
+                k = model.actuator(name).id
+                model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 1] = value, -value
+
+            found.append(Number(f"{drive.name}.kp", gain, f"{push}/{place}", stiff))
+        else:
+            unit = f"{push}/{drive.unit}" if drive.unit not in ("1", push) else "1" if drive.unit == push else push
+            found.append(
+                Number(f"{drive.name}.gain", gain, unit, _setter("actuator", drive.name, "actuator_gainprm", 0))
+            )
+        if bias[2] != 0 or drive.servo:
+
+            def damped(model: Any, value: float, name: str = drive.name) -> None:
+                model.actuator_biasprm[model.actuator(name).id, 2] = -value
+
+            found.append(Number(f"{drive.name}.kv", -float(bias[2]), f"{push}·s/{place}", damped))
+        if base.actuator_forcelimited[i] and math.isclose(*np.abs(base.actuator_forcerange[i])):
+
+            def limit(model: Any, value: float, name: str = drive.name) -> None:
+                model.actuator_forcerange[model.actuator(name).id] = -value, value
+
+            found.append(Number(f"{drive.name}.force_limit", float(base.actuator_forcerange[i, 1]), push, limit))
+    return found
+
+
+def _add_mass(model: Any, place: str, mass: float) -> None:
+    """A point mass at a site, or at the centre of mass of a body (parallel axes)."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, place)
+    if site >= 0:
+        b, at = int(model.site_bodyid[site]), np.array(model.site_pos[site])
+    else:
+        b = int(model.body(place).id)
+        at = np.array(model.body_ipos[b])
+    own, com = float(model.body_mass[b]), np.array(model.body_ipos[b])
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, model.body_iquat[b])
+    turn = flat.reshape(3, 3)
+    middle = (own * com + mass * at) / (own + mass)
+    whole = turn @ np.diag(model.body_inertia[b]) @ turn.T
+    for m, arm in ((own, com - middle), (mass, at - middle)):
+        whole += m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    moments, axes = np.linalg.eigh(whole)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    mujoco.mju_mat2Quat(model.body_iquat[b], axes.ravel())
+    model.body_inertia[b], model.body_mass[b], model.body_ipos[b] = moments, own + mass, middle
+
+
+def rotor_of(joint: str) -> str:
+    """What the drive of a joint that gives way is called, as a body, a joint and a tendon."""
+    return f"{joint} drive"
+
+
+@lru_cache(maxsize=64)
+def _with_rotors(xml: str, assets: _Assets, joints: tuple[str, ...]) -> Any:
+    return _with_rotors_spec(xml, assets, joints).compile()
+
+
+def _with_rotors_spec(xml: str, assets: _Assets, joints: tuple[str, ...]) -> Any:
+    """The model with drives of their own, each tied to its joint by a tendon that can give way."""
+    spec = mujoco.MjSpec.from_string(xml, assets=dict(assets.files))
+    for name in joints:
+        joint = spec.joint(name)
+        # Bodies of one joint each at the same place; the rotor's mass moves with the body that carries it.
+        rotor = joint.parent.parent.add_body(name=rotor_of(name), pos=joint.parent.pos, quat=joint.parent.quat)
+        rotor.add_joint(name=rotor_of(name), type=joint.type, axis=joint.axis, pos=joint.pos, armature=1.0)
+        rotor.mass, rotor.inertia, rotor.explicitinertial = 1e-12, [1e-15] * 3, True
+        tendon = spec.add_tendon(name=rotor_of(name), stiffness=1.0, damping=0.0, springlength=[0.0, 0.0])
+        tendon.wrap_joint(rotor_of(name), 1.0)
+        tendon.wrap_joint(name, -1.0)
+        for actuator in spec.actuators:
+            if actuator.target == name:
+                actuator.target = rotor_of(name)
+    return spec
+
+
+def harden(model: Any, dof: int) -> None:
+    """Make dry friction at a degree of freedom stop it within a step, not within MuJoCo's usual tenths of seconds."""
+    model.dof_solref[dof] = -1.0, -1.0 / model.opt.timestep
+    model.dof_solimp[dof] = HARD, HARD, 1e-3, 0.5, 2.0

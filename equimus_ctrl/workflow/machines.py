@@ -1,0 +1,163 @@
+"""Robots of MuJoCo's XML: reading and writing them, their recordings, and which of their numbers are free."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from equimus_ctrl import presets
+from equimus_ctrl.effects.force import CoulombFriction, ForceEffect
+from equimus_ctrl.engines.machine import realise
+from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
+from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
+from equimus_ctrl.models.machine import Machine
+from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.recordings import Limits, read_set
+from equimus_ctrl.types import Recording
+
+FORMAT = "equimus-ctrl/parameters/1"
+
+
+def load_machine(path: Path, source: str | None = None) -> Machine:
+    """The machine of a file of MuJoCo's XML.
+
+    Args:
+        path: of the file.
+        source: how a model file names it; by the file's name by default.
+
+    Raises:
+        ConfigError, ModelError: where it cannot be read, or is no machine of hinges and slides.
+    """
+    name, xml, assets = presets.read_mjcf(path)
+    try:
+        return Machine(name, xml, assets, source or path.name)
+    except ModelError as error:
+        raise ModelError(f"{path}: {str(error).removeprefix(f'{name}: ')}") from None
+
+
+def read_machine_set(files: Sequence[Path], machine: Machine) -> tuple[Recording, ...]:
+    """Trials of a machine: any commands, its joints and actuators in its order.
+
+    Raises:
+        RecordingError: where a file cannot be read or lacks one of them.
+    """
+    joints, actuators = machine.joint_names, machine.actuator_names
+    limits = Limits(
+        command_low=-math.inf, command_high=math.inf, max_angle=math.inf, rotating=joints, joints=joints,
+        actuators=actuators,
+    )  # fmt: skip
+    return read_set(files, joints=joints, actuators=actuators, limits=limits)
+
+
+@dataclass(frozen=True)
+class FreeNumbers:
+    """What a file of free parameters says.
+
+    Attributes:
+        names: names or patterns of what is free; None where nothing is said.
+        bounds: (low, high) of some.
+    """
+
+    names: tuple[str, ...] | None = None
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def with_more(
+        self, free: Sequence[str] | None, bounds: Mapping[str, tuple[float, float]] | None
+    ) -> tuple[list[str] | None, dict[str, tuple[float, float]]]:
+        """These and those that are given beside, which win."""
+        names = None if self.names is None and free is None else [*(self.names or ()), *(free or ())]
+        return names, {**self.bounds, **(bounds or {})}
+
+
+def read_free(path: Path, model: Model) -> FreeNumbers:
+    """Which numbers are free, from a file such as ``offer`` writes.
+
+    Raises:
+        ConfigError: where the file says nothing that can be.
+    """
+    data = presets.read_toml(path)
+    for key in data:
+        if key not in ("format", "free"):
+            raise ConfigError(unknown_name("key", key, ("format", "free"), str(path)))
+    if data.get("format", FORMAT) != FORMAT:
+        raise ConfigError(f"{path}: format is {data['format']!r}, expected {FORMAT!r}")
+    table = data.get("free")
+    if not isinstance(table, Mapping) or not table:
+        raise ConfigError(f'{path}: there is no [free] table of names, such as "arm.mass" = [0.4, 0.8]')
+    names, bounds = [], {}
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            raise ConfigError(f'{path}: free: put a dotted name in quotes, such as "{name}.…" = true')
+        try:
+            found = matching(model, [name])
+        except ConfigError as error:
+            raise ConfigError(f"{path}: free: {error}") from None
+        if value is False:
+            continue
+        names += found
+        if value is not True:
+            bounds.update(dict.fromkeys(found, _bounds(value, f"{path}: free: {name}")))
+    if not names:
+        raise ConfigError(f"{path}: free: everything is false, so nothing is free")
+    return FreeNumbers(tuple(names), bounds)
+
+
+def _bounds(value: Any, where: str) -> tuple[float, float]:
+    pair = isinstance(value, list) and len(value) == 2
+    if not pair or any(isinstance(v, bool) or not isinstance(v, int | float) for v in value):
+        raise ConfigError(f"{where} is {value!r}, expected true, false or [low, high]")
+    return float(value[0]), float(value[1])
+
+
+def parameter_rows(model: Model) -> list[dict[str, Any]]:
+    """Every number of a model: name, value, unit, bounds, and whether it is free by default."""
+    free = set(default_names(model))
+    rows = []
+    for name, value in model.parameters().items():
+        low, high = default_bounds(model, name)
+        rows.append(
+            {"name": name, "value": value, "unit": unit_of(model, name), "low": low, "high": high, "free": name in free}
+        )
+    return rows
+
+
+def offer(path: Path, model: Model) -> None:
+    """Write a file of free parameters: those that are by default with their bounds, all others as false."""
+    rows = parameter_rows(model)
+    table = {row["name"]: [row["low"], row["high"]] if row["free"] else False for row in rows}
+    comment = (
+        f"Numbers of {model.name} that a fit may change: [low, high], true for bounds of their kind, false for none.\n"
+        "In SI units; for --parameters of equimus-ctrl identify and diagnose."
+    )
+    presets.write_text(path, presets.toml_text({"format": FORMAT, "free": table}, comment))
+
+
+def write_corrected(path: Path, model: Model) -> tuple[str, ...]:
+    """Write MuJoCo's XML with all of a model that it has fields for; labels of the effects that it has none for.
+
+    Raises:
+        ConfigError: where the model is of no machine.
+    """
+    if machine_of(model) is None:
+        raise ConfigError(f"{model.name}: is no robot of MuJoCo's XML")
+    xml, left = corrected_xml(model)
+    presets.write_text(path, xml)
+    return left
+
+
+def corrected_xml(model: Model) -> tuple[str, tuple[str, ...]]:
+    """See ``write_corrected``."""
+    own = realise(model)
+    left = []
+    for effect in model.effects:
+        if isinstance(effect, CoulombFriction):
+            own.mujoco.dof_frictionloss[own.mujoco.joint(effect.location).dofadr[0]] += effect.friction
+        elif (isinstance(effect, ForceEffect) and effect.mujoco_field is None) or effect.side in (
+            "command",
+            "measurement",
+        ):
+            left.append(f"{effect.name} at {effect.location}")
+    return own.machine.exported(own.mujoco, left), tuple(left)
