@@ -138,7 +138,7 @@ def test_what_is_missing_or_unknown_is_named(name: str) -> None:
         make(name, good.location, {**rest, f"{first}x": 0.1})
 
 
-@every_effect
+@pytest.mark.parametrize("name", catalogue("elastic"))
 def test_an_effect_cannot_sit_where_nothing_is(name: str) -> None:
     leg = nominal_leg()
     one = make(name, "nowhere", sample(name).parameters())
@@ -151,7 +151,7 @@ def test_an_effect_cannot_sit_where_nothing_is(name: str) -> None:
         check_locations((sample(name, kind=kind),), places(leg), "leg")
 
 
-@every_effect
+@pytest.mark.parametrize("name", catalogue("elastic"))
 def test_an_effect_does_not_sit_at_another_kind_of_place(name: str) -> None:
     cls = REGISTRY[name]
     for kind in set(PLACES) - set(cls.sits_at):

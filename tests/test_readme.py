@@ -64,6 +64,12 @@ def test_format_commands_run(workspace: Path) -> None:
         assert main(shlex.split(command)[1:]) == 0, command
 
 
+def test_commands_for_any_mujoco_model_run(workspace: Path) -> None:
+    for command in commands((ROOT / "docs" / "machines.md").read_text(encoding="utf-8")):
+        assert main(shlex.split(command)[1:]) == 0, command
+    assert (workspace / "corrected.xml").is_file() and (workspace / "free.toml").is_file()
+
+
 @pytest.mark.parametrize("code", blocks(README, "python"))
 def test_readme_code_runs(code: str, workspace: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=workspace)

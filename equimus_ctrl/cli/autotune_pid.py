@@ -75,7 +75,7 @@ def autotune_pid(
 
         tuned = workflow.tune_pid(
             study,
-            model=workflow.load_model(model),
+            model=workflow.load_elastic(model),
             scenarios=scenario or [],
             candidates=candidates,
             seed=seed,

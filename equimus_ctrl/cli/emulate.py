@@ -68,7 +68,7 @@ def emulate(
 
     console = people()
     workflow.load_effects(effects or ())
-    robot = workflow.load_model(model)
+    robot = workflow.load_elastic(model)
     if effect:
         robot = Model(robot.morphology, (*robot.effects, *(parse(text) for text in effect)), robot.phase)
     if duration is not None and not duration > 0:

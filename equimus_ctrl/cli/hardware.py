@@ -38,7 +38,7 @@ def check(
     from equimus_ctrl.cli.progress import stage_bar
 
     console = people()
-    robot = workflow.load_model(model)
+    robot = workflow.load_elastic(model)
     wired = workflow.load_hardware(hardware, robot, domain)
     with stage_bar(console, "check", width=36, bar_width=24) as show:
         found = workflow.check_hardware(
@@ -106,7 +106,7 @@ def delay(
     if not arm:
         raise ConfigError("a delay can only be measured on a robot that is given pressure; give --arm")
     check_model_file(write_model)
-    robot = workflow.load_model(model)
+    robot = workflow.load_elastic(model)
     wired = workflow.load_hardware(hardware, robot, domain)
     path = new_file(record or presets.workspace() / "results" / "hardware", "delay")
     with share_bar(console, "sweep") as show:

@@ -183,6 +183,8 @@ def _any_nan(values: Array) -> Any:
 
 
 def _tell_trials(console: Console, done: Identified, from_poses: bool) -> None:
+    from equimus_ctrl.models.model import machine_of
+
     found = done.fit
     m = found.model.morphology
     samples = sum(len(r) for r in found.residuals)
@@ -197,12 +199,15 @@ def _tell_trials(console: Console, done: Identified, from_poses: bool) -> None:
     before, after = (np.concatenate(r) for r in (found.before, found.residuals))
     origin = "the poses gave them" if from_poses else "the model came"
     rows = [("as the poses gave it" if from_poses else "as the model came", before), ("identified", after)]
+    machine = machine_of(found.model)
+    slides = [] if machine is None else [j.name for j in machine.joints if j.slides]
     _rmse_table(
         console,
         m.joint_names,
         rows,
         done.heldout,
         None if done.check is None else (f"on trials left out in turn ({done.check.folds} fits)", done.check.rmse),
+        "m" if len(slides) == len(m.joint_names) else f"rad, {', '.join(slides)} in m" if slides else "rad",
     )
     _parameter_table(console, found, origin)
     if not found.converged:
@@ -216,6 +221,7 @@ def _rmse_table(
     residuals: Sequence[tuple[str, Array]],
     heldout: Sequence[Judged],
     more: tuple[str, Array] | None = None,
+    unit: str = "rad",
 ) -> None:
     import numpy as np
 
@@ -227,7 +233,7 @@ def _rmse_table(
     rows = [(label, rmse(values)) for label, values in residuals]
     if more is not None:
         rows.append(more)
-    table = light_table("RMSE in rad")
+    table = light_table(f"RMSE in {unit}")
     table.add_column("")
     for name in (*joints, "all joints"):
         table.add_column(name, justify="right")
@@ -249,7 +255,7 @@ def _rmse_table(
         if together(after) > together(before):
             worse.append(
                 f"On the {label} the identified model is worse than the one it came from, {together(after):.4f} "
-                f"against {together(before):.4f} rad: what was found does not carry over."
+                f"against {together(before):.4f} {unit}: what was found does not carry over."
             )
     console.print(table)
     for text in worse:

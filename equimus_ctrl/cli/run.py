@@ -91,7 +91,7 @@ def run(
     for place in (output, record):
         if place is not None:
             presets.check_folder(place)
-    robot = workflow.load_model(model)
+    robot = workflow.load_elastic(model)
     real = plant == "hardware"
     if not real and (arm or hardware is not None or domain is not None):
         raise ConfigError("--arm, --hardware and --domain are for --plant hardware alone")
@@ -109,7 +109,7 @@ def run(
                 settings=settings,
                 noise=noise,
                 seed=seed,
-                nominal=workflow.load_model(nominal) if nominal is not None else None,
+                nominal=workflow.load_elastic(nominal) if nominal is not None else None,
                 progress=show,
                 hardware=workflow.load_hardware(hardware, robot, domain) if real else None,
                 armed=arm,

@@ -63,7 +63,7 @@ def validate(
     check_threads(threads)
     folder = output or presets.workspace() / "validation" / "results"
     presets.check_folder(folder)
-    robot = workflow.load_model(model)
+    robot = workflow.load_elastic(model)
     console = people()
     columns = (TextColumn("{task.description:<22}"), BarColumn(), *times(), TextColumn("{task.fields[error]}"))
     with bars(console, *columns) as progress:

@@ -11,19 +11,68 @@ import numpy as np
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.sensors import SCALE, behind, sensor_settings
 from equimus_ctrl.engines.batch import STEP, Trial, simulate
+from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array, Recording
 
 Engine = Literal["reduced", "mujoco"]
 MUJOCO_STEP = 1 / 480
 """Default physics step of a single prediction in MuJoCo [s]."""
 
+SLOPE_SPAN, SLOPE_SAMPLES = 0.1, 6
+"""Half the time over which angles and velocities are read off by a parabola [s]; of machines, in samples."""
+SET, TIMES = "set.", "times."
+"""What notes begin with that give a number of the model for one recording, by itself or as a factor on it."""
 SETTLED_SPAN = 0.1
 """How long at most the first measurements are averaged for the start of a trial [s]."""
+
+
+def local_motion(recording: Recording, at: float, span: float) -> tuple[Array, Array]:
+    """Angles and velocities at an instant, from a parabola through the measurements around it."""
+    time = recording.time
+    near = np.abs(time - at) <= span
+    while np.count_nonzero(near) < 4:
+        near[np.argsort(np.abs(time - at))[:5]] = True
+    basis = np.vander(time[near] - at, 3, increasing=True)
+    coefficients = np.linalg.lstsq(basis, recording.position[near], rcond=None)[0]
+    return coefficients[0], coefficients[1]
+
+
+def slope_span(model: Model, recording: Recording) -> float:
+    """Half the time over which angles and velocities at an instant are read off a recording [s].
+
+    A robot that a motor drives changes its speed within a tenth of a second.
+    """
+    if machine_of(model) is None:
+        return SLOPE_SPAN
+    return SLOPE_SAMPLES * float(np.median(np.diff(recording.time)))
+
+
+def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
+    """What a recording's notes say of numbers of a machine: ``set.servo.kp = 3.2``, or ``times.servo.kp = 2``.
+
+    Raises:
+        ConfigError: where there is no such number, or the value is none.
+    """
+    machine, found = machine_of(model), {}
+    for key, text in recording.notes.items():
+        if not key.startswith(prefix):
+            continue
+        name = key.removeprefix(prefix)
+        if machine is None:
+            raise ConfigError(f"{recording.name}: note {key!r} is for robots from MuJoCo's XML alone")
+        if not machine.has_parameters([name]):
+            raise ConfigError(unknown_name("parameter", name, machine.parameters(), f"{recording.name}: note {key}"))
+        try:
+            found[name] = float(text)
+        except ValueError:
+            raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected a number") from None
+        machine.with_parameters(found)
+    return found
 
 
 def measured_start(recording: Recording) -> Array:
@@ -81,8 +130,10 @@ def predict(
     Args:
         model: what is simulated.
         recording: whose commands and times.
-        engine: ``"reduced"`` (exact Lagrangian, compiled) or ``"mujoco"`` (3-2-1 elements).
-        start: (nj,) first angles [rad]; by default those that the model's sensors show as the measured start.
+        engine: ``"reduced"`` (exact Lagrangian, compiled) or ``"mujoco"`` (3-2-1 elements); no matter for machines,
+            which MuJoCo simulates.
+        start: (nj,) first angles [rad]; by default those that the model's sensors show as the measured start. Of
+            machines also (2 nj,) angles and velocities, by default those measured.
         dt: physics step [s]; by default 1 ms (reduced) or 1/480 s (MuJoCo), divided for quick robots.
 
     Raises:
@@ -92,6 +143,8 @@ def predict(
     check_columns(model, recording)
     if engine not in get_args(Engine):
         raise ConfigError(unknown_name("engine", engine, get_args(Engine)))
+    if machine_of(model) is not None:
+        return _predict_machine(model, recording, start, dt)
     q0 = modelled_start(model, recording) if start is None else np.asarray(start, dtype=np.float64)
     if q0.shape != (len(recording.joints),) or not np.all(np.isfinite(q0)):
         raise ConfigError(
@@ -114,3 +167,24 @@ def predict(
             f"{recording.name}: the simulation of {model.name} diverged at {recording.time[reached]:.3f} s"
         )
     return np.asarray(out)
+
+
+def _predict_machine(model: Model, recording: Recording, start: Array | None, dt: float | None) -> Array:
+    nj = len(recording.joints)
+    if start is None:
+        shown = np.concatenate(local_motion(recording, float(recording.time[0]), slope_span(model, recording)))
+        start = behind_sensors([model], shown[None, :])[0]
+    begin = np.zeros(2 * nj)
+    begin[: len(start)] = start
+    trial = replace(
+        Trial.of(recording, begin[:nj]),
+        settings=noted(model, recording, SET),
+        factors=noted(model, recording, TIMES),
+    )
+    found = simulate_machines([model], [trial], starts=[begin[None, :]], dt=dt, threads=1)[0]
+    reached = int(found.reached[0])
+    if reached < len(recording.time):
+        raise SimulationDiverged(
+            f"{recording.name}: the simulation of {model.name} diverged at {recording.time[reached]:.3f} s"
+        )
+    return np.asarray(found.position[0])

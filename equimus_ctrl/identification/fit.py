@@ -46,8 +46,8 @@ STARTS = 3
 DAMPINGS = 10.0 ** np.array([-3.0, -1.5, 0.0, 1.5])
 """Around the last damping, these factors are tried side by side, with two choices of starts each: a block of lanes
 costs as much as one."""
-ONE_BY_ONE = np.array([0.1])
-"""The same where simulations take as long side by side as one after the other."""
+ONE_BY_ONE = 10.0 ** np.array([-1.0, 0.0, 1.0, 2.5])
+"""The same where simulations take as long side by side as one after the other: the first that helps is taken."""
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
 IDLE = 1e-9
 """A parameter with less than this share of the strongest one's effect is not moved."""
@@ -194,12 +194,13 @@ class _Slopes:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A parameter set with its starts, residuals and cost."""
+    """A parameter set with its starts, residuals, cost and, for each segment, (m, nj) what is predicted."""
 
     theta: Array
     starts: list[Array]
     residuals: list[Array]
     cost: float
+    predicted: list[Array]
 
 
 def residuals_of(model: Model, segments: Sequence[Segment], simulator: Simulator) -> list[Array]:
@@ -282,16 +283,17 @@ class Problem:
         self.evaluations += len(spread)
         rows = [np.array([choice[k] for _, choice in spread]) for k in range(len(self.segments))]
         found = self.simulator([models[i] for i, _ in spread], self.segments, rows)
-        points = [_Point(theta, [], [], 0.0) for theta in thetas]
+        points = [_Point(theta, [], [], 0.0, []) for theta in thetas]
         for segment, row, predicted in zip(self.segments, rows, found, strict=True):
-            best: dict[int, tuple[float, Array, Array]] = {}
+            best: dict[int, tuple[float, Array, Array, Array]] = {}
             residuals = np.stack([_residual(segment, predicted, place) for place in range(len(spread))], axis=-1)
             squares = (self.whitened(segment, residuals) ** 2).sum(axis=(0, 1))
             for place, (i, _) in enumerate(spread):
                 cost = float(squares[place] + (self._start_residual(segment, row[place]) ** 2).sum())
                 if i not in best or cost < best[i][0]:
-                    best[i] = cost, row[place], residuals[:, :, place]
-            for i, (cost, start, residual) in best.items():
+                    best[i] = cost, row[place], residuals[:, :, place], predicted.position[place]
+            for i, (cost, start, residual, position) in best.items():
+                points[i].predicted.append(position)
                 points[i].starts.append(start)
                 points[i].residuals.append(residual)
                 points[i] = replace(points[i], cost=points[i].cost + cost)
@@ -337,7 +339,7 @@ class Problem:
                 target = np.concatenate([left, self._start_residual(segment, start)])
                 start[:s] += solve_triangular(upper, basis.T @ target)
             moved.append(start)
-        if not self.side_by_side or not any(segment.free_start for segment in self.segments):
+        if not any(segment.free_start for segment in self.segments):
             return [moved]
         return [moved, [old + 0.1 * (new - old) for old, new in zip(point.starts, moved, strict=True)]]
 
@@ -359,21 +361,28 @@ class Problem:
         p, most = len(scale), max(s.free_start for s in self.segments)
         base = self.parameters.model_at(point.theta)
         moved = [self.parameters.model_at(point.theta + steps * unit) for unit in np.eye(p)]
-        models = [base, *moved, *([base] * most)]
+        # Side by side the base costs nothing and has its neighbours' rounding; else it is known already.
+        first = int(self.side_by_side)
+        models = [*[base] * first, *moved, *([base] * most)]
         starts = []
         for segment, start in zip(self.segments, point.starts, strict=True):
             rows = np.tile(start, (len(models), 1))
             for k in range(segment.free_start):
-                rows[1 + p + k, k] += START_DIFFERENCE
+                rows[first + p + k, k] += START_DIFFERENCE
             starts.append(rows)
         self.evaluations += len(models)
         by_theta, by_start = [], []
-        for segment, found in zip(self.segments, self.simulator(models, self.segments, starts), strict=True):
+        simulated = self.simulator(models, self.segments, starts)
+        for segment, found, known, residual in zip(
+            self.segments, simulated, point.predicted, point.residuals, strict=True
+        ):
             with np.errstate(invalid="ignore", over="ignore"):  # what diverges is dropped below
-                change = found.position[1:] - found.position[0]
-            change[~found.sound[1:]] = 0.0  # a neighbour that diverges tells no slope
-            if not found.sound[0]:
+                change = found.position[first:] - (found.position[0] if first else known)
+            change[~found.sound[first:]] = 0.0  # a neighbour that diverges tells no slope
+            if first and not found.sound[0]:
                 change[:, found.reached[0] :] = 0.0
+            elif not first:
+                change[:, np.any(np.abs(residual) >= DIVERGED, axis=1)] = 0.0
             by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
             by_start.append(np.moveaxis(change[p : p + segment.free_start] / START_DIFFERENCE, 0, -1))
         return by_theta, by_start
@@ -447,13 +456,18 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
         dampings = np.clip(damping * around, LEAST_DAMPING, MOST_DAMPING)
         changes = [_step(parameters, point.theta, slopes, weights * np.sqrt(d)) for d in dampings]
         thetas = [parameters.moved(point.theta, parameters.scale * c) for c in changes]
-        tried = problem.points(thetas, [problem.moved_starts(point, slopes, c) for c in changes])
+        starts = [problem.moved_starts(point, slopes, c) for c in changes]
+        tried: list[_Point] = []
+        for part in [slice(None)] if problem.side_by_side else [slice(k, k + 1) for k in range(len(dampings))]:
+            tried += problem.points(thetas[part], starts[part])
+            if tried[-1].cost < point.cost:
+                break
         best = min(range(len(tried)), key=lambda i: tried[i].cost)
         gain = (point.cost - tried[best].cost) / max(point.cost, 1e-300)
         if gain > 0:
             point, damping = tried[best], float(dampings[best])
         elif dampings[-1] < MOST_DAMPING and np.abs(changes[-1]).max() > settings.tolerance:
-            damping = float(dampings[-1]) * (10 if problem.side_by_side else 100)
+            damping = float(dampings[-1]) * 10
             continue
         notify(problem.evaluations, float(np.sqrt(sum((r**2).sum() for r in point.residuals) / samples)))
         slopes = problem.slopes(point) if gain > 0 else slopes

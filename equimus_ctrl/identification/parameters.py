@@ -224,5 +224,8 @@ def free_parameters(
     free = []
     for name in chosen:
         low, high = bounds.get(name) or default_bounds(model, name)
-        free.append(FreeParameter(name, values[name], float(low), float(high), unit_of(model, name)))
+        size = None
+        if (machine := machine_of(model)) is not None and values[name] == 0 and machine.has_parameters([name]):
+            size = machine.size(name)
+        free.append(FreeParameter(name, values[name], float(low), float(high), unit_of(model, name), size=size))
     return FreeParameters(model, tuple(free))

@@ -11,18 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.predict import behind_sensors, check_columns, measured_start, modelled_start
-from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.engines.predict import (
+    SET,
+    SLOPE_SPAN,
+    TIMES,
+    behind_sensors,
+    check_columns,
+    local_motion,
+    measured_start,
+    modelled_start,
+    noted,
+    slope_span,
+)
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
-SLOPE_SPAN = 0.1
-"""Half the time over which a window's first angles and velocities are read off by a parabola [s]."""
-SLOPE_SAMPLES = 6
-"""The same of machines, in samples."""
-SET, TIMES = "set.", "times."
-"""What notes begin with that give a number of the model for one recording, by itself or as a factor on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,17 +111,16 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
-    # A robot that a motor drives changes its speed within a tenth of a second.
-    span = SLOPE_SPAN if machine_of(model) is None else SLOPE_SAMPLES * float(np.median(np.diff(time)))
+    span = slope_span(model, recording)
     found: list[Segment] = []
     for a, b in pairwise(edges):
         chosen = (time >= a) & ((time < b) | (b == high))
         if np.count_nonzero(chosen) < LEAST_SAMPLES:
             continue
-        start = np.concatenate(_local_motion(recording, float(a), span))
+        start = np.concatenate(local_motion(recording, float(a), span))
         position, velocity = np.split(behind_sensors([model], start[None, :])[0], 2)
         trial = Trial(
-            f"{recording.name} from {a:.3f} s",
+            f"{recording.name} from {a:.3f} s" if len(edges) > 2 else recording.name,
             np.array(time),
             np.array(recording.command),
             np.array(recording.command_before),
@@ -135,37 +139,3 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
             f"{2 * LEAST_SAMPLES * np.median(np.diff(time)):.2g} s"
         )
     return found
-
-
-def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
-    """What a recording's notes say of numbers of a machine: ``set.servo.kp = 3.2``, or ``times.servo.kp = 2``.
-
-    Raises:
-        ConfigError: where there is no such number, or the value is none.
-    """
-    machine, found = machine_of(model), {}
-    for key, text in recording.notes.items():
-        if not key.startswith(prefix):
-            continue
-        name = key.removeprefix(prefix)
-        if machine is None:
-            raise ConfigError(f"{recording.name}: note {key!r} is for robots from MuJoCo's XML alone")
-        if not machine.has_parameters([name]):
-            raise ConfigError(unknown_name("parameter", name, machine.parameters(), f"{recording.name}: note {key}"))
-        try:
-            found[name] = float(text)
-        except ValueError:
-            raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected a number") from None
-        machine.with_parameters(found)
-    return found
-
-
-def _local_motion(recording: Recording, at: float, span: float) -> tuple[Array, Array]:
-    """Angles and velocities at an instant, from a parabola through the measurements around it."""
-    time = recording.time
-    near = np.abs(time - at) <= span
-    while np.count_nonzero(near) < 4:
-        near[np.argsort(np.abs(time - at))[:5]] = True
-    basis = np.vander(time[near] - at, 3, increasing=True)
-    coefficients = np.linalg.lstsq(basis, recording.position[near], rcond=None)[0]
-    return coefficients[0], coefficients[1]

@@ -37,6 +37,8 @@ _FACTOR = {
     "damping": 10.0, "quadratic_damping": 10.0, "armature": 10.0, "frictionloss": 10.0, "force_limit": 3.0,
 }  # fmt: skip
 _AWAY = {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0, "bias": 1.0}
+QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
+"""So many times what takes an acceleration of 1 is what a joint is believed to have at most where the file says 0."""
 POSITIVE = frozenset(_FACTOR)
 """Kinds of numbers that are at least 0."""
 
@@ -228,8 +230,16 @@ class Machine:
         value, kind = self.parameters()[name], self.plan.numbers[name].kind
         if kind in _FACTOR and value > 0:
             return value / _FACTOR[kind], value * _FACTOR[kind]
+        place = name.rpartition(".")[0]
         away = _AWAY.get(kind, max(abs(value), 1.0))
+        if kind in QUICK and place in self.joint_names:
+            away = self.size(name) * QUICK[kind]
         return (max(value - away, 0.0) if kind in POSITIVE else value - away), value + away
+
+    def size(self, name: str) -> float:
+        """Of a change of a joint's number that counts: what it takes for an acceleration of 1 rad/s² or m/s² there."""
+        place = name.rpartition(".")[0]
+        return float(self.plan.weights.get(place, 1.0))
 
     def slides(self, joint: str) -> bool:
         """Whether a joint is a slide."""
@@ -414,6 +424,7 @@ class Plan:
         sites: names of those that move.
         numbers: dotted name → number.
         tilt_axis: (3,) about which gravity can be turned.
+        weights: joint → inertia that it moves by itself, where the file has it [kg·m² or kg].
     """
 
     base: Any
@@ -423,6 +434,7 @@ class Plan:
     sites: tuple[str, ...]
     numbers: Mapping[str, Number]
     tilt_axis: Array
+    weights: Mapping[str, float]
 
     @cached_property
     def by_joint(self) -> dict[str, Axis]:
@@ -464,7 +476,7 @@ def _plan(name: str, xml: str, assets: _Assets) -> Plan:
     if size > 0:
         numbers += [Number("gravity", size, "m/s²", heavy)]
     numbers += [Number("tilt", 0.0, "rad", turned)]
-    return Plan(base, joints, drives, bodies, sites, {n.name: n for n in numbers}, axis)
+    return Plan(base, joints, drives, bodies, sites, {n.name: n for n in numbers}, axis, _weights(base, joints))
 
 
 def _joints(base: Any, name: str) -> tuple[Axis, ...]:
@@ -518,6 +530,14 @@ def _drives(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
     if not found:
         raise ModelError(f"{name}: has no actuator")
     return tuple(found)
+
+
+def _weights(base: Any, joints: Sequence[Axis]) -> dict[str, float]:
+    data = mujoco.MjData(base)
+    mujoco.mj_forward(base, data)
+    whole = np.zeros((base.nv, base.nv))
+    mujoco.mj_fullM(base, data, whole)
+    return {joint.name: float(whole[joint.dof, joint.dof]) for joint in joints}
 
 
 def _tilt_axis(base: Any) -> Array:

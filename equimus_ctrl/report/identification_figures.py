@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from equimus_ctrl.diagnosis import units
 from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.parameters import FreeParameter
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses
@@ -107,7 +108,8 @@ def _telling(trials: list[Shown]) -> list[tuple[Shown, str]]:
 
 def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
     """Measured and predicted angles of a few trials, a row each, a column for each joint."""
-    joints = found.fit.model.morphology.joint_names
+    model = found.fit.model
+    joints = model.morphology.joint_names
     chosen = _telling(trials)
     width = min(5.2 * len(joints) + 0.6, 15.0)
     figure = style.new_figure(width, 1.1 + 1.75 * len(chosen), f"Measured and predicted, {found.engine} engine")
@@ -115,16 +117,18 @@ def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
     for row, (trial, label) in enumerate(chosen):
         for j, joint in enumerate(joints):
             axes = grid[row, j]
-            colour = style.joint_colour(j)
-            axes.plot(trial.time, np.degrees(trial.measured[:, j] - trial.before[:, j]), color=BEFORE, linewidth=1.4)
-            axes.plot(trial.time, np.degrees(trial.measured[:, j]), color=style.RECORDED, linewidth=1.1)
-            axes.plot(trial.time, np.degrees(trial.measured[:, j] - trial.after[:, j]), color=colour, linewidth=1.7)
-            before, after = (1e3 * trial.rmse(which)[j] for which in ("before", "after"))
-            title = f"{joint}: RMSE {before:.1f} → {after:.1f} mrad"
+            colour, place, error = style.joint_colour(j), units.position(model, joint), units.error(model, joint)
+            measured = trial.measured[:, j] * place.factor
+            axes.plot(trial.time, measured - trial.before[:, j] * place.factor, color=BEFORE, linewidth=1.4)
+            axes.plot(trial.time, measured, color=style.RECORDED, linewidth=1.1)
+            axes.plot(trial.time, measured - trial.after[:, j] * place.factor, color=colour, linewidth=1.7)
+            before, after = (error.factor * trial.rmse(which)[j] for which in ("before", "after"))
+            title = f"{joint}: RMSE {before:.1f} → {after:.1f} {error.unit}"
             if j == 0:
                 title = f"{trial.name} ({label})\n{title}"
             last = row == len(chosen) - 1
-            style.dress(axes, title=title, y="angle [°]" if j == 0 else "", x="time [s]" if last else "")
+            label_y = f"{units.noun(model, joint)} {place.bracket}" if j == 0 else ""
+            style.dress(axes, title=title, y=label_y, x="time [s]" if last else "")
     handles: list[Artist] = [
         Line2D([], [], color=style.RECORDED, linewidth=1.1, label="measured"),
         Line2D([], [], color=BEFORE, linewidth=1.4, label="before"),
@@ -137,26 +141,30 @@ def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
 
 def residuals_figure(found: Identified, trials: list[Shown]) -> Figure:
     """For each joint: the RMSE of every trial before and after, and when in each trial the residual arises."""
-    joints = found.fit.model.morphology.joint_names
+    model = found.fit.model
+    joints = model.morphology.joint_names
     count = len(trials)
     height = 1.6 + 2 * 0.4 + len(joints) * max(0.19 * count, 0.9)
     figure = style.new_figure(12.0, height, "What is left over, trial by trial")
     grid = figure.subplots(len(joints), 2, squeeze=False, width_ratios=[1.0, 1.45], sharey=True)
-    largest = np.quantile(np.concatenate([np.abs(t.after[np.isfinite(t.after)]) for t in trials]), 0.98)
-    span = float(np.degrees(max(largest, 1e-6)))
+    shown = [units.position(model, joint) for joint in joints]
+    factors = np.array([u.factor for u in shown])
+    after_all = np.concatenate([np.abs(t.after * factors)[np.isfinite(t.after)] for t in trials])
+    span = max(float(np.quantile(after_all, 0.98)), 1e-6 * float(factors.max()))
     places = np.arange(count)
     drawn = None
     for j, joint in enumerate(joints):
         left, right = grid[j]
-        before, after = (1e3 * np.array([t.rmse(which)[j] for t in trials]) for which in ("before", "after"))
+        error = units.error(model, joint)
+        before, after = (error.factor * np.array([t.rmse(which)[j] for t in trials]) for which in ("before", "after"))
         left.hlines(places, before, after, color=style.GRID, linewidth=3, zorder=1)
         left.scatter(before, places, s=24, color=BEFORE, linewidths=0, zorder=3)
         left.scatter(after, places, s=28, color=style.joint_colour(j), linewidths=0, zorder=3)
         left.set_xlim(left=0)
-        style.dress(left, title=joint, x="RMSE [mrad]" if j == len(joints) - 1 else "")
+        style.dress(left, title=joint, x=f"RMSE {error.bracket}" if j == len(joints) - 1 else "")
         for row, trial in enumerate(trials):
             edges = _edges(trial.time)
-            values = np.degrees(trial.after[:, j])[None, :]
+            values = trial.after[:, j][None, :] * factors[j]
             drawn = right.pcolormesh(
                 edges, [row - 0.45, row + 0.45], values, cmap="RdBu_r", vmin=-span, vmax=span, rasterized=True
             )
@@ -175,7 +183,8 @@ def residuals_figure(found: Identified, trials: list[Shown]) -> Figure:
             label.set_fontsize(7.5 if count > 20 else style.SMALL_SIZE)
     if drawn is not None:
         bar = figure.colorbar(drawn, ax=list(grid[:, 1]), pad=0.02, extend="both", shrink=0.8)
-        bar.set_label("residual [°]", fontsize=style.TEXT_SIZE, color=style.INK)
+        told = ", ".join(dict.fromkeys(u.unit for u in shown))
+        bar.set_label(f"residual [{told}]", fontsize=style.TEXT_SIZE, color=style.INK)
         bar.ax.tick_params(labelsize=style.SMALL_SIZE)
     handles: list[Artist] = [Line2D([], [], marker="o", linestyle="", color=BEFORE, label="before")]
     for j, joint in enumerate(joints):

@@ -422,6 +422,7 @@ def sensitivity_of(
         EquimusError: where something given cannot be used.
     """
     model = model or nominal_model()
-    simulator = simulator_of(engine, dt, threads)
-    segments = cut(model, choose(gather(recordings), select), window=window)
+    own = machine_of(model) is not None
+    simulator = machine_simulator(dt, threads) if own else simulator_of(engine, dt, threads)
+    segments = cut(model, choose(gather(recordings, model), select), window=window)
     return sensitivity(model, segments, patterns=parameters, shares=shares, simulator=simulator, notify=progress)

@@ -47,6 +47,21 @@ def load_model(path: Path | str | None = None) -> Model:
     return model_from_dict(presets.read_toml(Path(path)), str(path), lambda name: load_machine(folder / name, name))
 
 
+def load_elastic(path: Path | str | None = None) -> Model:
+    """The same, but of a robot with elastic actuators alone.
+
+    Raises:
+        ConfigError, ModelError: see ``load_model``; also for a robot of MuJoCo's XML.
+    """
+    model = load_model(path)
+    if machine_of(model) is not None:
+        raise ConfigError(
+            f"{path}: is a robot of MuJoCo's XML, which this is not for; identify, diagnose, score, sensitivity and "
+            "list parameters take it"
+        )
+    return model
+
+
 def renamed(model: Model, name: str) -> Model:
     """The model under another name, such as its file's, so that a table shows which one it is of."""
     return replace(model, morphology=replace(model.morphology, name=name))
@@ -345,7 +360,7 @@ def score_recordings(
     model = model or nominal_model()
     if rate is not None and not 0 < rate <= MOST_RATE:
         raise ConfigError(f"the rate of the grid is {rate:g} Hz, expected more than 0 and at most {MOST_RATE:g}")
-    trials = gather(recordings)
+    trials = gather(recordings, model)
     for trial in trials:
         check_columns(model, trial)
     scores = []
