@@ -7,10 +7,10 @@ recorded faster than positions are wanted become their means.
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import json
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -45,14 +45,15 @@ def recording(
 
 
 def emps(folder: Path) -> dict[str, list[Recording]]:
-    """Force as command; and the closed loop, its goal as command."""
+    """Force as command, the pulses that were applied beside it included; and the closed loop, its goal as command."""
     trials, loops = [], []
     for name in ("DATA_EMPS", "DATA_EMPS_PULSES"):
         data = {
             key: np.ravel(value) for key, value in loadmat(folder / "emps" / f"{name}.mat").items() if key[:2] != "__"
         }
         n = len(data["t"]) // EVERY
-        force = NEWTON_PER_VOLT * data["vir"][: n * EVERY].reshape(n, EVERY).mean(axis=1)
+        whole = NEWTON_PER_VOLT * data["vir"] + data.get("pulses_N", 0.0)
+        force = whole[: n * EVERY].reshape(n, EVERY).mean(axis=1)
         time, position = data["t"][: n * EVERY : EVERY], data["qm"][: n * EVERY : EVERY]
         notes = {"source": f"emps/{name}.mat"}
         trials.append(recording(name.lower(), time, {"motor": force}, {"screw": position}, notes))
@@ -134,4 +135,6 @@ def main(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "real_machines"))
+    parser = argparse.ArgumentParser(description="The recordings of real machines in the project's format.")
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("real_machines"), help="to write to")
+    main(parser.parse_args().folder)

@@ -100,11 +100,11 @@ def diagnose(
             data = Data(free, split.train, simulator)
         elif (machine := machine_of(free.model)) is not None:
             step = machine.timestep
-            engines = [machine_simulator(dt, settings.threads) for dt in (None, MACHINES_COARSE * step)]
-            data = Data(free, split.train, *engines)
+            own, coarse = (machine_simulator(dt, settings.threads) for dt in (None, MACHINES_COARSE * step))
+            data = Data(free, split.train, own, coarse, quick=True)
         else:
-            engines = [reduced_simulator(threads=settings.threads, longest=step) for step in (STEP, COARSE, FINE)]
-            data = Data(free, split.train, *engines)
+            own, coarse, fine = (reduced_simulator(threads=settings.threads, longest=s) for s in (STEP, COARSE, FINE))
+            data = Data(free, split.train, own, coarse, fine)
         return _diagnose(data, split, settings, designs, progress, begun)
 
 

@@ -77,6 +77,8 @@ class Data:
         coarse: a faster one for what need not be exact, whose predictions are compared with its own alone; the same
             by default.
         fine: a slower one whose errors tell hypotheses less apart; the same by default.
+        quick: whether simulations take so long that first looks take derivatives from the coarse engine, and end where
+            little is gained.
     """
 
     free: FreeParameters
@@ -84,6 +86,7 @@ class Data:
     simulator: Simulator
     coarse: Simulator | None = None
     fine: Simulator | None = None
+    quick: bool = False
 
     @property
     def times(self) -> list[Array]:
@@ -99,7 +102,9 @@ class Data:
         self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, steps: int, tolerance: float = 1e-4
     ) -> Fitted:
         """A few steps of a search under a noise that is given; the deviance is of the noise that is left."""
-        found = self._fit(hypothesis, begin, noise, FitSettings(tolerance, steps), thorough=False)
+        found = self._fit(
+            hypothesis, begin, noise, FitSettings(tolerance * (10 if self.quick else 1), steps), thorough=False
+        )
         return self._judged(hypothesis, found)
 
     def settle(self, fitted: Fitted, noise: Noise | None = None) -> Fitted:
@@ -135,7 +140,11 @@ class Data:
     ) -> Fit:
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
-        found = fit(parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside)
+        coarse = self.coarse if self.quick and not thorough else None
+        found = fit(
+            parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside,
+            coarse=coarse,
+        )  # fmt: skip
         jumps = self.jumps(hypothesis)
         for _ in range((TURNS if thorough else 1) if jumps else 0):
             after = self._looked_around(jumps, found, noise, LOOKS[thorough])
@@ -143,7 +152,7 @@ class Data:
                 break
             again = fit(
                 parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise,
-                begin=[(after, found.starts)],
+                begin=[(after, found.starts)], coarse=coarse,
             )  # fmt: skip
             if again.cost >= found.cost:
                 break

@@ -12,6 +12,7 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.flexible import Axis, Group
 from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, linear, nuisances
 from equimus_ctrl.diagnosis.results import Leftover
+from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import machine_of
@@ -34,6 +35,8 @@ MOST = 3
 """How many pushes are told at most."""
 UNTOLD = 1e-4
 """Part of a push of which the free parameters leave less than this share is not told."""
+MUCH = 3.0
+"""Excess error of a joint, over the noise's variance, from which on something is left whatever it goes with."""
 POINTS = 61
 CONFIDENT = 1.96
 
@@ -80,11 +83,26 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
         found.append((top, columns))
         extra = columns if extra is None else np.column_stack([extra, columns])
     if not found:
-        return Remainder((), ())
+        return Remainder(_much(data, best), ())
     superfluous = _superfluous(data, best, without, found[0][0].found.gain)
     total = sum(f.found.gain for f, _ in found)
     told = tuple(_told(data, at, f, columns, f.found.gain / total, threshold) for f, columns in found)
     return Remainder(told, superfluous)
+
+
+def _much(data: Data, best: Fitted) -> tuple[Leftover, ...]:
+    """Joints of a machine whose error is far above the noise, though no push that was looked for explains it."""
+    if machine_of(data.free.model) is None:
+        return ()
+    excess = excess_of(best.fit.residuals, best.noise)
+    nothing = np.empty(0)
+    return tuple(
+        Leftover(
+            joint, float(own / excess.sum()), "", (joint,), float(own), MUCH, "", "", "", nothing, nothing, nothing,
+        )
+        for joint, own in zip(data.free.model.morphology.joint_names, excess, strict=True)
+        if own > MUCH
+    )  # fmt: skip
 
 
 def _gain(top: Flexible, at: Linear) -> float:

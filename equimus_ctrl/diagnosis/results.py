@@ -148,7 +148,8 @@ class Leftover:
     Attributes:
         location: joint at which it acts.
         share: of all that flexible pushes explain of what the corrected model leaves.
-        depends_on: coordinates that the push depends on, such as ``pos.hip``.
+        depends_on: coordinates that the push depends on, such as ``pos.hip``; "" for an error far above the noise that
+            no push explains: then ``gain`` is its excess over the noise's variance.
         places: actuators or joints at which the push acts.
         gain: by how much χ² falls on trials left out in turn.
         threshold: the least fall that counts.

@@ -168,7 +168,7 @@ def _cut(
 def window_length(
     model: Model,
     recordings: Sequence[Recording],
-    window: tuple[float, float] | None,
+    window: tuple[float, float] | None = None,
     simulator: Simulator | None = None,
 ) -> float | None:
     """The longest windows over which a machine's model, as it came, stays near to what was measured [s].

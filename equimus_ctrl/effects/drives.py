@@ -5,6 +5,7 @@ They are for robots from MuJoCo's XML. What MuJoCo has a field for goes there; t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,9 @@ import casadi as ca
 from equimus_ctrl.effects.base import Seen, parameter, register
 from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.force import ForceEffect, Parameters
+
+SOFT = 1.0
+"""Frequency of a joint on its drive's spring below which the drive would not drive it [Hz]."""
 
 
 @register
@@ -158,6 +162,12 @@ class DriveCompliance(BodyEffect):
         return [
             {"stiffness": hard * stiff, "damping": 0.02 * hard * seen.push / seen.speed} for hard in (3.0, 10.0, 30.0)
         ]
+
+    def bounds(self, key: str, robot: Any) -> tuple[float, float]:
+        # What gives way at less than SOFT is no drive any more.
+        low, high = super().bounds(key, robot)
+        least = robot.weights[self.location] * (2 * math.pi * SOFT) ** 2
+        return (max(low, least), high) if key == "stiffness" else (low, min(high, least))
 
     def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_compliance(self.location, self.stiffness, self.damping, 0.0)

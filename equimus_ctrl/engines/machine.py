@@ -74,12 +74,13 @@ class Realised:
     sensor: Array
 
 
-def realise(model: Model, trial: Trial | None = None) -> Realised:
+def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -> Realised:
     """What MuJoCo and the kernel need of a machine with effects.
 
     Args:
         model: of a machine.
         trial: in which some numbers are known to be others.
+        dt: another physics step than the XML's [s].
     """
     given = machine_of(model)
     assert given is not None
@@ -89,6 +90,7 @@ def realise(model: Model, trial: Trial | None = None) -> Realised:
         settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
     machine = changed_bodies(model.effects, given.with_parameters(settings) if settings else given)
     own = machine.mujoco_model()
+    own.opt.timestep = dt or own.opt.timestep
     dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in machine.joints}
     pushing = [e for e in model.effects if isinstance(e, ForceEffect)]
     for effect in pushing:
@@ -294,9 +296,7 @@ def simulate_machines(
             trial = trials[i]
             condition = condition_of(trial)
             if condition not in made:
-                made[condition] = realise(models[which], trial)
-                if dt is not None:
-                    made[condition].mujoco.opt.timestep = dt
+                made[condition] = realise(models[which], trial, dt)
             own = made[condition]
             if starts is not None:
                 start = np.asarray(starts[i][which], dtype=np.float64)

@@ -251,6 +251,7 @@ class Problem:
         segments: what was measured.
         simulator: the engine.
         noise: of the joints, whose innovations are what is squared; all residuals count alike without.
+        coarse: a faster engine, whose predictions are compared with its own alone: for derivatives.
     """
 
     def __init__(
@@ -259,7 +260,9 @@ class Problem:
         segments: Sequence[Segment],
         simulator: Simulator,
         noise: Noise | None = None,
+        coarse: Simulator | None = None,
     ) -> None:
+        self.coarse = coarse
         self.parameters = parameters
         self.segments = list(segments)
         self.simulator = simulator
@@ -361,8 +364,8 @@ class Problem:
         p, most = len(scale), max(s.free_start for s in self.segments)
         base = self.parameters.model_at(point.theta)
         moved = [self.parameters.model_at(point.theta + steps * unit) for unit in np.eye(p)]
-        # Side by side the base costs nothing and has its neighbours' rounding; else it is known already.
-        first = int(self.side_by_side)
+        # Side by side the base costs nothing and has its neighbours' rounding; else it may be known already.
+        first = int(self.side_by_side or self.coarse is not None)
         models = [*[base] * first, *moved, *([base] * most)]
         starts = []
         for segment, start in zip(self.segments, point.starts, strict=True):
@@ -372,7 +375,7 @@ class Problem:
             starts.append(rows)
         self.evaluations += len(models)
         by_theta, by_start = [], []
-        simulated = self.simulator(models, self.segments, starts)
+        simulated = (self.coarse or self.simulator)(models, self.segments, starts)
         for segment, found, known, residual in zip(
             self.segments, simulated, point.predicted, point.residuals, strict=True
         ):
@@ -408,6 +411,7 @@ def fit(
     settings: FitSettings | None = None,
     noise: Noise | None = None,
     begin: Sequence[Begin] = (),
+    coarse: Simulator | None = None,
     notify: Callable[[int, float], None] = lambda evaluations, rmse: None,
 ) -> Fit:
     """Least squares over all segments, bounds kept.
@@ -419,6 +423,7 @@ def fit(
         settings: how it searches.
         noise: of the joints, by which residuals count; all alike without.
         begin: where the search may begin, the best of them is taken; the model as it came by default.
+        coarse: a faster engine for derivatives.
         notify: called with (parameter sets simulated, best RMSE over all joints [rad]) after each step.
 
     Raises:
@@ -427,7 +432,7 @@ def fit(
     """
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
-        problem = Problem(parameters, segments, simulator or simulator_for(parameters.model), noise)
+        problem = Problem(parameters, segments, simulator or simulator_for(parameters.model), noise, coarse)
         return _fit(problem, settings or FitSettings(), begin, notify)
 
 

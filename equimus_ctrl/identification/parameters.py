@@ -78,7 +78,7 @@ class FreeParameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Dotted names."""
+        """Dotted names, in the model's order."""
         return tuple(f.name for f in self.free)
 
     @property

@@ -28,6 +28,8 @@ from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
+LITTLE = 0.01
+"""Trust in starts that are read off what a motor drives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,8 @@ class Segment:
         free_start: how many numbers of the start are free: none, the angles (nj), or angles and velocities (2 nj).
             What was read off the measurements then counts as one more sample, see ``start_weights``.
         slope_span: half the time over which a start was read off [s].
+        trust: of a start that was read off, in units of that of a sample: a parabola is no good likeness of a motion
+            that changes quickly.
     """
 
     trial: Trial
@@ -50,12 +54,13 @@ class Segment:
     start: Array
     free_start: int = 0
     slope_span: float = SLOPE_SPAN
+    trust: float = 1.0
 
     @property
     def start_weights(self) -> Array:
         """(free_start,) what a start's distance from the measured one weighs: an angle's as much as a sample's."""
         nj = self.measured.shape[1]
-        return np.repeat([1.0, self.slope_span / 2], nj)[: self.free_start]
+        return np.repeat([self.trust, self.trust * self.slope_span / 2], nj)[: self.free_start]
 
 
 def cut(
@@ -111,7 +116,7 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
-    span = slope_span(model, recording)
+    span, trust = slope_span(model, recording), 1.0 if machine_of(model) is None else LITTLE
     found: list[Segment] = []
     for a, b in pairwise(edges):
         chosen = (time >= a) & ((time < b) | (b == high))
@@ -132,7 +137,7 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
             noted(model, recording, TIMES),
         )
         measured = np.array(recording.position[chosen])
-        found.append(Segment(trial, measured, index, start, 2 * len(recording.joints), span))
+        found.append(Segment(trial, measured, index, start, 2 * len(recording.joints), span, trust))
     if not found:
         raise ConfigError(
             f"{recording.name}: no shooting window of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "

@@ -132,7 +132,7 @@ def uncertainty(
     hidden = (
         np.any(np.abs(blind) > INVOLVED, axis=0) if len(blind) else np.zeros(p, dtype=bool)
     )  # parameters that some unseen direction touches
-    if freedom <= 0:
+    if freedom < 1:
         error = np.full(p, np.inf)
         t = np.inf
     else:

@@ -253,7 +253,12 @@ class Machine:
         joint = drive.joint if drive else place
         return SLIDING.get(unit, unit) if joint in self.joint_names and self.slides(joint) else unit
 
-    # What effects on bodies need of a robot.
+    # What effects on bodies and drives need of a robot.
+
+    @property
+    def weights(self) -> Mapping[str, float]:
+        """Joint → inertia that it moves by itself, where the file has it [kg·m² or kg]."""
+        return self.plan.weights
 
     @property
     def tilt(self) -> float:

@@ -1,0 +1,261 @@
+"""Identification and diagnosis of robots of MuJoCo's XML, on simulated recordings that conceal something, and on real ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from equimus_ctrl import presets, workflow
+from equimus_ctrl.cli.main import main
+from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.effects import (
+    CoulombFriction,
+    DrivePlay,
+    Effect,
+    PayloadMass,
+    TransportDelay,
+    ViscousFriction,
+)
+from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.models.machine import Machine
+from equimus_ctrl.models.model import Model, machine_model
+from equimus_ctrl.recordings import find_recordings, write
+from equimus_ctrl.report.diagnosis_page import page
+from equimus_ctrl.types import Array, Recording
+
+PENDULUM = """<mujoco model="arm">
+  <compiler boundmass="1e-12" boundinertia="1e-15"/>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body name="arm">
+    <joint name="hinge" type="hinge" axis="0 -1 0" armature="0.004"/>
+    <inertial pos="0 0 -0.4" mass="0.6" diaginertia="0.002 0.002 0.001"/>
+    <site name="tip" pos="0 0 -0.5"/>
+  </body></worldbody>
+  <actuator>{drive}</actuator>
+</mujoco>"""
+MOTOR, SERVO = '<motor name="drive" joint="hinge"/>', '<position name="drive" joint="hinge" kp="12" kv="0.4"/>'
+CARRIAGE = """<mujoco model="carriage">
+  <option timestep="0.002" gravity="0 0 0"/>
+  <worldbody><body name="table">
+    <joint name="rail" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="4" diaginertia="1 1 1"/>
+  </body></worldbody>
+  <actuator><motor name="drive" joint="rail"/></actuator>
+</mujoco>"""
+NOISE = 5e-4
+
+
+def recorded(
+    real: Model, *, count: int = 3, seconds: float = 4.0, size: float = 1.0, seed: int = 0, noise: float = NOISE,
+    push: float = 0.0,
+) -> list[Recording]:  # fmt: skip
+    """What a robot does under sums of two sines; ``push`` grows with the cube of the angle, which no effect has."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0, seconds, 0.01)
+    found = []
+    m = real.morphology
+    for k in range(count):
+        columns = [
+            size * rng.uniform(0.6, 1.2) * np.sin(2 * np.pi * rng.uniform(0.3, 1.0) * time + rng.uniform(0, 6))
+            + 0.3 * size * np.sin(2 * np.pi * rng.uniform(1.5, 3.0) * time)
+            for _ in m.actuator_names
+        ]
+        command = np.column_stack(columns)
+        start = rng.uniform(-0.5, 0.5, len(m.joint_names))
+        trial = Trial(f"t{k}", time, command, command[0], 0.0, start, time)
+        angle = simulate_machines([real], [trial], threads=1)[0].position[0]
+        angle = angle + push * angle**3 + rng.normal(0, noise, angle.shape)
+        found.append(Recording(f"t{k}", time, command, angle, m.actuator_names, m.joint_names))
+    return found
+
+
+def diagnosed(xml: str, concealed: Sequence[Effect], **given: object) -> Diagnosis:
+    machine = Machine("robot", xml)
+    trials = recorded(machine_model(machine, concealed), **given)  # type: ignore[arg-type]
+    return workflow.diagnose_recordings(trials, machine_model(machine), most=2)
+
+
+def named(found: Diagnosis) -> list[tuple[str, tuple[str, ...]]]:
+    return [(f.named.effect, f.named.locations) for f in found.findings]
+
+
+def value(found: Diagnosis, k: int = 0) -> float:
+    return next(iter(found.findings[k].parameters.values())).value
+
+
+def test_friction_of_a_hinge_is_found_with_its_size_and_told_whole(tmp_path: Path) -> None:
+    found = diagnosed(PENDULUM.format(drive=MOTOR), [CoulombFriction("hinge", 0.08)])
+    assert found.verdict == "explained" and named(found) == [("coulomb_friction", ("hinge",))]
+    estimate = found.findings[0].parameters["friction"]
+    assert estimate.value == pytest.approx(0.08, rel=0.02) and estimate.low <= 0.08 <= estimate.high
+    assert estimate.unit == "N·m" and found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
+    text = page(found, "robot")
+    assert (
+        "Dry friction at the hinge of" in text and "kPa" not in text and "angle of hinge" not in text.split("<img")[0]
+    )
+
+
+def test_nothing_left_out_is_consistent_and_says_what_would_have_shown() -> None:
+    found = diagnosed(PENDULUM.format(drive=MOTOR), [], seed=3)
+    assert found.verdict == "consistent" and not found.findings
+    smallest = {d.named.effect: d for d in found.detectable if len(d.named.locations) == 1}
+    assert 0 < smallest["coulomb_friction"].size < 0.02 and smallest["coulomb_friction"].unit == "N·m"
+
+
+def test_a_closed_loop_tells_its_friction_too() -> None:
+    found = diagnosed(PENDULUM.format(drive=SERVO), [CoulombFriction("hinge", 0.15)])
+    assert named(found) == [("coulomb_friction", ("hinge",))] and value(found) == pytest.approx(0.15, rel=0.03)
+
+
+def test_what_slides_is_told_in_metres_and_newtons() -> None:
+    found = diagnosed(CARRIAGE, [ViscousFriction("rail", 6.0)], size=8.0, noise=2e-4)
+    assert named(found) == [("viscous_friction", ("rail",))] and value(found) == pytest.approx(6.0, rel=0.02)
+    assert found.findings[0].parameters["damping"].unit == "N·s/m"
+    assert " mm" in page(found, "carriage") and "mrad" not in page(found, "carriage")
+
+
+def test_a_payload_shows_where_masses_are_known() -> None:
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+    trials = recorded(machine_model(machine, [PayloadMass("tip", 0.12)]))
+    found = workflow.diagnose_recordings(trials, machine_model(machine), free=["hinge.armature"], most=2)
+    group = {(f.named.effect, f.named.locations) for f in found.findings}
+    group |= {(o.effect, o.locations) for f in found.findings for o in f.equivalent}
+    assert ("payload_mass", ("tip",)) in group
+
+
+def test_a_late_drive_is_named() -> None:
+    found = diagnosed(PENDULUM.format(drive=MOTOR), [TransportDelay("drive", 0.03)])
+    group = set(named(found)) | {(o.effect, o.locations) for o in found.findings[0].equivalent}
+    assert ("transport_delay", ("drive",)) in group and value(found) == pytest.approx(0.03, rel=0.05)
+
+
+def test_play_in_a_drive_is_named() -> None:
+    found = diagnosed(PENDULUM.format(drive=SERVO), [DrivePlay("hinge", 0.05)], size=0.8)
+    group = set(named(found)) | {(o.effect, o.locations) for f in found.findings for o in f.equivalent}
+    assert ("drive_play", ("hinge",)) in group
+
+
+def test_what_no_effect_does_is_left_unexplained() -> None:
+    found = diagnosed(PENDULUM.format(drive=MOTOR), [], push=0.1)
+    assert found.verdict in ("unexplained", "partly_explained") and found.leftover
+
+
+def test_identification_gives_numbers_with_intervals() -> None:
+    xml = PENDULUM.format(drive=MOTOR).replace(
+        'armature="0.004"', 'armature="0.004" damping="0.05" frictionloss="0.05"'
+    )
+    machine = Machine("robot", xml)
+    truth = {"arm.mass": 0.66, "hinge.damping": 0.03, "hinge.frictionloss": 0.08}
+    trials = recorded(machine_model(machine.with_parameters(truth)), count=4)
+    found = workflow.identify_recordings(trials, machine_model(machine), free=list(truth), folds=0)
+    for name, at, width in zip(
+        found.fit.parameters.names, found.fit.theta, found.fit.uncertainty.half_width, strict=True
+    ):
+        assert abs(at - truth[name]) < 2 * width and width < 0.05 * truth[name]
+
+
+def test_an_unstable_machine_is_fitted_in_windows() -> None:
+    machine = Machine("robot", CARRIAGE)
+    trials = recorded(machine_model(machine, [CoulombFriction("rail", 3.0)]), size=8.0, seconds=8.0)
+    from equimus_ctrl.diagnosis.split import window_length
+
+    length = window_length(machine_model(machine), trials)
+    assert length is not None and length < 8.0
+    assert window_length(machine_model(machine, [CoulombFriction("rail", 3.0)]), trials) is None
+
+
+def files(folder: Path, xml: str, trials: Sequence[Recording]) -> tuple[Path, Path]:
+    presets.write_text(folder / "robot.xml", xml)
+    (folder / "runs").mkdir()
+    for trial in trials:
+        write(folder / "runs" / f"{trial.name}.csv", trial)
+    return folder / "robot.xml", folder / "runs"
+
+
+def test_the_verbs_write_a_model_that_predicts_better(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+    xml, runs = files(tmp_path, machine.xml, recorded(machine_model(machine, [CoulombFriction("hinge", 0.08)])))
+    out = tmp_path / "corrected.toml"
+    assert main(["diagnose", str(runs), "--model", str(xml), "--write-model", str(out), "--most", "1", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["findings"][0]["effect"] == "coulomb_friction" and out.with_suffix(".xml").is_file()
+    errors = []
+    for model in (xml, out):
+        assert main(["score", str(runs), "--model", str(model), "--json"]) == 0
+        errors.append(json.loads(capsys.readouterr().out)["rmse_rad"]["hinge"])
+    assert errors[1] < errors[0] / 5
+    free = tmp_path / "free.toml"
+    assert main(["list", "parameters", "--model", str(xml), "--write", str(free)]) == 0
+    capsys.readouterr()
+    own = ["identify", str(runs), "--model", str(xml), "--parameters", str(free), "--no-figures", "--json"]
+    assert main([*own, "--output", str(tmp_path / "id")]) == 0
+    rows = json.loads(capsys.readouterr().out)["trials"]["parameters"]
+    assert {row["name"] for row in rows} == {"arm.mass", "arm.inertia"}
+    assert main(["sensitivity", str(runs), "--model", str(xml), "--no-figures", "--json"]) == 0
+
+
+WRONG = {
+    "no joint": ("<mujoco><worldbody/></mujoco>", "has no joint"),
+    "no XML": ("<mujoco><worldbody>", "MuJoCo cannot load it"),
+    "free": (
+        '<mujoco><worldbody><body><freejoint name="f"/><geom size=".1"/></body></worldbody></mujoco>',
+        "joint 'f' is a free joint, expected hinges and slides alone: the base has to be fixed",
+    ),
+    "names": (
+        PENDULUM.format(drive=MOTOR).replace('name="hinge"', 'name="elbow"').replace('joint="hinge"', 'joint="elbow"'),
+        "elbow",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_models_that_cannot_be_are_told_in_a_sentence(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    xml, message = WRONG[case]
+    path, runs = files(tmp_path, xml, recorded(machine_model(Machine("robot", PENDULUM.format(drive=MOTOR))), count=2))
+    assert main(["diagnose", str(runs), "--model", str(path)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert message in said and "Traceback" not in said
+
+
+def test_a_model_that_diverges_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    unstable = PENDULUM.format(drive='<position name="drive" joint="hinge" kp="1e7"/>')
+    real = machine_model(Machine("robot", PENDULUM.format(drive=SERVO)))
+    path, runs = files(tmp_path, unstable, recorded(real, count=2))
+    assert main(["diagnose", str(runs), "--model", str(path)]) != 0
+    assert "diverges on the recorded commands" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("verb", [["run", "hold"], ["autotune-pid"], ["validate"], ["compare", "hold"], ["emulate"]])
+def test_verbs_for_elastic_robots_refuse_others(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(PENDULUM.format(drive=MOTOR))
+    assert main([*verb, "--model", str(path)]) == 2
+    assert "is a robot of MuJoCo's XML, which this is not for" in " ".join(capsys.readouterr().err.split())
+
+
+def real_pendulum() -> tuple[Array, Array, Array]:
+    folder = find_recordings()
+    path = None if folder is None else folder / "simple_pendulum" / "energy_shaping__data_measured.csv"
+    if path is None or not path.is_file():
+        pytest.skip("the recordings of the simple pendulum are not here (EQUIMUS_RECORDINGS)")
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    inside = table["time"] <= 4.3
+    return tuple(table[key][inside] for key in ("time", "position", "torque"))  # type: ignore[return-value]
+
+
+def test_the_friction_of_a_real_pendulum_is_named() -> None:
+    time, angle, torque = real_pendulum()
+    trial = Recording("real", time, torque[:, None], angle[:, None], ("drive",), ("hinge",))
+    found = workflow.diagnose_recordings(
+        [trial], machine_model(Machine("robot", PENDULUM.format(drive=MOTOR))), free=["arm.mass", "arm.inertia"], most=2
+    )
+    assert any("friction" in f.named.effect for f in found.findings)
+    assert found.rmse("corrected", "heldout")[0] < 0.5 * found.rmse("refitted", "heldout")[0]
