@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.split import window_length
 from equimus_ctrl.effects import (
     CoulombFriction,
     DrivePlay,
@@ -115,7 +117,8 @@ def test_what_slides_is_told_in_metres_and_newtons() -> None:
     found = diagnosed(CARRIAGE, [ViscousFriction("rail", 6.0)], size=8.0, noise=2e-4)
     assert named(found) == [("viscous_friction", ("rail",))] and value(found) == pytest.approx(6.0, rel=0.02)
     assert found.findings[0].parameters["damping"].unit == "N·s/m"
-    assert " mm" in page(found, "carriage") and "mrad" not in page(found, "carriage")
+    text = re.sub(r'src="data:[^"]*"', "", page(found, "carriage"))
+    assert "RMSE in mm" in text and "mrad" not in text and "°" not in text
 
 
 def test_a_payload_shows_where_masses_are_known() -> None:
@@ -159,13 +162,13 @@ def test_identification_gives_numbers_with_intervals() -> None:
 
 
 def test_an_unstable_machine_is_fitted_in_windows() -> None:
-    machine = Machine("robot", CARRIAGE)
-    trials = recorded(machine_model(machine, [CoulombFriction("rail", 3.0)]), size=8.0, seconds=8.0)
-    from equimus_ctrl.diagnosis.split import window_length
-
+    """It stands on its head: what is concealed soon leads far astray, and its own model does not."""
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR).replace("0 0 -0.4", "0 0 0.4"))
+    real = machine_model(machine, [CoulombFriction("hinge", 0.3)])
+    trials = recorded(real, seconds=8.0)
     length = window_length(machine_model(machine), trials)
     assert length is not None and length < 8.0
-    assert window_length(machine_model(machine, [CoulombFriction("rail", 3.0)]), trials) is None
+    assert window_length(real, trials) is None
 
 
 def files(folder: Path, xml: str, trials: Sequence[Recording]) -> tuple[Path, Path]:
