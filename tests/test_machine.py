@@ -592,7 +592,7 @@ BALANCED = 'mass="1" pos="0 0 0" diaginertia="0.01 0.01 0.01"'
 )
 def test_a_balanced_wheel_can_be_unbalanced(change: Callable[[Machine], Machine]) -> None:
     """MuJoCo takes bodies whose centre lies in their joint for simple ones, unless it is told otherwise."""
-    q = np.array([0.3])
+    q = np.array([-0.3])
     whole, weight = mass_matrix(change(Machine("wheel", pendulum(inertial=BALANCED))).mujoco_model(), q)
     shift = PENDULUM.with_parameters({"arm.com_z": 0.0})
     reference = mass_matrix(change(shift).mujoco_model(), q)
@@ -752,6 +752,17 @@ def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_fil
     # Six digits are written of each number.
     np.testing.assert_allclose(own, moved(model), rtol=0, atol=2e-5)
     assert name == "nothing" or np.abs(own - plain).max() > 2e-3
+
+
+def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: Path) -> None:
+    """To the six digits that are written; what gravity leans by is in its direction."""
+    machine = load_machine(crane_file)
+    changed = {name: 1.2345 * value + 0.0123 for name, value in machine.parameters().items() if name != "tilt"}
+    model = machine_model(machine.with_parameters(changed))
+    save_model(tmp_path / "found.toml", model, crane_file)
+    again = load_machine(tmp_path / "found.xml").parameters()
+    assert again == {name: pytest.approx(value, rel=1e-5) for name, value in (changed | {"tilt": 0.0}).items()}
+    np.testing.assert_array_equal(moved(load_model(tmp_path / "found.toml")), moved(model))
 
 
 def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> None:

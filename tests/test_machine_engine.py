@@ -49,7 +49,9 @@ from equimus_ctrl.engines.machine import pushes, realise, simulate_machines
 from equimus_ctrl.engines.machine_motion import machine_motion, pushed
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
+from equimus_ctrl.identification.fit import machine_simulator
 from equimus_ctrl.identification.parameters import unit_of
+from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import Model, machine_model
 from equimus_ctrl.report.diagnosis_sentences import SENTENCES, sentence
@@ -477,7 +479,7 @@ def test_at_the_antiresonance_the_drive_stands_still() -> None:
     # Begun as it would swing for ever: the drive at rest, the mass passing through the middle.
     own = realise(machine_model(cart(f'armature="{armature}"'), (DriveCompliance("way", k, 0.0),)))
     data = mujoco.MjData(own.mujoco)
-    (place, dof), (rotor, _, _) = own.places[0], own.rotors[0]
+    place, dof, rotor = own.places[0, 0], own.places[0, 1], own.rotors[0, 0]
     data.qvel[dof] = -force * omega / k
     path = np.empty((len(rows), 2))
     for i, (_, u) in enumerate(rows):
@@ -790,6 +792,20 @@ def test_a_recording_is_predicted_from_where_and_how_fast_it_begins() -> None:
         recording, time=recording.time[40:], command=recording.command[40:], position=recording.position[40:]
     )
     np.testing.assert_allclose(predict(machine_model(machine), late), late.position, rtol=0, atol=0.02)
+
+
+def test_a_window_of_a_late_sensor_begins_in_motion() -> None:
+    """What a sensor shows at first is what was before the window, when the joint moved already."""
+    machine, effect = cart(), SensorDelay("way", 0.1)
+    time = np.arange(0, 2.001, 0.01)
+    rolled = 0.8 * np.maximum(time - 0.1, 0.0)
+    recording = Recording("r", time, np.zeros((len(time), 1)), rolled[:, None], ("motor",), ("way",))
+    model = machine_model(machine, (effect,))
+    segments = cut(model, [recording], window=(0.5, 2.0), shoot=0.5)
+    found = machine_simulator(threads=1)([model], segments, [s.start[None, :] for s in segments])
+    assert len(segments) == 3
+    for segment, predicted in zip(segments, found, strict=True):
+        np.testing.assert_allclose(predicted.position[0], segment.measured, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("start", [np.zeros(5), np.array([math.nan])], ids=["too long", "nan"])

@@ -45,15 +45,18 @@ def recording(
 
 
 def emps(folder: Path) -> dict[str, list[Recording]]:
-    """Force as command, the pulses that were applied beside it included; and the closed loop, its goal as command."""
+    """Force as command; and the closed loop, its goal as command.
+
+    The pulses that one file has beside the controller's output are in that output already: a regression of it on the
+    motion and the pulses finds −0.03 ± 0.02 of them, where a force on the carriage would have −1.
+    """
     trials, loops = [], []
     for name in ("DATA_EMPS", "DATA_EMPS_PULSES"):
         data = {
             key: np.ravel(value) for key, value in loadmat(folder / "emps" / f"{name}.mat").items() if key[:2] != "__"
         }
         n = len(data["t"]) // EVERY
-        whole = NEWTON_PER_VOLT * data["vir"] + data.get("pulses_N", 0.0)
-        force = whole[: n * EVERY].reshape(n, EVERY).mean(axis=1)
+        force = NEWTON_PER_VOLT * data["vir"][: n * EVERY].reshape(n, EVERY).mean(axis=1)
         time, position = data["t"][: n * EVERY : EVERY], data["qm"][: n * EVERY : EVERY]
         notes = {"source": f"emps/{name}.mat"}
         trials.append(recording(name.lower(), time, {"motor": force}, {"screw": position}, notes))
