@@ -42,7 +42,9 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compile()
-        xml = spec.to_xml()
+        text = path.read_text(encoding="utf-8")
+        # MuJoCo writes numbers to six digits; what includes other files cannot stay as it is.
+        xml = spec.to_xml() if "<include" in text or path.suffix == ".mjb" else text
     except (ValueError, mujoco.FatalError) as error:
         raise ModelError(f"{path}: MuJoCo cannot load it ({' '.join(str(error).split())})") from None
     assets = {name: data if isinstance(data, bytes) else str(data).encode() for name, data in spec.assets.items()}
@@ -51,7 +53,8 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
             name = getattr(part, "file", "")
             if name and name not in assets and (folder / name).is_file():
                 assets[name] = (folder / name).read_bytes()
-    return spec.modelname or path.stem, xml, assets
+    name = spec.modelname
+    return (path.stem if name in ("", "MuJoCo Model") else name), xml, assets
 
 
 def checkout() -> Path | None:

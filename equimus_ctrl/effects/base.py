@@ -103,6 +103,8 @@ class Effect:
     """Parameters on which what is seen depends in steps, so that no slope leads to them: fits look around instead."""
     robots: ClassVar[tuple[str, ...]] = ("elastic",)
     """Kinds of robots that can have it: ``elastic`` (morphologies with elastic actuators), ``mjcf`` (MuJoCo's XML)."""
+    mujoco_flags: ClassVar[tuple[str, ...]] = ()
+    """Flags of MuJoCo's XML that must not be switched off for it to do anything."""
     exclusive: ClassVar[str | None] = None
     """Of effects that share this word one place can have only one; see ``slot``."""
 

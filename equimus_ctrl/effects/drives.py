@@ -30,6 +30,7 @@ class ViscousFriction(ForceEffect):
     sits_at = ("joint",)
     summary = "friction in proportion to speed"
     mujoco_field = ("dof_damping", None)
+    mujoco_flags = ("damper",)
     neutral = {"damping": 0.0}  # noqa: RUF012
     damping: float = parameter("N·m·s/rad", 0.0, 1e4, "torque for each speed")
 
@@ -48,6 +49,7 @@ class QuadraticDamping(ForceEffect):
     sits_at = ("joint",)
     summary = "drag that grows with the square of speed"
     mujoco_field = ("dof_dampingpoly", 0)
+    mujoco_flags = ("damper",)
     neutral = {"drag": 0.0}  # noqa: RUF012
     drag: float = parameter("N·m·s²/rad²", 0.0, 1e4, "torque for each square of speed")
 
@@ -150,6 +152,7 @@ class DriveCompliance(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "a drive that gives way: a belt, a flexible gear"
+    mujoco_flags = ("damper", "spring")
     nothing = None
     alike = False
     exclusive = "compliance"
@@ -176,15 +179,16 @@ class DriveCompliance(BodyEffect):
 @register
 @dataclass(frozen=True)
 class DrivePlay(BodyEffect):
-    """Play between a drive and its joint: beyond it a stiff spring and a damper, within it nothing.
+    """Play between a drive, which turns with the joint's armature, and its joint: within it neither feels the other.
 
-    These are as stiff as the drive's armature can follow, and a tenth of critical damping.
+    Its ends are MuJoCo's limits of a tendon, as hard as the physics step can follow.
     """
 
     name = "drive_play"
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "play between drive and joint"
+    mujoco_flags = ("constraint", "limit")
     alike = False
     exclusive = "compliance"
     play: float = parameter("rad", 0.0, 1.0, "way that the drive turns before its joint follows")

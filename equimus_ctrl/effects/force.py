@@ -48,6 +48,8 @@ class ForceEffect(Effect):
         cls.rubs = cls.dry_friction.__func__ is not ForceEffect.dry_friction.__func__  # type: ignore[attr-defined]
         cls.scales = cls.more_area.__func__ is not ForceEffect.more_area.__func__  # type: ignore[attr-defined]
         cls.loads = cls.friction_of_load.__func__ is not ForceEffect.friction_of_load.__func__  # type: ignore[attr-defined]
+        if cls.rubs or cls.loads:
+            cls.mujoco_flags = ("constraint", "frictionloss")
         if cls.exclusive is None and hasattr(cls, "name"):
             cls.exclusive = cls.name
 

@@ -276,17 +276,22 @@ def _machine_source(laws: Laws) -> str:
     count = max(sum(law.n_states for law in laws), 1)
     x, rate, load, z = *(ca.SX.sym(name) for name in ("x", "rate", "load")), ca.SX.sym("z", count)
     speed, states = ca.fabs(rate), ca.vertsplit(z)
-    push, bound, rates, used = ca.SX(0), ca.SX(0), [ca.SX(0)] * count, 0
+    push, bound, used = ca.SX(0), ca.SX(0), 0
+    rates, rests = [ca.SX(0)] * count, [ca.SX(0)] * count
     for law, p in zip(laws, symbols, strict=True):
         own = states[used : used + law.n_states]
         push += law.force(x, rate, own, p)
         bound += law.dry_friction(x, speed, p) + law.friction_of_load(ca.fabs(load), speed, p)
         rates[used : used + law.n_states] = [ca.SX(r) for r in law.state_rate(x, rate, own, p)]
+        rests[used : used + law.n_states] = [ca.SX(r) for r in law.rest_state(x, p)]
         used += law.n_states
-    routine = codegen.Routine(
-        "joint_push", {"x": ca.vertcat(x, rate, load), "z": z}, ca.vertcat(push, ca.fmax(bound, 0), *rates)
-    )
-    text = codegen.generate([routine], ca.vertcat(*[s for p in symbols for s in p.values()]), DECORATOR)
+    routines = [
+        codegen.Routine(
+            "joint_push", {"x": ca.vertcat(x, rate, load), "z": z}, ca.vertcat(push, ca.fmax(bound, 0), *rates)
+        ),
+        codegen.Routine("joint_rest", {"x": x}, ca.vertcat(*rests)),
+    ]
+    text = codegen.generate(routines, ca.vertcat(*[s for p in symbols for s in p.values()]), DECORATOR)
     entries = ", ".join(f"values[{i}]" for i in range(count))
     header = [
         "# Generated; safe to delete.",

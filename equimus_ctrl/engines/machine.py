@@ -17,11 +17,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import sample, sensor_settings
-from equimus_ctrl.effects.valves import valve_settings
+from equimus_ctrl.effects.sensors import LATE, sample, sensor_settings
+from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -56,7 +57,8 @@ class Realised:
     Attributes:
         machine: with all effects on bodies and drives.
         mujoco: its ``MjModel``; what the kernel changes of it is set anew before each run.
-        places: (nj, 2) of the joints in qpos and qvel.
+        effects: all of the model's.
+        places: (nj, 3) of the joints in qpos and qvel, and in qvel of what drives them.
         rotors: (n, 3) of drives that turn by themselves: in qpos, in qvel, and which joint they drive.
         laws: (nj, nc) prepared constants of what is stepped beside MuJoCo.
         loss: (nj,) dry friction in the model.
@@ -66,6 +68,7 @@ class Realised:
 
     machine: Machine
     mujoco: Any
+    effects: tuple[Effect, ...]
     places: NDArray[np.int64]
     rotors: NDArray[np.int64]
     laws: Array
@@ -89,8 +92,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         known = given.parameters()
         settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
     machine = changed_bodies(model.effects, given.with_parameters(settings) if settings else given)
-    own = machine.mujoco_model()
-    own.opt.timestep = dt or own.opt.timestep
+    own = machine.mujoco_model(dt)
     dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in machine.joints}
     pushing = [e for e in model.effects if isinstance(e, ForceEffect)]
     for effect in pushing:
@@ -104,10 +106,12 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
     names = machine.joint_names
     turning = [(own.joint(rotor_of(c.joint)), names.index(c.joint)) for c in machine.compliances]
     rotors = [(int(rotor.qposadr[0]), int(rotor.dofadr[0]), j) for rotor, j in turning]
-    places = [(int(own.joint(name).qposadr[0]), dofs[name]) for name in names]
+    drives = {j: int(rotor.dofadr[0]) for rotor, j in turning}
+    places = [(int(own.joint(name).qposadr[0]), dofs[name], drives.get(j, dofs[name])) for j, name in enumerate(names)]
     return Realised(
         machine,
         own,
+        model.effects,
         np.array(places, dtype=np.int64),
         np.array(rotors, dtype=np.int64).reshape(-1, 3),
         _laws(pushing, names),
@@ -197,10 +201,12 @@ def steps_of(trial: Trial, dt: float) -> int:
     return max(int(np.ceil(span / dt - 1e-9)), 1)
 
 
-def commands_on(trial: Trial, valve: Array, dt: float) -> Array:
-    """(steps, na) means of the commands behind their valves over physics steps."""
+def commands_on(own: Realised, trial: Trial) -> Array:
+    """(steps, na) means over physics steps of the commands as they arrive at the actuators."""
+    dt = float(own.mujoco.opt.timestep)
     out = np.empty((steps_of(trial, dt), 2, trial.commands.shape[1]))
-    pressure_history(trial.times, trial.commands, trial.before, valve, trial.start, dt, out)
+    whole = shaped_commands(own.effects, own.machine.actuator_names, np.vstack([trial.before, trial.commands]))
+    pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out)
     return np.ascontiguousarray(out[:, 0])
 
 
@@ -214,7 +220,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array |
         ctrl: see ``commands_on``.
         push: (steps, nj) further pushes on the joints [N·m or N].
     """
-    generated, kernel = compiled.load_machine(_stepped())
+    _, kernel = compiled.load_machine(_stepped())
     model, nj = own.mujoco, len(own.places)
     data = _scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
@@ -225,10 +231,16 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array |
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     sound = kernel.run_machine(
         _step(), model._address, data._address, own.places, own.laws, own.loss, np.full(nj, MAX_SPEED), ctrl,
-        np.empty((0, nj)) if push is None else push, np.zeros((nj, generated.N_STATES)), data.qpos, data.qvel,
+        np.empty((0, nj)) if push is None else push, _rests(own, start[:nj]), data.qpos, data.qvel,
         data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt, out_q, out_v,
     )  # fmt: skip
     return Course(trial.start, dt, out_q, out_v, ctrl, int(sound))
+
+
+def _rests(own: Realised, position: Array) -> Array:
+    """(nj, nz) the laws' states after a long rest where the joints are (nj,)."""
+    generated, _ = compiled.load_machine(_stepped())
+    return np.array([generated.joint_rest((float(q),), c) for q, c in zip(position, own.laws, strict=True)])
 
 
 def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
@@ -238,8 +250,12 @@ def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
     with np.errstate(all="ignore"):
         for j in range(nj):
             column = np.empty(len(times))
-            q, v = np.ascontiguousarray(path.q[:, j]), np.ascontiguousarray(path.v[:, j])
-            sample(q, v, path.start, path.dt, own.sensor[j], times, column)
+            # A late sensor shows what was before the start: there the joint moved on as it does at the start.
+            lead = math.ceil(own.sensor[j, LATE] / path.dt) + 1 if own.sensor[j, LATE] > 0 else 0
+            before = path.q[0, j] - path.v[0, j] * path.dt * np.arange(lead, 0, -1)
+            q = np.concatenate([before, path.q[:, j]])
+            v = np.concatenate([np.full(lead, path.v[0, j]), path.v[:, j]])
+            sample(q, v, path.start - lead * path.dt, path.dt, own.sensor[j], times, column)
             out[:, j] = column
     if path.sound == len(path.q):
         return out, len(times)
@@ -278,15 +294,16 @@ def simulate_machines(
     assert first is not None
     nj, k = len(first.joints), len(models)
     results = [Predicted(np.empty((k, len(t.sample_times), nj)), np.zeros(k, dtype=np.int64)) for t in trials]
-    histories: dict[tuple[int, bytes, float], Array] = {}
+    histories: dict[tuple[int, tuple[Effect, ...], float], Array] = {}
     count = max(threads or processors(), 1)
     parts = max(math.ceil(count / k), 1)
     chunks = [list(range(len(trials)))[p::parts] for p in range(min(parts, len(trials)))]
 
     def command(i: int, own: Realised) -> Array:
-        key = (i, own.valve.tobytes(), float(own.mujoco.opt.timestep))
+        shaping = tuple(e for e in own.effects if e.side == "command")
+        key = (i, shaping, float(own.mujoco.opt.timestep))
         if key not in histories:
-            histories[key] = commands_on(trials[i], own.valve, key[2])
+            histories[key] = commands_on(own, trials[i])
         return histories[key]
 
     def work(task: tuple[int, list[int]]) -> None:

@@ -20,6 +20,11 @@ def joint_push(x: Any, z: Any, c: Array) -> Any:
     raise NotImplementedError
 
 
+def joint_rest(x: Any, c: Array) -> Any:
+    """The laws' states after a long rest at a coordinate (x,)."""
+    raise NotImplementedError
+
+
 def state_tuple(values: Array) -> Any:
     """States as a tuple."""
     raise NotImplementedError

@@ -59,7 +59,7 @@ def run_machine(
         step: address of MuJoCo's ``mj_step``.
         model: address of its ``mjModel``.
         data: address of its ``mjData``, at the start.
-        places: (nj, 2) places of the joints in qpos and in qvel.
+        places: (nj, 3) places of the joints in qpos and in qvel, and in qvel of what drives them.
         laws: (nj, nc) prepared constants of each joint's laws.
         loss: (nj,) dry friction that the model itself has [N·m or N].
         fastest: (nj,) rates beyond which it has diverged [rad/s or m/s].
@@ -88,7 +88,7 @@ def run_machine(
             control[i] = ctrl[k, i]
         for j in range(nj):
             dof = places[j, 1]
-            found = joint_push((out_q[k, j], out_v[k, j], driven[dof]), state_tuple(states[j]), laws[j])
+            found = joint_push((out_q[k, j], out_v[k, j], driven[places[j, 2]]), state_tuple(states[j]), laws[j])
             applied[dof] = found[0] + (push[k, j] if len(push) > 0 else 0.0)
             frictionloss[dof] = loss[j] + found[1]
             for s in range(N_STATES):

@@ -73,7 +73,7 @@ class Pushed:
                     known[condition] = realise(self.model, trial)
                 own = known[condition]
                 dt = float(own.mujoco.opt.timestep)
-                ctrl = commands_on(trial, own.valve, dt)
+                ctrl = commands_on(own, trial)
                 plain, _ = measured_of(own, follow(own, trial, self.starts[i], ctrl), trial.sample_times)
                 for column in columns:
                     torque = torques[i][:, :, column]
@@ -114,7 +114,7 @@ def machine_motion(model: Model, trial: Trial, start: Array) -> Motion:
     """
     own = realise(model, trial)
     with quiet():
-        course = follow(own, trial, start, commands_on(trial, own.valve, float(own.mujoco.opt.timestep)))
+        course = follow(own, trial, start, commands_on(own, trial))
     if course.sound < len(course.q):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
     names = own.machine.joint_names

@@ -9,13 +9,13 @@ from typing import Literal, get_args
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.sensors import SCALE, behind, sensor_settings
+from equimus_ctrl.effects.sensors import LATE, SCALE, behind, sensor_settings
 from equimus_ctrl.engines.batch import STEP, Trial, simulate
 from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.steps import step_divisor
-from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
+from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array, Recording
 
@@ -69,9 +69,13 @@ def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
             raise ConfigError(unknown_name("parameter", name, machine.parameters(), f"{recording.name}: note {key}"))
         try:
             found[name] = float(text)
+            factor = 1.0 if prefix == SET else machine.parameters()[name]
+            machine.with_parameters({name: found[name] * factor})
         except ValueError:
-            raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected a number") from None
-        machine.with_parameters(found)
+            what = "a number" if prefix == SET else "a factor"
+            raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected {what}") from None
+        except ModelError as error:
+            raise ConfigError(f"{recording.name}: note {key}: {error}") from None
     return found
 
 
@@ -103,6 +107,8 @@ def behind_sensors(models: Sequence[Model], shown: Array) -> Array:
         sensor = sensor_settings(model.effects, model.morphology.joint_names)
         row[:nj] = behind(sensor, row[:nj])
         row[nj:] /= sensor[: len(row) - nj, SCALE]
+        if len(row) > nj and machine_of(model) is not None:
+            row[:nj] += row[nj:] * sensor[:, LATE]  # it has moved on since
     return found
 
 
@@ -174,8 +180,14 @@ def _predict_machine(model: Model, recording: Recording, start: Array | None, dt
     if start is None:
         shown = np.concatenate(local_motion(recording, float(recording.time[0]), slope_span(model, recording)))
         start = behind_sensors([model], shown[None, :])[0]
+    given = np.asarray(start, dtype=np.float64)
+    if given.shape not in ((nj,), (2 * nj,)) or not np.all(np.isfinite(given)):
+        raise ConfigError(
+            f"{recording.name}: the start is {given.tolist()}, expected one finite coordinate for each of "
+            f"{', '.join(recording.joints)}, or these and their rates"
+        )
     begin = np.zeros(2 * nj)
-    begin[: len(start)] = start
+    begin[: len(given)] = given
     trial = replace(
         Trial.of(recording, begin[:nj]),
         settings=noted(model, recording, SET),

@@ -224,6 +224,9 @@ def free_parameters(
     free = []
     for name in chosen:
         low, high = bounds.get(name) or default_bounds(model, name)
+        own = machine_of(model)
+        if own is not None and low < 0 and own.has_parameters([name]) and own.positive(name):
+            raise ConfigError(f"bounds of {name} are {low:g} to {high:g}, expected at least 0")
         size = None
         if (machine := machine_of(model)) is not None and values[name] == 0 and machine.has_parameters([name]):
             size = machine.size(name)

@@ -16,13 +16,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.types import Array
 
 BASE = "base"
 """The place of what concerns the whole machine."""
 STIFF = 0.25
-"""Rate of a spring that stands for something rigid, in units of 1/step."""
+"""Rate of the end of a play, in units of 1/step."""
+LEAST_PLAY = 2e-9
+"""A play that is none [rad or m]."""
 HARD = 0.9999
 """Impedance of dry friction: what a rubbing joint at rest creeps is this near to nothing."""
 TRIES = 6
@@ -39,7 +42,7 @@ _FACTOR = {
 _AWAY = {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0, "bias": 1.0}
 QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
 """So many times what takes an acceleration of 1 is what a joint is believed to have at most where the file says 0."""
-POSITIVE = frozenset(_FACTOR)
+POSITIVE = frozenset(_FACTOR) - {"gain"}
 """Kinds of numbers that are at least 0."""
 
 Write = Callable[[Any, float], None]
@@ -117,7 +120,7 @@ class Compliance:
         joint: between whose drive and link.
         stiffness: of the spring [N·m/rad or N/m].
         damping: of its damper [N·m·s/rad or N·s/m].
-        play: way over which neither acts [rad or m].
+        play: in place of both: way over which drive and joint do not feel each other [rad or m]; 0 for none.
     """
 
     joint: str
@@ -225,11 +228,16 @@ class Machine:
         """Of a number, SI."""
         return self.plan.numbers[name].unit
 
+    def positive(self, name: str) -> bool:
+        """Whether a number is at least 0."""
+        return self.plan.numbers[name].kind in POSITIVE
+
     def bounds(self, name: str) -> tuple[float, float]:
         """How far a number of this kind is believed to be off at most."""
         value, kind = self.parameters()[name], self.plan.numbers[name].kind
-        if kind in _FACTOR and value > 0:
-            return value / _FACTOR[kind], value * _FACTOR[kind]
+        if kind in _FACTOR and (value > 0 or (value and kind not in POSITIVE)):
+            ends = value / _FACTOR[kind], value * _FACTOR[kind]
+            return min(ends), max(ends)
         place = name.rpartition(".")[0]
         away = _AWAY.get(kind, max(abs(value), 1.0))
         if kind in QUICK and place in self.joint_names:
@@ -282,10 +290,18 @@ class Machine:
         return replace(self, compliances=(*self.compliances, Compliance(joint, stiffness, damping, play)))
 
     def with_play(self, joint: str, play: float) -> Machine:
-        """A copy with play between a joint and its drive; beyond it a spring as stiff as physics steps can follow."""
-        armature = self.parameters()[f"{joint}.armature"]
-        rate = STIFF / self.timestep
-        return self.with_compliance(joint, armature * rate**2, 0.2 * armature * rate, play)
+        """A copy with play between a joint and its drive; its ends are as hard as physics steps can follow."""
+        return self.with_compliance(joint, 0.0, 0.0, max(play, LEAST_PLAY))
+
+    def check_flags(self, effects: Sequence[Effect]) -> None:
+        """Raise ConfigError where the XML switches off what an effect needs."""
+        for effect in effects:
+            for flag in effect.mujoco_flags:
+                if int(self.plan.base.opt.disableflags) & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}")):
+                    raise ConfigError(
+                        f"{self.name}: effect {effect.name} needs what the XML switches off: "
+                        f'<flag {flag}="disable"/>; leave that flag out'
+                    )
 
     def with_gain(self, actuator: str, factor: float) -> Machine:
         """A copy whose actuator's forces are as many times as large."""
@@ -295,11 +311,16 @@ class Machine:
         """A copy whose actuator's forces are limited to a size [N·m or N]."""
         return replace(self, limits=(*self.limits, (actuator, size)))
 
-    def mujoco_model(self) -> Any:
-        """An ``mujoco.MjModel`` of one's own with all of this in it."""
+    def mujoco_model(self, timestep: float | None = None) -> Any:
+        """An ``mujoco.MjModel`` of one's own with all of this in it.
+
+        Args:
+            timestep: another physics step than the XML's [s].
+        """
         joints = tuple(c.joint for c in self.compliances)
         base = _with_rotors(self.xml, _Assets(self.assets), joints) if joints else self.plan.base
         model = copy.copy(base)
+        model.opt.timestep = timestep or model.opt.timestep
         for name, value in self.values.items():
             self.plan.numbers[name].write(model, value)
         for place, mass in self.payloads:
@@ -310,29 +331,40 @@ class Machine:
             model.actuator_biasprm[i, :3] *= factor
         for name, size in self.limits:
             i = model.actuator(name).id
+            own = (-size, size)
+            if model.actuator_forcelimited[i]:
+                own = max(-size, model.actuator_forcerange[i, 0]), min(size, model.actuator_forcerange[i, 1])
             model.actuator_forcelimited[i] = 1
-            model.actuator_forcerange[i] = -size, size
+            model.actuator_forcerange[i] = own
         for c in self.compliances:
             tendon = model.tendon(rotor_of(c.joint)).id
             model.tendon_stiffness[tendon], model.tendon_damping[tendon] = c.stiffness, c.damping
-            model.tendon_lengthspring[tendon] = -c.play / 2, c.play / 2
+            if c.play:
+                rate = STIFF / model.opt.timestep
+                model.tendon_limited[tendon] = 1
+                model.tendon_range[tendon] = -c.play / 2, c.play / 2
+                model.tendon_solref_lim[tendon] = -(rate**2), -2 * rate
+                model.tendon_solimp_lim[tendon] = HARD, HARD, 1e-3, 0.5, 2.0
             model.dof_armature[model.joint(rotor_of(c.joint)).dofadr[0]] = self.parameters()[f"{c.joint}.armature"]
             model.dof_armature[model.joint(c.joint).dofadr[0]] = 0.0
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
-    def exported(self, model: Any, left: Sequence[str] = ()) -> str:
+    def exported(self, model: Any, left: Sequence[str] = (), folder: str = "") -> str:
         """MuJoCo's XML of this machine with the numbers that an ``MjModel`` made of it has.
 
         Args:
             model: see ``mujoco_model``; numbers may have been changed in it since.
             left: what the XML cannot hold, for a comment.
+            folder: of the files that it names, as seen from where it is to be.
         """
         joints = tuple(c.joint for c in self.compliances)
         spec = _with_rotors_spec(self.xml, _Assets(self.assets), joints)
+        spec.compile()  # tells ids to what has no name
+        turn = 180 / math.pi if spec.compiler.degree else 1.0
         for body in spec.bodies[1:]:
-            b = model.body(body.name).id
+            b = body.id
             body.mass, body.ipos, body.inertia = model.body_mass[b], model.body_ipos[b], model.body_inertia[b]
             body.iquat, body.explicitinertial, body.fullinertia = model.body_iquat[b], True, [math.nan] * 6
             for geom in body.geoms:
@@ -342,19 +374,24 @@ class Machine:
             joint.damping = [model.dof_damping[d], *model.dof_dampingpoly[d]]
             joint.armature, joint.frictionloss = model.dof_armature[d], model.dof_frictionloss[d]
             joint.stiffness = [model.jnt_stiffness[j], *model.jnt_stiffnesspoly[j]]
-            joint.springref = model.qpos_spring[model.joint(joint.name).qposadr[0]]
+            slides = int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+            joint.springref = model.qpos_spring[model.joint(joint.name).qposadr[0]] * (1.0 if slides else turn)
             joint.solref_friction, joint.solimp_friction = model.dof_solref[d], model.dof_solimp[d]
         for actuator in spec.actuators:
             a = model.actuator(actuator.name).id
             actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
             actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
         for tendon in spec.tendons:
-            t = model.tendon(tendon.name).id
+            t = tendon.id
+            tendon.limited, tendon.range = model.tendon_limited[t], model.tendon_range[t]
+            tendon.solref_limit, tendon.solimp_limit = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
             tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]
             tendon.damping = [model.tendon_damping[t], *model.tendon_dampingpoly[t]]
             tendon.springlength = model.tendon_lengthspring[t]
         spec.option.gravity = model.opt.gravity
         spec.compile()
+        if folder and self.assets:
+            spec.meshdir, spec.texturedir = (f"{folder}/{own}".rstrip("/") for own in (spec.meshdir, spec.texturedir))
         text: str = spec.to_xml()
         if left:
             text = text.replace("\n", f"\n  <!-- Not in here: {', '.join(left)}. -->\n", 1)
@@ -449,10 +486,17 @@ class Plan:
 
 def _compiled(xml: str, assets: _Assets, name: str) -> Any:
     try:
-        return mujoco.MjSpec.from_string(xml, assets=dict(assets.files)).compile()
+        return _spec(xml, assets).compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise ModelError(f"{name}: MuJoCo cannot load it ({reason})") from None
+
+
+def _spec(xml: str, assets: _Assets) -> Any:
+    spec = mujoco.MjSpec.from_string(xml, assets=dict(assets.files))
+    for body in spec.bodies:
+        body.simple = False  # what is balanced now may be unbalanced by a payload
+    return spec
 
 
 @lru_cache(maxsize=32)
@@ -528,7 +572,9 @@ def _drives(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
         affine = kind == int(biases.mjBIAS_AFFINE)
         servo = bool(affine and bias[1] != 0)
         place, push = ("m", "N") if axis.slides else ("rad", "N·m")
-        unit = place if servo else push if base.actuator_gainprm[i, 0] == 1 else "1"
+        unit = place if servo else push if not affine and base.actuator_gainprm[i, 0] == 1 else "1"
+        if affine and not servo and bias[2] != 0:
+            unit = f"{place}/s"
         limited = bool(base.actuator_ctrllimited[i])
         low, high = (float(v) for v in base.actuator_ctrlrange[i]) if limited else (-math.inf, math.inf)
         found.append(Drive(actuator.name, i, axis.name, servo, unit, (low, high)))
@@ -584,12 +630,13 @@ def _body_numbers(base: Any, bodies: Sequence[str]) -> list[Number]:
         b = base.body(name).id
         found.append(Number(f"{name}.mass", float(base.body_mass[b]), "kg", _setter("body", name, "body_mass")))
         moments = np.array(base.body_inertia[b])
-        share = moments / moments.max()
+        share = moments / max(float(moments.max()), 1e-300)
 
         def inertia(model: Any, value: float, name: str = name, shape: Array = share) -> None:
             model.body_inertia[model.body(name).id] = value * shape
 
-        found.append(Number(f"{name}.inertia", float(moments.max()), "kg·m²", inertia))
+        if moments.max() > 0:
+            found.append(Number(f"{name}.inertia", float(moments.max()), "kg·m²", inertia))
         for k, axis in enumerate("xyz"):
             found.append(
                 Number(f"{name}.com_{axis}", float(base.body_ipos[b, k]), "m", _setter("body", name, "body_ipos", k))
@@ -659,6 +706,8 @@ def _add_mass(model: Any, place: str, mass: float) -> None:
         b = int(model.body(place).id)
         at = np.array(model.body_ipos[b])
     own, com = float(model.body_mass[b]), np.array(model.body_ipos[b])
+    if mass == 0:
+        return
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, model.body_iquat[b])
     turn = flat.reshape(3, 3)
@@ -685,14 +734,18 @@ def _with_rotors(xml: str, assets: _Assets, joints: tuple[str, ...]) -> Any:
 
 def _with_rotors_spec(xml: str, assets: _Assets, joints: tuple[str, ...]) -> Any:
     """The model with drives of their own, each tied to its joint by a tendon that can give way."""
-    spec = mujoco.MjSpec.from_string(xml, assets=dict(assets.files))
+    spec = _spec(xml, assets)
     for name in joints:
         joint = spec.joint(name)
         # Bodies of one joint each at the same place; the rotor's mass moves with the body that carries it.
         rotor = joint.parent.parent.add_body(name=rotor_of(name), pos=joint.parent.pos, quat=joint.parent.quat)
-        rotor.add_joint(name=rotor_of(name), type=joint.type, axis=joint.axis, pos=joint.pos, armature=1.0)
+        # Nothing of the file's defaults for joints and tendons is to describe them.
+        own = rotor.add_joint(name=rotor_of(name), type=joint.type, axis=joint.axis, pos=joint.pos, armature=1.0)
+        own.damping, own.stiffness, own.frictionloss, own.limited = [0.0] * 3, [0.0] * 3, 0.0, 0
+        own.springref, own.springdamper, own.ref = 0.0, [0.0, 0.0], joint.ref
         rotor.mass, rotor.inertia, rotor.explicitinertial = 1e-12, [1e-15] * 3, True
-        tendon = spec.add_tendon(name=rotor_of(name), stiffness=1.0, damping=0.0, springlength=[0.0, 0.0])
+        tendon = spec.add_tendon(name=rotor_of(name), springlength=[0.0, 0.0])
+        tendon.stiffness, tendon.damping, tendon.frictionloss, tendon.limited = [1.0, 0.0, 0.0], [0.0] * 3, 0.0, 0
         tendon.wrap_joint(rotor_of(name), 1.0)
         tendon.wrap_joint(name, -1.0)
         for actuator in spec.actuators:

@@ -25,6 +25,7 @@ from typing import Any, cast, get_args, get_origin, get_type_hints
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
 from equimus_ctrl.models.leg import MORPHOLOGIES, nominal_leg
 from equimus_ctrl.models.machine import Machine
@@ -56,9 +57,14 @@ class Model:
         if self.phase not in get_args(Phase):
             raise ConfigError(unknown_name("phase", str(self.phase), get_args(Phase), m.name))
         effects_base.check_robots(self.effects, "elastic" if machine_of(self) is None else "mjcf", m.name)
-        effects_base.check_locations(self.effects, places(m), m.name)
+        machine = machine_of(self)
+        pushing = () if machine is None else tuple(e for e in self.effects if isinstance(e, ForceEffect))
+        # What pushes a machine pushes its joints: actuators have no coordinates of their own there.
+        effects_base.check_locations(pushing, {**places(m), "actuator": ()}, m.name)
+        effects_base.check_locations([e for e in self.effects if e not in pushing], places(m), m.name)
         effects_base.check_exclusive(self.effects, m, m.name)
-        if (machine := machine_of(self)) is not None:
+        if machine is not None:
+            machine.check_flags(self.effects)
             changed_bodies(self.effects, machine)
 
     @property

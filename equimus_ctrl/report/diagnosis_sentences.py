@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import Estimate, Finding
 from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.report.diagnosis_words import estimate_text, listed, quantity
@@ -30,6 +31,11 @@ class _Told:
     def the(self) -> str:
         """``the hip and the knee``."""
         return listed([f"the {place}" for place in self.places])
+
+    @property
+    def noun(self) -> str:
+        """What the coordinate of the first place is called."""
+        return units.noun(self.model, self.places[0])
 
     def one_or(self, one: str, several: str) -> str:
         return one if len(self.places) == 1 else several
@@ -223,17 +229,17 @@ def _gravity_tilt(t: _Told) -> str:
 def _sensor_offset(t: _Told) -> str:
     too = "much" if t.value("offset") > 0 else "little"
     size = t.scaled("offset", t.unit("offset"), math.copysign(1.0, t.value("offset")))
-    return f"The measured angle of {t.the} is {size} too {too}: a sensor's offset."
+    return f"The measured {t.noun} of {t.the} is {size} too {too}: a sensor's offset."
 
 
 def _sensor_scale(t: _Told) -> str:
     too = "much" if t.value("scale") > 1 else "little"
     size = t.scaled("scale", "%", math.copysign(100.0, t.value("scale") - 1), 1.0)
-    return f"The measured angle of {t.the} is {size} too {too}: a sensor's scale."
+    return f"The measured {t.noun} of {t.the} is {size} too {too}: a sensor's scale."
 
 
 def _sensor_delay(t: _Told) -> str:
-    return f"The measured angle of {t.the} is {t['delay']} older than its time stamp: a sensor's delay."
+    return f"The measured {t.noun} of {t.the} is {t['delay']} older than its time stamp: a sensor's delay."
 
 
 def _backlash(t: _Told) -> str:

@@ -87,7 +87,9 @@ def read_free(path: Path, model: Model) -> FreeNumbers:
     table = data.get("free")
     if not isinstance(table, Mapping) or not table:
         raise ConfigError(f'{path}: there is no [free] table of names, such as "arm.mass" = [0.4, 0.8]')
-    names, bounds = [], {}
+    names: list[str] = []
+    bounds: dict[str, tuple[float, float]] = {}
+    kept: set[str] = set()
     for name, value in table.items():
         if isinstance(value, Mapping):
             raise ConfigError(f'{path}: free: put a dotted name in quotes, such as "{name}.…" = true')
@@ -96,13 +98,15 @@ def read_free(path: Path, model: Model) -> FreeNumbers:
         except ConfigError as error:
             raise ConfigError(f"{path}: free: {error}") from None
         if value is False:
+            kept.update(found)
             continue
         names += found
         if value is not True:
             bounds.update(dict.fromkeys(found, _bounds(value, f"{path}: free: {name}")))
-    if not names:
+    free = [name for name in dict.fromkeys(names) if name not in kept]
+    if not free:
         raise ConfigError(f"{path}: free: everything is false, so nothing is free")
-    return FreeNumbers(tuple(names), bounds)
+    return FreeNumbers(tuple(free), {name: own for name, own in bounds.items() if name in free})
 
 
 def _bounds(value: Any, where: str) -> tuple[float, float]:
@@ -135,21 +139,26 @@ def offer(path: Path, model: Model) -> None:
     presets.write_text(path, presets.toml_text({"format": FORMAT, "free": table}, comment))
 
 
-def write_corrected(path: Path, model: Model) -> tuple[str, ...]:
+def write_corrected(path: Path, model: Model, source: Path | None = None) -> tuple[str, ...]:
     """Write MuJoCo's XML with all of a model that it has fields for; labels of the effects that it has none for.
+
+    Args:
+        path: of the file.
+        model: of a machine.
+        source: folder of the XML that it was made from, where its meshes are.
 
     Raises:
         ConfigError: where the model is of no machine.
     """
     if machine_of(model) is None:
         raise ConfigError(f"{model.name}: is no robot of MuJoCo's XML")
-    xml, left = corrected_xml(model)
+    xml, left = corrected_xml(model, "" if source is None else presets.relative(source, path.parent))
     presets.write_text(path, xml)
     return left
 
 
-def corrected_xml(model: Model) -> tuple[str, tuple[str, ...]]:
-    """See ``write_corrected``."""
+def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]:
+    """See ``write_corrected``; meshes are looked for in a folder."""
     own = realise(model)
     left = []
     for effect in model.effects:
@@ -160,4 +169,4 @@ def corrected_xml(model: Model) -> tuple[str, tuple[str, ...]]:
             "measurement",
         ):
             left.append(f"{effect.name} at {effect.location}")
-    return own.machine.exported(own.mujoco, left), tuple(left)
+    return own.machine.exported(own.mujoco, left, folder), tuple(left)

@@ -87,11 +87,14 @@ def save_model(path: Path | str, model: Model, near: Path | None = None) -> list
     if near is not None:
         found = near if near.suffix.lower() in presets.MJCF else near.parent / machine.source
         data["mjcf"] = presets.relative(found, path.parent)
-    left = write_corrected(path.with_suffix(".xml"), model)
-    told = f"{path.with_suffix('.xml').name} has all of this in one MuJoCo model"
+    whole = path.with_suffix(".xml")
+    if near is not None and whole.resolve() == found.resolve():
+        whole = path.with_name(f"{path.stem}_whole.xml")
+    left = write_corrected(whole, model, None if near is None else found.parent)
+    told = f"{whole.name} has all of this in one MuJoCo model"
     told += f", but for {', '.join(left)}." if left else "."
     presets.write_text(path, presets.toml_text(data, told))
-    return [path, path.with_suffix(".xml")]
+    return [path, whole]
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
