@@ -59,7 +59,8 @@ from .models.mjcf import (
     close_elements as close_elements,
     compile_model as compile_model,
 )
-from .models.model import Model as Model, nominal_model as nominal_model
+from .models.machine import Machine as Machine
+from .models.model import Model as Model, machine_model as machine_model, nominal_model as nominal_model
 from .models.morphology import (
     ElasticActuator as ElasticActuator,
     Joint as Joint,

@@ -103,7 +103,8 @@ def _rows(kind: Kind) -> list[dict[str, Any]]:
     return [
         {
             "name": name,
-            "summary": f"{cls.summary} (at {' or '.join(cls.sits_at)}, {cls.side} side)",
+            "summary": f"{cls.summary} (at {' or '.join(cls.sits_at)}, {cls.side} side{_whose(cls.robots)})",
+            "robots": list(cls.robots),
             "sits_at": list(cls.sits_at),
             "side": cls.side,
             "parameters": {
@@ -113,6 +114,12 @@ def _rows(kind: Kind) -> list[dict[str, Any]]:
         }
         for name, cls in sorted(REGISTRY.items())
     ]
+
+
+def _whose(robots: tuple[str, ...]) -> str:
+    if "mjcf" not in robots:
+        return ""
+    return ", also MuJoCo's XML" if "elastic" in robots else ", MuJoCo's XML alone"
 
 
 def _scenarios() -> list[dict[str, Any]]:

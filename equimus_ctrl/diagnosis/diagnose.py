@@ -127,6 +127,8 @@ def _diagnose(
 
     search = Search(data, pool, settings.search, notify)
     found = search.run(base)
+    if machine_of(free.model) is not None:
+        found = _simplified(search, found)
     progress("trials left out", 0.82, found.best.label)
     found = _confirmed(search, found, split)
     progress("what is left", 0.86, found.best.label)
@@ -207,6 +209,27 @@ def _again(search: Search, found: Searched, best: Fitted) -> Searched:
     old = {part.candidate.label: rivals for part, rivals in zip(found.best.hypothesis, found.rivals, strict=True)}
     rivals = tuple(old.get(part.candidate.label, ()) if len(parts) == 1 else () for part in parts)
     return Searched(found.base, best, without, rivals, found.first, tuple(search.fitted))
+
+
+def _simplified(search: Search, found: Searched) -> Searched:
+    """The hypothesis with the simplest of effects that exclude each other in a place, unless a richer one is needed.
+
+    Such as dry friction without what it is more at rest: searches with many kinks rank them by chance.
+    """
+    for k, part in enumerate(found.best.hypothesis):
+        own = part.candidate
+        for other in search.pool:
+            same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
+            if not same or other.n_parameters >= own.n_parameters:
+                continue
+            begins = [dict(guess) for guess in other.guesses]
+            shared = {key: part.values[key] for key in begins[0] if key in part.values}
+            values = {**begins[len(begins) // 2], **shared}
+            hypothesis = found.best.hypothesis
+            simple = search.refit(found.best, (*hypothesis[:k], Part(other, values), *hypothesis[k + 1 :]))
+            if not search.believed(simple, found.best):
+                return _simplified(search, _again(search, found, simple))
+    return found
 
 
 def _confirmed(search: Search, found: Searched, split: Split) -> Searched:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.candidates import Hypothesis
 from equimus_ctrl.diagnosis.explained import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.flexible import Axis, Group
 from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, linear, nuisances
 from equimus_ctrl.diagnosis.results import Leftover
 from equimus_ctrl.diagnosis.where import excess_of
-from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
@@ -114,15 +116,32 @@ def _imitated(data: Data, base: Fitted, best: Fitted) -> bool:
     """Whether one flexible push explains what several named effects do together, or one that strains its bounds."""
     if len(best.hypothesis) < 2 and not (best.hypothesis and strained(data, best)):
         return False
-    return _stands_in(data, base, best.noise, _squares(data, base, best) - _squares(data, best, best), ALONE, 1)
+    return _stands_in(data, base, best, _squares(data, base, best) - _squares(data, best, best), ALONE, 1)
 
 
-def _stands_in(data: Data, without: Fitted, noise: Noise, gap: float, share: float, tried: int) -> bool:
+def _stands_in(data: Data, without: Fitted, best: Fitted, gap: float, share: float, tried: int) -> bool:
     """Whether one of the best flexible pushes, added to a hypothesis, explains this share of a fall of χ²."""
-    at = linear(data, without, noise)
+    at = linear(data, without, best.noise)
     if at is None:
         return False
-    return max(push.found.gain for push in flexible(at)[:tried]) > share * gap
+    pushes = flexible(at)
+    if machine_of(data.free.model) is not None:
+        pushes = [push for push in pushes if not _restates(push.group, best.hypothesis)]
+    return max((push.found.gain for push in pushes[:tried]), default=0.0) > share * gap
+
+
+def _restates(group: Group, hypothesis: Hypothesis) -> bool:
+    """Whether a push is what a part of a hypothesis says, without its name: at its joint, over what its law depends on.
+
+    A curve over the speed is dry and viscous friction of the same joint; that is no simpler story.
+    """
+    told = set(re.findall(r"(pos|vel)\.", group.depends_on))
+    return any(
+        issubclass(part.candidate.effect, ForceEffect)
+        and group.location in part.candidate.locations
+        and part.candidate.effect.depends() <= told
+        for part in hypothesis
+    )
 
 
 def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:
@@ -149,7 +168,7 @@ def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: floa
     return tuple(
         k
         for k, fitted in enumerate(without)
-        if _stands_in(data, fitted, best.noise, _squares(data, fitted, best) - own + left, INSTEAD, TRIED)
+        if _stands_in(data, fitted, best, _squares(data, fitted, best) - own + left, INSTEAD, TRIED)
     )
 
 

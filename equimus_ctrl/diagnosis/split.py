@@ -30,8 +30,9 @@ LEAST_WAY = 1e-4
 """The same of a machine's joint [rad or m]."""
 LENGTHS = (8.0, 4.0, 2.0, 1.0, 0.5)
 """Of windows that are tried [s]."""
-NEAR, MOSTLY = 0.5, 0.8
-"""So near to what was measured, in units of its standard deviation, a model is to stay in this share of the windows."""
+NEAR, MOSTLY = 0.25, 0.8
+"""So near to what was measured, in units of the usual trial's standard deviation, a model is to stay in this share of
+the windows: farther away, fits end in the nearest of many valleys."""
 MOST_ANGLE = 12.6
 """Angles beyond two turns are degrees [rad]."""
 
@@ -180,7 +181,7 @@ def window_length(
         SimulationDiverged: where the model diverges in all windows, however short.
     """
     follow, sound = simulator or simulator_for(model), False
-    spread = np.concatenate([r.position for r in recordings]).std(axis=0)
+    spread = np.median([r.position.std(axis=0) for r in recordings], axis=0)
     for length in (None, *LENGTHS):
         if length is not None and all(length > r.time[-1] - r.time[0] for r in recordings):
             continue

@@ -99,6 +99,15 @@ class ForceEffect(Effect):
             raise ConfigError(f"{who}: it still pushes with its neutral parameters {dict(cls.neutral)}")
 
     @classmethod
+    def depends(cls) -> set[str]:
+        """On what its push at a joint depends: ``pos``, ``vel`` or both; dry friction on the direction of the speed."""
+        x, rate, p = ca.SX.sym("x"), ca.SX.sym("rate"), {key: ca.SX.sym(key) for key in cls.parameter_info()}
+        z = [ca.SX.sym(f"z{k}") for k in range(cls.n_states)]
+        push = ca.SX(cls.force(x, rate, z, p)) + ca.SX(cls.dry_friction(x, ca.fabs(rate), p)) * ca.sign(rate)
+        push += ca.SX(cls.friction_of_load(ca.SX(LOAD), ca.fabs(rate), p)) * ca.sign(rate)
+        return {name for name, symbol in (("pos", x), ("vel", rate)) if ca.depends_on(push, symbol)}
+
+    @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         """The push [N·m] or [N]."""
         return ca.SX(0)

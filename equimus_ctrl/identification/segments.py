@@ -84,7 +84,7 @@ def cut(
     Raises:
         ConfigError: where names do not match, or a recording or a shooting window is too short to identify from.
     """
-    if shoot is not None and not 0.05 <= shoot < float("inf"):
+    if shoot is not None and not (0.05 <= shoot < math.inf or (shoot == math.inf and machine_of(model) is not None)):
         raise ConfigError(f"shooting windows of {shoot:g} s are too short, expected at least 0.05 s")
     segments = []
     for index, recording in enumerate(recordings):

@@ -137,7 +137,7 @@ def identify_recordings(
         simulator = simulator_of(engine, dt, threads)
     else:
         engine, simulator = "mujoco", machine_simulator(dt, threads)
-        shoot = shoot or window_length(model, trials, window, simulator)
+        shoot = shoot or window_length(model, trials, window, simulator) or math.inf
     segments = cut(model, trials, window=window, shoot=shoot, fit_start=fit_start)
     judged = cut(model, others, window=window, shoot=None if machine_of(model) is None else shoot)
     share = _Share(min(folds, len(trials)) if min(folds, len(trials)) > 1 else 0, settings or FitSettings())
