@@ -35,7 +35,6 @@ class Case:
         heldout: patterns of the trials that judge.
         published: what others found, for people.
         figures: further numbers of what was found.
-        shoot: length of the windows [s]; chosen by itself where None.
     """
 
     title: str
@@ -45,7 +44,6 @@ class Case:
     heldout: tuple[str, ...] = ()
     published: str = ""
     figures: Callable[[Diagnosis], Mapping[str, float]] = field(default=lambda found: {})
-    shoot: float | None = None
 
 
 def leverage(model: Model) -> float:
@@ -81,15 +79,6 @@ CASES = {
         (),
         "viscous 0.047 N·m·s/rad, Coulomb 0.184 N·m",
         lambda found: {"m·l [kg·m]": leverage(found.corrected)},
-        shoot=2.0,
-    ),
-    "simple_pendulum_whole": Case(
-        "simple pendulum, friction concealed, trials fitted whole",
-        "simple_pendulum.xml",
-        "simple_pendulum",
-        ("arm.mass", "arm.inertia"),
-        (),
-        "viscous 0.047 N·m·s/rad, Coulomb 0.184 N·m",
     ),
     "heavier_bob": Case(
         "simple pendulum, 1 kg bob with the model of the lighter one",
@@ -99,7 +88,6 @@ CASES = {
         (),
         "m·g·l 1.75 times as large",
         lambda found: {"m·g·l over that of the model": leverage(found.corrected) / leverage(found.model)},
-        shoot=2.0,
     ),
     "double_pendulum": Case(
         "double pendulum C1, friction concealed",
@@ -134,7 +122,7 @@ def diagnosed(name: str, folder: Path, output: Path) -> Diagnosis:
     source = HERE / case.model if case.model.endswith(".xml") else output / case.model / "corrected.toml"
     model = workflow.load_model(source)
     found = workflow.diagnose_recordings(
-        [folder / case.recordings], model, free=case.free, heldout=case.heldout, shoot=case.shoot,
+        [folder / case.recordings], model, free=case.free, heldout=case.heldout,
         progress=lambda stage, share, best: print(f"  {share:4.0%} {stage}: {best}", flush=True),
     )  # fmt: skip
     own = output / name

@@ -30,7 +30,7 @@ LEAST_WAY = 1e-4
 """The same of a machine's joint [rad or m]."""
 LENGTHS = (8.0, 4.0, 2.0, 1.0, 0.5)
 """Of windows that are tried [s]."""
-NEAR, MOSTLY = 0.25, 0.8
+NEAR, MOSTLY = 0.5, 0.8
 """So near to what was measured, in units of the usual trial's standard deviation, a model is to stay in this share of
 the windows: farther away, fits end in the nearest of many valleys."""
 MOST_ANGLE = 12.6

@@ -14,12 +14,9 @@ from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnos
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.search import SearchSettings
-from equimus_ctrl.diagnosis.split import Split, check_settings, split, window_length
+from equimus_ctrl.diagnosis.split import check_settings, split
 from equimus_ctrl.errors import ConfigError, EquimusError
-from equimus_ctrl.identification.fit import FitSettings, fit
-from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.models.model import Model, machine_of, nominal_model
-from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.identify import Some, choose
 from equimus_ctrl.workflow.machines import read_free
 from equimus_ctrl.workflow.runs import gather, load_scenario
@@ -79,22 +76,11 @@ def diagnose_recordings(
         free, bounds = read_free(parameters, model).with_more(free, bounds)
     chosen = uncertain(model, free, bounds, fix)
     parts = split(model, trials, heldout=heldout, until=until, window=window, shoot=shoot)
-    if machine_of(model) is not None and shoot is None:
-        shoot = _longer(chosen, parts, trials, window)
-        parts = split(model, trials, heldout=heldout, until=until, window=window, shoot=shoot)
     check_settings(chosen, parts)
     settings = DiagnosisSettings(SearchSettings(most_parts=most), threads)
     return diagnose(
         chosen, parts, settings=settings, designs=() if machine_of(model) else sweeps(model), progress=progress
     )
-
-
-def _longer(
-    free: FreeParameters, parts: Split, trials: Sequence[Recording], window: tuple[float, float] | None
-) -> float:
-    """Length of windows that the model refitted over shorter ones follows [s], inf for whole trials: they tell more."""
-    refitted = fit(free, parts.train, settings=FitSettings(1e-3, 15)).model
-    return window_length(refitted, trials, window) or math.inf
 
 
 def sweeps(model: Model) -> list[Design]:
