@@ -102,6 +102,17 @@ def test_friction_of_a_hinge_is_found_with_its_size_and_told_whole(tmp_path: Pat
     )
 
 
+def test_two_kinds_of_friction_of_one_joint_are_told_by_their_names() -> None:
+    """A push over the speed could stand for both, and dry friction with more at rest for the dry one."""
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+    real = machine_model(machine, [CoulombFriction("hinge", 0.06), ViscousFriction("hinge", 0.04)])
+    found = workflow.diagnose_recordings(recorded(real, seed=5), machine_model(machine), most=2)
+    assert sorted(named(found)) == [("coulomb_friction", ("hinge",)), ("viscous_friction", ("hinge",))]
+    sizes = {f.named.effect: value(found, k) for k, f in enumerate(found.findings)}
+    assert sizes["coulomb_friction"] == pytest.approx(0.06, rel=0.05)
+    assert sizes["viscous_friction"] == pytest.approx(0.04, rel=0.05)
+
+
 def test_nothing_left_out_is_consistent_and_says_what_would_have_shown() -> None:
     found = diagnosed(PENDULUM.format(drive=MOTOR), [], seed=3)
     assert found.verdict == "consistent" and not found.findings

@@ -37,6 +37,8 @@ MOST = 3
 """How many pushes are told at most."""
 UNTOLD = 1e-4
 """Part of a push of which the free parameters leave less than this share is not told."""
+COORDINATES = {"pos": "pos", "len": "pos", "vel": "vel", "rate": "vel"}
+"""What goes with a joint's coordinate and its rate, where a drive has a fixed gear."""
 MUCH = 3.0
 """Excess error of a joint, over the noise's variance, from which on something is left whatever it goes with."""
 POINTS = 61
@@ -135,10 +137,10 @@ def _restates(group: Group, hypothesis: Hypothesis) -> bool:
 
     A curve over the speed is dry and viscous friction of the same joint; that is no simpler story.
     """
-    told = set(re.findall(r"(pos|vel)\.", group.depends_on))
+    told = {COORDINATES[key] for key in re.findall(r"(pos|vel|len|rate)\.", group.depends_on)}
     return any(
         issubclass(part.candidate.effect, ForceEffect)
-        and group.location in part.candidate.locations
+        and set(group.joints) <= set(part.candidate.locations)
         and part.candidate.effect.depends() <= told
         for part in hypothesis
     )
