@@ -273,7 +273,7 @@ def test_where_says_which_joint_phase_and_region() -> None:
         r = np.zeros_like(s.measured)
         r[s.measured[:, 1] > np.quantile(s.measured[:, 1], 0.7), 1] = 0.02
         residuals.append(r)
-    first, second = where_off(("hip", "knee"), ("maa", "baa"), parts.train, residuals, noise)
+    first, second = where_off(model, parts.train, residuals, noise)
     assert (first.location, second.location) == ("knee", "hip")
     assert first.share > 0.99
     assert "knee angles" in first.region
