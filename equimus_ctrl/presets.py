@@ -44,7 +44,7 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
         spec.compile()
         text = path.read_text(encoding="utf-8")
         # MuJoCo writes numbers to six digits; what includes other files cannot stay as it is.
-        xml = spec.to_xml() if "<include" in text or path.suffix == ".mjb" else text
+        xml = spec.to_xml() if "<include" in text else text
     except (ValueError, mujoco.FatalError) as error:
         raise ModelError(f"{path}: MuJoCo cannot load it ({' '.join(str(error).split())})") from None
     assets = {name: data if isinstance(data, bytes) else str(data).encode() for name, data in spec.assets.items()}

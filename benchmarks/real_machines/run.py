@@ -167,7 +167,7 @@ def tell(row: Mapping[str, Any]) -> None:
         if finding["equivalent"]:
             print("    or", ", ".join(f"{o['effect']} at {', '.join(o['locations'])}" for o in finding["equivalent"]))
     for where, what in row["unexplained"]:
-        print(f"  unexplained at {where}: goes with {what}")
+        print(f"  unexplained at {where}: goes with {what or 'nothing that was looked for'}")
     for joint, unit in row["units"].items():
         errors = [row["heldout"][state][joint] * 1e3 for state in ("nominal", "refitted", "corrected")]
         told = " → ".join(f"{e:.3g}" for e in errors)
