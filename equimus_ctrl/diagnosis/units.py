@@ -9,7 +9,7 @@ from equimus_ctrl.models.model import Model, machine_of
 
 
 @dataclass(frozen=True)
-class Shown:
+class Reading:
     """A unit that a person reads.
 
     Attributes:
@@ -20,13 +20,17 @@ class Shown:
     unit: str
     factor: float
 
+    def __call__(self, number: str) -> str:
+        """The number with its unit."""
+        return f"{number}{'' if self.unit[:1] in ('', '°') else ' '}{self.unit}"
+
     @property
     def bracket(self) -> str:
         """For the label of an axis, such as ``[kPa]``."""
         return f"[{self.unit}]" if self.unit else ""
 
 
-DEGREES, MILLIMETRES = Shown("°", 180 / math.pi), Shown("mm", 1e3)
+DEGREES, MILLIMETRES = Reading("°", 180 / math.pi), Reading("mm", 1e3)
 
 
 def _slides(model: Model, joint: str) -> bool:
@@ -39,25 +43,25 @@ def noun(model: Model, joint: str) -> str:
     return "position" if _slides(model, joint) else "angle"
 
 
-def position(model: Model, joint: str) -> Shown:
+def position(model: Model, joint: str) -> Reading:
     """Of where a joint is."""
     return MILLIMETRES if _slides(model, joint) else DEGREES
 
 
-def speed(model: Model, joint: str) -> Shown:
+def speed(model: Model, joint: str) -> Reading:
     """Of how fast it moves."""
-    return Shown("mm/s", 1e3) if _slides(model, joint) else Shown("°/s", 180 / math.pi)
+    return Reading("mm/s", 1e3) if _slides(model, joint) else Reading("°/s", 180 / math.pi)
 
 
-def error(model: Model, joint: str) -> Shown:
+def error(model: Model, joint: str) -> Reading:
     """Of how far it is from where it was expected."""
-    return MILLIMETRES if _slides(model, joint) else Shown("mrad", 1e3)
+    return MILLIMETRES if _slides(model, joint) else Reading("mrad", 1e3)
 
 
-def command(model: Model, actuator: str) -> Shown:
+def command(model: Model, actuator: str) -> Reading:
     """Of an actuator's command."""
     machine = machine_of(model)
     if machine is None:
-        return Shown("kPa", 1e-3)
+        return Reading("kPa", 1e-3)
     unit = machine.turned("command", actuator)
-    return {"rad": DEGREES, "m": MILLIMETRES, "1": Shown("", 1.0)}.get(unit, Shown(unit, 1.0))
+    return {"rad": DEGREES, "m": MILLIMETRES, "1": Reading("", 1.0)}.get(unit, Reading(unit, 1.0))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import Where
-from equimus_ctrl.diagnosis.units import Shown
+from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.segments import Segment
@@ -154,11 +154,11 @@ def _turning(speed: Array, least: float) -> NDArray[np.bool_]:
 def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
     found = []
     joints, actuators = model.morphology.joint_names, model.morphology.actuator_names
-    coordinates: list[tuple[str, Shown, Callable[[Segment], Array]]] = [
+    coordinates: list[tuple[str, Reading, Callable[[Segment], Array]]] = [
         (f"{name} {units.noun(model, name)}s", units.position(model, name), lambda s, i=i: s.measured[:, i])  # type: ignore[misc]
         for i, name in enumerate(joints)
     ]
-    plain = Shown(place_unit(model, "rad/s", joints[j]), 1.0)
+    plain = Reading(place_unit(model, "rad/s", joints[j]), 1.0)
     coordinates += [
         (f"{joints[j]} speeds", plain, lambda s: np.abs(speeds(s)[:, j])),
         *[

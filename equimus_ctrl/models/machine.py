@@ -10,7 +10,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -39,7 +39,7 @@ _FACTOR = {
     "mass": 3.0, "inertia": 3.0, "kp": 3.0, "kv": 10.0, "gain": 2.0, "gravity": 1.02, "stiffness": 10.0,
     "damping": 10.0, "quadratic_damping": 10.0, "armature": 10.0, "frictionloss": 10.0, "force_limit": 3.0,
 }  # fmt: skip
-_AWAY = {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0, "bias": 1.0}
+_AWAY = {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0}
 QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
 """So many times what takes an acceleration of 1 is what a joint is believed to have at most where the file says 0."""
 POSITIVE = frozenset(_FACTOR) - {"gain"}
@@ -477,11 +477,6 @@ class Plan:
     numbers: Mapping[str, Number]
     tilt_axis: Array
     weights: Mapping[str, float]
-
-    @cached_property
-    def by_joint(self) -> dict[str, Axis]:
-        """Name → joint."""
-        return {joint.name: joint for joint in self.joints}
 
 
 def _compiled(xml: str, assets: _Assets, name: str) -> Any:

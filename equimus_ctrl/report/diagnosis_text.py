@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import STATES, Detectable, Diagnosis, Estimate, Experiment, Leftover
-from equimus_ctrl.diagnosis.units import Shown
+from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_sentences import sentence
@@ -97,7 +97,7 @@ def heldout(diagnosis: Diagnosis) -> str:
     return f"{who} the error changes by {listed(parts)}."
 
 
-def _fall(joint: str, before: float, after: float, unit: Shown) -> str:
+def _fall(joint: str, before: float, after: float, unit: Reading) -> str:
     change = (after - before) / before if before > 0 else 0.0
     sign = "+" if change > 0 else "−" if change < 0 else ""
     sizes = f"{number(before * unit.factor)} → {number(after * unit.factor)}"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from equimus_ctrl.diagnosis.results import Estimate, Named
+from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.models.model import Model, machine_of
 
 DIGITS, MOST_DIGITS = 3, 5
@@ -32,28 +32,6 @@ _READ: dict[str, tuple[tuple[float, str, float], ...]] = {
     **{unit: ((0.01, f"m{unit}", 1e3), (math.inf, unit, 1.0)) for unit in ("N·m", "N·m/rad", "N·m·s/rad")},
     "N": ((0.01, "mN", 1e3), (math.inf, "N", 1.0)),
 }
-
-
-@dataclass(frozen=True)
-class Reading:
-    """A unit that a person reads.
-
-    Attributes:
-        unit: its sign, "" for a pure number.
-        factor: how many of it one of the SI unit is.
-    """
-
-    unit: str
-    factor: float
-
-    def __call__(self, number: str) -> str:
-        """The number with its unit."""
-        return f"{number}{'' if self.unit[:1] in ('', '°') else ' '}{self.unit}"
-
-    @property
-    def bracket(self) -> str:
-        """For the label of an axis, such as ``[kPa]``."""
-        return f"[{self.unit}]" if self.unit else ""
 
 
 def reading(unit: str, size: float) -> Reading:
