@@ -159,6 +159,15 @@ def test_what_no_effect_does_is_left_unexplained() -> None:
     assert found.verdict in ("unexplained", "partly_explained") and found.leftover
 
 
+def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
+    xml = PENDULUM.format(drive=MOTOR)
+    fine, coarse = (Machine("robot", xml.replace('timestep="0.002"', f'timestep="{dt}"')) for dt in (0.0025, 0.01))
+    found = workflow.diagnose_recordings(recorded(machine_model(fine)), machine_model(coarse), most=1)
+    assert found.verdict == "consistent" and not found.findings
+    assert any("physics step of the XML, 10 ms, is too long" in note and "2.5 ms" in note for note in found.notes)
+    assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
+
+
 def test_identification_gives_numbers_with_intervals() -> None:
     xml = PENDULUM.format(drive=MOTOR).replace(
         'armature="0.004"', 'armature="0.004" damping="0.05" frictionloss="0.05"'

@@ -86,7 +86,7 @@ class World:
 
     def work(self, work: Any, tasks: Any, workers: int) -> Iterator[tuple[int, int]]:
         assert work is blind.answer
-        for k, (folder, own, others, label) in enumerate(tasks):
+        for k, (folder, _, own, others, label) in enumerate(tasks):
             self.tasks.append((folder, own, others, label))
             self.events.append(f"diagnosed {folder.name}")
             said = {**self.reports[int(folder.name[-1])]}

@@ -55,7 +55,7 @@ def test_a_worker_writes_what_it_finds_and_what_it_took(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(blind, "diagnose", fake)
     monkeypatch.setattr(blind, "baselines", lambda data, heldout, base: {"bic": {"findings": [], "failed": ""}})
-    blind.answer(tmp_path / "case_0003", tmp_path / "r.json", tmp_path / "b.json", "sealed")
+    blind.answer(tmp_path / "case_0003", nominal_model(), tmp_path / "r.json", tmp_path / "b.json", "sealed")
     assert seen == [(nominal_model(), ["trial_00", "trial_01"], 1)]
     said, others = (json.loads((tmp_path / name).read_text()) for name in ("r.json", "b.json"))
     assert said["findings"] == [SAID_LAG] and said["nan"] is None
@@ -90,7 +90,7 @@ def test_a_diagnosis_that_fails_is_an_answer_too(tmp_path: Path, monkeypatch: py
         raise SimulationDiverged("the model diverges")
 
     monkeypatch.setattr(blind, "diagnose", broken)
-    blind.answer(tmp_path / "case", tmp_path / "r.json", None, "sealed")
+    blind.answer(tmp_path / "case", nominal_model(), tmp_path / "r.json", None, "sealed")
     assert json.loads((tmp_path / "r.json").read_text())["proof"]["failed"] == "the model diverges"
 
 

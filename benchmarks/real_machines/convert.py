@@ -12,10 +12,12 @@ import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
+from scipy.signal import savgol_filter
 
 from equimus_ctrl.recordings import find_recordings, write
 from equimus_ctrl.types import Array, Recording
@@ -31,6 +33,8 @@ UNDISTURBED = {
     "ddp__data_measured": (0.0, math.inf),
 }
 """Of the simple pendulum's runs the parts in which nobody pushed [s]."""
+REVERSAL = 0.2
+"""Speed shortly before and after a reversal by which it counts as one [rad/s]."""
 NOMINAL_VOLTS, NOMINAL_GAIN = 7.4, 100
 """For which the servo's stiffness and torque stand in its model."""
 
@@ -61,8 +65,9 @@ def emps(folder: Path) -> dict[str, list[Recording]]:
         notes = {"source": f"emps/{name}.mat"}
         trials.append(recording(name.lower(), time, {"motor": force}, {"screw": position}, notes))
         if name == "DATA_EMPS":
-            goal = data["qg"][: n * EVERY].reshape(n, EVERY).mean(axis=1)
-            loops.append(recording(f"{name.lower()}_loop", time, {"servo": goal}, {"screw": position}, notes))
+            # All of it: between two kept goals the loop is so stiff that a step as long would saturate it.
+            whole = recording(f"{name.lower()}_loop", data["t"], {"servo": data["qg"]}, {"screw": data["qm"]}, notes)
+            loops.append(whole)
     return {"emps": trials, "emps_loop": loops}
 
 
@@ -81,8 +86,31 @@ def simple_pendulum(folder: Path) -> dict[str, list[Recording]]:
     return found
 
 
+def compensation(time: Array, position: Array, velocity: Array, torque: Array) -> Array:
+    """What a controller adds in the direction of motion: half of the jump of its torque at reversals, by arctan.
+
+    A controller that knows angles and rates alone has no other reason to jump there. How steep the owners' law is
+    (``arctan(100·velocity)``) is theirs; how large is read off.
+
+    Args:
+        time: (n,) ascending [s].
+        position: (n,) of the joint [rad].
+        velocity: (n,) as the controller knew it [rad/s].
+        torque: (n,) recorded [N·m].
+    """
+    grid = np.arange(time[0], time[-1], 2e-3)
+    speed = savgol_filter(np.interp(grid, time, position), 41, 3, deriv=1, delta=2e-3)
+    push = np.interp(grid, time, torque)
+    jumps = []
+    for k in np.flatnonzero(speed[:-1] * speed[1:] < 0):
+        if 60 < k < len(grid) - 60 and min(abs(speed[k - 25]), abs(speed[k + 25])) > REVERSAL:
+            after, before = np.median(push[k + 10 : k + 30]), np.median(push[k - 30 : k - 10])
+            jumps.append(np.sign(speed[k + 25]) * (after - before))
+    return np.asarray(np.median(jumps) / 2 * np.arctan(100 * velocity) / (np.pi / 2))
+
+
 def double_pendulum(folder: Path) -> dict[str, list[Recording]]:
-    """Measured torques as commands."""
+    """Measured torques as commands; where friction is compensated also without what does that."""
     found: dict[str, list[Recording]] = {}
     keys = {"c1": ("pos_meas1", "pos_meas2", "tau_meas1", "tau_meas2"), "a0": ("pos1", "pos2", "tau1", "tau2")}
     for design, files in (
@@ -97,6 +125,15 @@ def double_pendulum(folder: Path) -> dict[str, list[Recording]]:
                 name, table["time"], {"motor1": tau1, "motor2": tau2}, {"shoulder": q1, "elbow": q2}, notes
             )
             found.setdefault(f"double_pendulum_{design}", []).append(trial)
+            if design == "a0":
+                kept = np.concatenate([[True], np.diff(np.maximum.accumulate(table["time"])) > 0])
+                asked = np.column_stack(
+                    [
+                        tau[kept] - compensation(table["time"][kept], q[kept], table[key][kept], tau[kept])
+                        for q, tau, key in ((q1, tau1, "vel1"), (q2, tau2, "vel2"))
+                    ]
+                )
+                found["double_pendulum_a0_asked"] = [replace(trial, name=f"{name}_asked", command=asked)]
     return found
 
 

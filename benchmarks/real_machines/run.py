@@ -105,6 +105,22 @@ CASES = {
         (),
         "much less than without",
     ),
+    "double_pendulum_asked": Case(
+        "double pendulum A0, the torque without what compensates friction",
+        "double_pendulum_a0.xml",
+        "double_pendulum_a0_asked",
+        ("*.mass", "*.inertia"),
+        (),
+        "much less than in the recorded torque",
+    ),
+    "emps_loop": Case(
+        "EMPS in closed loop, its goal as command, all friction concealed",
+        "emps_loop.xml",
+        "emps_loop",
+        ("carriage.mass",),
+        (),
+        "viscous 203.5 N·s/m, Coulomb 20.39 N",
+    ),
     "xl330": Case(
         "XL330 servo, friction concealed",
         "xl330.xml",

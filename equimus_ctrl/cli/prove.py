@@ -14,6 +14,7 @@ from equimus_ctrl.errors import ConfigError, unknown_name
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from equimus_ctrl.proof.machines import Experiment
     from equimus_ctrl.workflow.prove import Proof
 
 MOST_ROWS = 60
@@ -22,16 +23,31 @@ KINDS = ("none", "single", "pair", "outside")
 
 
 def prove(
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Argument(help="With --model: recordings of that robot, whose commands are used.", show_default=False),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A robot from MuJoCo's XML (.xml, or a model file) in the leg's place."),
+    ] = None,
     cases: Annotated[int, typer.Option(help="How many realities.")] = 100,
     seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
     kind: Annotated[
         str | None,
         typer.Option(metavar="KIND", help="none, single, pair or outside for all; by default a mixture is drawn."),
     ] = None,
-    trials: Annotated[int, typer.Option(help="Recorded of each reality.")] = 8,
-    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Of each trial.")] = 12.0,
+    trials: Annotated[int | None, typer.Option(help="Recorded of each leg; 8 by default.", show_default=False)] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Of each leg's trials; 12 by default.", show_default=False)
+    ] = None,
     workers: Annotated[int | None, typer.Option(help="Processes at a time; one a processor by default.")] = None,
-    baselines: Annotated[bool, typer.Option(help="Give simpler methods the same recordings.")] = True,
+    baselines: Annotated[
+        bool | None,
+        typer.Option(
+            help="Give simpler methods the same recordings; with legs they are by default.", show_default=False
+        ),
+    ] = None,
     figures: Figures = True,
     output: Annotated[
         Path | None,
@@ -41,17 +57,21 @@ def prove(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Put the diagnosis to the proof: legs with concealed physics, answers judged against sealed truths.
+    """Put the diagnosis to the proof: robots with concealed physics, answers judged against sealed truths.
 
     Realities are simulated in MuJoCo with wrong numbers and perhaps something left out, and their truths sealed. Then
     processes that know the recordings alone diagnose them. Last the seals are opened and the answers scored. Stopped at
     any moment, the same command goes on. Exit code 3 says that a goal is missed; times are reported, not judged.
+
+    With --model the realities are robots like yours, driven by the commands of your recordings: it tells what a
+    diagnosis of such an experiment can be trusted to find.
 
     \b
     [bold]Examples[/bold]
     equimus-ctrl prove --cases 8
     equimus-ctrl prove --cases 40 --kind none --no-baselines
     equimus-ctrl prove --cases 1000 --seed 7 --output proof_7 --json
+    equimus-ctrl prove docs/examples/pendulum --model docs/examples/pendulum.xml --cases 20
     """  # noqa: D301
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
@@ -59,13 +79,15 @@ def prove(
 
     if kind is not None and kind not in KINDS:
         raise ConfigError(unknown_name("kind of reality", kind, KINDS))
-    name = f"seed_{seed}" + (f"_{kind}" if kind else "")
+    experiment = _experiment(recordings or [], model, trials, duration)
+    name = f"seed_{seed}" + (f"_{kind}" if kind else "") + (f"_{experiment.model.name}" if experiment else "")
     folder = output or presets.workspace() / "proof" / "results" / name
     presets.check_folder(folder)
     console = people()
     columns = (TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), *times())
     try:
         with bars(console, *columns) as progress:
+            from equimus_ctrl.proof.designs import DURATION, TRIALS
             from equimus_ctrl.workflow.prove import STAGES, put_to_proof
 
             tasks = {stage: progress.add_task(stage, total=cases, start=False) for stage in STAGES}
@@ -82,8 +104,9 @@ def prove(
                 cases=cases,
                 seed=seed,
                 kind=kind,  # type: ignore[arg-type]
-                trials=trials,
-                duration=duration,
+                trials=TRIALS if trials is None else trials,
+                duration=DURATION if duration is None else duration,
+                experiment=experiment,
                 workers=workers,
                 baselines=baselines,
                 progress=notify,
@@ -109,12 +132,34 @@ def prove(
         raise typer.Exit(3)
 
 
+def _experiment(
+    recordings: list[Path], model: Path | None, trials: int | None, duration: float | None
+) -> Experiment | None:
+    """The machine and what is done with it; None where legs are put to the proof."""
+    if model is None:
+        if recordings:
+            raise ConfigError(
+                f"{recordings[0]}: recordings are for --model, a robot from MuJoCo's XML; a leg's trials are drawn"
+            )
+        return None
+    if trials is not None or duration is not None:
+        raise ConfigError("--trials and --duration are for legs; a machine is driven as in its recordings")
+    if not recordings:
+        raise ConfigError(f"{model}: a machine is driven as in recordings of it; give their folder or files too")
+    from equimus_ctrl.proof.machines import Experiment
+    from equimus_ctrl.workflow.runs import gather, load_model
+
+    own = load_model(model)
+    return Experiment(own, tuple(gather(recordings, own)))
+
+
 def _head(found: Proof) -> dict[str, str]:
     r = found.request
     return {
+        **({"robot": r.model.name} if r.experiment else {}),
         "seed": str(r.seed),
         "cases": f"{len(found.score.cases)}, {'drawn from all kinds' if r.kind is None else f'all of kind {r.kind}'}",
-        "recordings": f"{r.trials} trials of {r.duration:g} s each",
+        "recordings": f"{r.trials} trials of {'up to ' if r.experiment else ''}{r.duration:g} s each",
         "SHA-256 of all seals": f"`{found.seal}`",
         **({"note": "; ".join(found.notes)} if found.notes else {}),
     }

@@ -48,6 +48,11 @@ COARSE = 2 * STEP
 """Physics step of the reduced engine where candidates are screened [s], where the robot allows it."""
 MACHINES_COARSE = 2.0
 """The same for machines, in units of the MuJoCo model's own."""
+STEPS_FINER, NO_MATTER, MAY_DO = 4, 1e-3, 4.0
+"""Where something of a machine is missing, so many steps in the place of one are tried, unless they change less than
+this share of the noise's variance; what gains more than so many times what they change is none of their error."""
+PATIENCE = 1
+"""With machines, whose pushes do much alike: see ``SearchSettings``."""
 FINE = STEP / 3
 """The same where rivals are told apart."""
 Finely = Callable[[Fitted], Fitted]
@@ -125,7 +130,12 @@ def _diagnose(
     def notify(stage: str, best: str) -> None:
         progress(stage, float(next(stages, 0.8)), best)
 
-    search = Search(data, pool, settings.search, notify)
+    wanted = (
+        settings.search
+        if machine_of(free.model) is None
+        else replace(settings.search, patience=PATIENCE, thorough=True)
+    )
+    search = Search(data, pool, wanted, notify)
     found = search.run(base)
     if machine_of(free.model) is not None:
         found = _simplified(search, found)
@@ -138,6 +148,10 @@ def _diagnose(
         doubtful += tuple(_named(found.best.hypothesis[k]) for k in rest.superfluous)
         found = _less(search, found, rest.superfluous)
         rest = remainder(data, found.base, found.best, found.without)
+    coarse = ""
+    if (exact := _finer(search, found, rest, settings)) is not None:
+        search, found, rest, coarse = exact
+        data = search.data
     progress("evidence", 0.94, found.best.label)
     judge = _Judge(data, split, found)
     finely = cache(data.settle_finely)
@@ -177,7 +191,7 @@ def _diagnose(
         () if findings or rest.leftovers else _detectable(search, found),
         experiment,
         {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
-        tuple(_notes(found)),
+        (*_notes(found), *([coarse] if coarse else [])),
         time.perf_counter() - begun,
     )
 
@@ -209,6 +223,48 @@ def _again(search: Search, found: Searched, best: Fitted) -> Searched:
     old = {part.candidate.label: rivals for part, rivals in zip(found.best.hypothesis, found.rivals, strict=True)}
     rivals = tuple(old.get(part.candidate.label, ()) if len(parts) == 1 else () for part in parts)
     return Searched(found.base, best, without, rivals, found.first, tuple(search.fitted))
+
+
+def _finer(
+    search: Search, found: Searched, rest: Remainder, settings: DiagnosisSettings
+) -> tuple[Search, Searched, Remainder, str] | None:
+    """The search's end at a finer physics step of a machine, where less is missing then, and a sentence that says so.
+
+    The XML's step belongs to the simulation that is being corrected; but what its own error leaves is no physics.
+    """
+    machine, best = machine_of(search.data.free.model), found.best
+    if machine is None or not (best.hypothesis or rest.leftovers):
+        return None
+    step = machine.timestep / STEPS_FINER
+    data = replace(search.data, simulator=machine_simulator(step, settings.threads), coarse=None)
+    there = data.simulator([best.fit.model], data.segments, [start[None] for start in best.fit.starts])
+    moved = [p.position[0] - (s.measured - r) for p, s, r in zip(there, data.segments, best.fit.residuals, strict=True)]
+    sigma = np.array([own.sigma for own in best.noise])
+    error = float(((np.concatenate(moved) / sigma) ** 2).sum())
+    if not error > NO_MATTER * data.n:
+        return None
+    own = replace(data, fine=data.simulator)
+    doubted = [k for k, f in enumerate(found.without) if f.deviance - best.deviance < MAY_DO * error]
+    needless = {k for k in doubted if not search.believed(own.settle_finely(found.without[k]), best)}
+    if not needless and not rest.leftovers:
+        return None
+    other = Search(data, search.pool, search.settings)
+    base = own.settle_finely(found.base)
+    kept = tuple(part for k, part in enumerate(best.hypothesis) if k not in needless)
+    start = replace(found, base=base)
+    exact = _again(other, start, (other.refit(best, kept) if needless else own.settle_finely(best)) if kept else base)
+    left = remainder(data, base, exact.best, exact.without)
+    if not needless and left.leftovers:
+        return None
+    return (
+        other,
+        exact,
+        left,
+        (
+            f"The physics step of the XML, {1e3 * machine.timestep:g} ms, is too long for these recordings: its error "
+            f"would be taken for missing physics. All of this was worked out with {1e3 * step:g} ms."
+        ),
+    )
 
 
 def _simplified(search: Search, found: Searched) -> Searched:

@@ -35,6 +35,10 @@ class SearchSettings:
             leg differ by some of that.
         tried: candidates fitted at each stage, for each way to weigh the residuals.
         kept: of them, how many are fitted to the end.
+        patience: how many effects in a row may explain far less than a flexible push, for what they do together: of
+            two that are missing each may.
+        thorough: whether all candidates are tried where the promising ones do not lead on and much is left: where
+            errors grow along a trial, what a small change does tells little of what a fit will find.
     """
 
     most_parts: int = 3
@@ -42,6 +46,8 @@ class SearchSettings:
     least_share: float = 1.5e-3
     tried: int = 5
     kept: int = 3
+    patience: int = 0
+    thorough: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +131,24 @@ class Search:
         best = base
         without: tuple[Fitted, ...] = ()
         rivals: tuple[tuple[Fitted, ...], ...] = ()
+        sure, outdone = (best, without, rivals), 0
         for depth in range(2 * self.settings.most_parts):
             self.notify(f"what could be missing, round {depth + 1}", best.label)
             options = [o for o in self.challenge(best) if len(o.hypothesis) <= self.settings.most_parts]
+            if self._leads_nowhere(sure[0], best, options) and self._may_try_all(best):
+                self.notify("what could be missing, all there is", best.label)
+                options += self._options(best, "", [o.hypothesis[-1].candidate.label for o in options])
             if not options:
                 break
             top = min(options, key=self.score)
-            if not (self.believed(best, top) and self.score(top) < self.score(best)):
+            if not self._better(best, top):
                 break
-            if self._outdone(best, top):
-                break
+            if self._outdone(sure[0], top):
+                outdone += 1
+                if outdone > self.settings.patience:
+                    break
+            else:
+                outdone = 0
             if len(best.hypothesis) == 1:
                 options += self._beside(base, best, rivals[0])
                 top = min(options, key=self.score)
@@ -143,9 +157,23 @@ class Search:
             without, rivals = (before,), (others,)
             if len(best.hypothesis) > 1:
                 best, without, rivals = self._exchanged(best)
+            if not outdone:
+                sure = best, without, rivals
             if not best.hypothesis:
                 break
+        best, without, rivals = sure
         return Searched(base, best, without, rivals, self._first, tuple(self.fitted))
+
+    def _better(self, best: Fitted, top: Fitted) -> bool:
+        return self.believed(best, top) and self.score(top) < self.score(best)
+
+    def _leads_nowhere(self, sure: Fitted, best: Fitted, options: Sequence[Fitted]) -> bool:
+        """Whether none of some options is one to go on with."""
+        top = min(options, key=self.score, default=None)
+        return top is None or not self._better(best, top) or self._outdone(sure, top)
+
+    def _may_try_all(self, best: Fitted) -> bool:
+        return self.settings.thorough and len(best.hypothesis) < self.settings.most_parts and self.data.strong(best)
 
     def _beside(self, base: Fitted, best: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
         """What the second part could be beside others than the best first one: of two together the lesser may lead."""
@@ -184,12 +212,14 @@ class Search:
         self._challenged[whole, instead_of] = fitted, options
         return options
 
-    def _options(self, fitted: Fitted, left_out: str) -> list[Fitted]:
-        pool = [c for c in self.pool if c.label != left_out]
+    def _options(self, fitted: Fitted, left_out: str, known: Sequence[str] | None = None) -> list[Fitted]:
+        """Hypotheses with one more part: the promising ones, or with some that are known all others."""
+        pool = [c for c in self.pool if c.label != left_out and c.label not in (known or ())]
         tried = min(self.settings.tried, INSTEAD) if left_out else self.settings.tried
+        tried = tried if known is None else len(pool)
         weights = white_noise(fitted.fit.residuals)
         first = []
-        for hypothesis, begin in self._promising(fitted, pool, tried):
+        for hypothesis, begin in self._promising(fitted, pool, tried, hopeless=known is not None):
             try:
                 first.append(self.data.rough(hypothesis, begin, weights, ROUGH))
             except SimulationDiverged:  # so it cannot be what happened
@@ -207,9 +237,9 @@ class Search:
         return ends
 
     def _promising(
-        self, fitted: Fitted, pool: Sequence[Candidate], tried: int
+        self, fitted: Fitted, pool: Sequence[Candidate], tried: int, hopeless: bool = False
     ) -> list[tuple[tuple[Part, ...], list[Begin]]]:
-        """Hypotheses with one more part, and where their fits can begin."""
+        """Hypotheses with one more part, and where their fits can begin; those without a gain if they are wanted."""
         base = len(self.data.free.free)
         screened = screen(self.data, fitted, pool)
         if not fitted.hypothesis and not self._first:
@@ -221,7 +251,7 @@ class Search:
         chosen: dict[str, tuple[tuple[Part, ...], list[Begin]]] = {}
         for ranked in lists:
             for s in ranked[:tried]:
-                if max(s.gains) > 0:
+                if hopeless or max(s.gains) > 0:
                     starts: list[Begin] = [(s.begin, fitted.fit.starts)]
                     if not fitted.hypothesis:
                         starts.append((np.concatenate([self.data.free.start, s.begin[base:]]), fitted.fit.starts))

@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import places
 from equimus_ctrl.models.morphology import Morphology
 
@@ -44,7 +45,7 @@ class Places:
     """The places of a robot.
 
     Attributes:
-        foot: the link whose tip is the foot.
+        foot: the link whose tip is the foot; "" where it has none.
         joints: place → the joints on which a push there acts.
     """
 
@@ -55,6 +56,11 @@ class Places:
     def of(cls, robot: Morphology) -> Places:
         """Of a robot: an actuator acts on the joints on which it has a lever arm in any pose."""
         names = robot.joint_names
+        if isinstance(machine := cast("object", robot), Machine):
+            own = {drive.name: frozenset({drive.joint}) for drive in machine.actuators}
+            bodies = [place for kind in ("link", "foot", "base") for place in machine.places()[kind]]
+            joints = {name: frozenset({name}) for name in names}
+            return cls("", {**{place: frozenset(names) for place in bodies}, **own, **joints})
         ends = [np.clip(side, -np.pi, np.pi) for side in robot.joint_range]
         axes = [np.linspace(low, high, POSES) for low, high in zip(*ends, strict=True)]
         kinematics = Kinematics(robot)

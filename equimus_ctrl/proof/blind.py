@@ -20,11 +20,11 @@ from equimus_ctrl.diagnosis.split import Split, split
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.identification.fit import reduced_simulator
 from equimus_ctrl.identification.parameters import FreeParameters
-from equimus_ctrl.models.model import nominal_model
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.baselines import baselines
 from equimus_ctrl.proof.fingerprint import BASELINES, PARTS, fingerprint
+from equimus_ctrl.proof.store import recorded
 from equimus_ctrl.recordings.folders import write_text
-from equimus_ctrl.recordings.sets import read_set
 
 SETTINGS = DiagnosisSettings(threads=1)
 
@@ -39,18 +39,19 @@ def baselines_fingerprint() -> str:
     return fingerprint(repr(SETTINGS), (*PARTS, *BASELINES))
 
 
-def answer(recordings: Path, report: Path | None, others: Path | None, label: str) -> None:
+def answer(recordings: Path, model: Model, report: Path | None, others: Path | None, label: str) -> None:
     """Diagnose a folder of recordings and write what is found.
 
     Args:
         recordings: the folder; no other is read.
+        model: what the robot is taken to be.
         report: file for the diagnosis; None where there is one already.
         others: file for the baselines' answers; None where they are not wanted.
         label: written into both files.
     """
     begun = time.perf_counter()
-    free = uncertain(nominal_model())
-    data = split(free.model, read_set(recordings))
+    free = uncertain(model)
+    data = split(free.model, recorded(recordings, model))
     found: Diagnosis | None = None
     if report is not None:
         made = {"fingerprint": report_fingerprint(), "seal": label}

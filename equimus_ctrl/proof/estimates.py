@@ -99,7 +99,10 @@ def _numbers(case: int, truth: Mapping[str, Any], estimates: Mapping[str, Any]) 
     for k, name in enumerate(REGISTRY[truth["effect"]].parameter_info()):
         if name in estimates:
             true, own = float(truth["parameters"][name]), estimates[name]
-            scale, zero = measure_of(truth["effect"], name, truth["locations"][0], true)
+            if "scales" in truth:
+                scale, zero = truth["scales"][name]
+            else:
+                scale, zero = measure_of(truth["effect"], name, truth["locations"][0], true)
             yield Number(case, truth["effect"], name, k == 0, true, float(own["value"]), *_ends(own), scale, zero)
 
 

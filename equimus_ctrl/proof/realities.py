@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -45,8 +46,42 @@ WHAT, DESIGN, NOISE_STREAM, REST = range(4)
 
 
 def stream(seed: int, case: int, which: int) -> np.random.Generator:
-    """One of a case's generators."""
+    """One of a case's generators.
+
+    Raises:
+        ConfigError: for a seed or case below 0.
+    """
+    if seed < 0 or case < 0:
+        raise ConfigError(f"seed {seed} and case {case} are expected to be 0 or more")
     return np.random.default_rng([seed, case, which])
+
+
+def kind_of(rng: np.random.Generator, kind: Kind | None) -> Kind:
+    """The kind asked for, or one drawn; the generator moves on alike.
+
+    Raises:
+        ConfigError: for an unknown kind.
+    """
+    if kind is not None and kind not in get_args(Kind):
+        raise ConfigError(unknown_name("kind of reality", str(kind), get_args(Kind)))
+    kinds: list[Kind] = list(SHARES)
+    drawn = kinds[int(rng.choice(len(kinds), p=list(SHARES.values())))]
+    return kind or drawn
+
+
+def draw_noise(
+    rng: np.random.Generator, sizes: Sequence[tuple[float, float]], times: tuple[float, float]
+) -> tuple[tuple[float, ...], float]:
+    """(standard deviation of each joint's noise, its correlation time [s]); every other is white, its time 0.
+
+    Args:
+        rng: moved on.
+        sizes: for each joint between what its noise is.
+        times: between what correlation times are [s].
+    """
+    noise = tuple(round(float(rng.uniform(*size)), 7) for size in sizes)
+    coloured = bool(rng.random() < 0.5)
+    return noise, round(math.exp(rng.uniform(*np.log(times))), 5) if coloured else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,18 +133,10 @@ def draw(
     Raises:
         ConfigError: for an unknown kind or a seed or case below 0.
     """
-    if kind is not None and kind not in get_args(Kind):
-        raise ConfigError(unknown_name("kind of reality", str(kind), get_args(Kind)))
-    if seed < 0 or case < 0:
-        raise ConfigError(f"seed {seed} and case {case} are expected to be 0 or more")
     rng = stream(seed, case, WHAT)
-    kinds: list[Kind] = list(SHARES)
-    drawn = kinds[int(rng.choice(len(kinds), p=list(SHARES.values())))]
-    kind = kind or drawn
+    kind = kind_of(rng, kind)
     leg = draw_leg(rng)
-    noise = tuple(round(float(rng.uniform(*NOISE)), 7) for _ in leg.joints)
-    coloured = bool(rng.random() < 0.5)
-    correlation = round(math.exp(rng.uniform(*np.log(CORRELATION))), 5) if coloured else 0.0
+    noise, correlation = draw_noise(rng, [NOISE] * len(leg.joints), CORRELATION)
     effects: tuple[Effect, ...] = ()
     outside: tuple[Effect, ...] = ()
     if kind == "single":

@@ -14,21 +14,28 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.models.model import Model, machine_of, nominal_model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
+from equimus_ctrl.proof.machine_simulation import FINER, machine_excess, simulate_machine
+from equimus_ctrl.proof.machines import ATTEMPTS, Experiment, MachineReality, draw_machine, machine_recordings
 from equimus_ctrl.proof.outside import acts_on
 from equimus_ctrl.proof.realities import Kind, Reality, draw, findings
 from equimus_ctrl.proof.seal import digest, opened, salted, seal
-from equimus_ctrl.proof.simulation import RATE, recordings, simulate
-from equimus_ctrl.proof.strength import excess
+from equimus_ctrl.proof.simulation import RATE, noise, recordings, simulate
+from equimus_ctrl.proof.strength import Excess
+from equimus_ctrl.proof.strength import excess as leg_excess
+from equimus_ctrl.recordings.checks import Limits
 from equimus_ctrl.recordings.folders import holds, read_text, write_folder, write_text
 from equimus_ctrl.recordings.sets import read_set
+from equimus_ctrl.types import Array, Recording
 
 SCHEMA = "equimus-ctrl/proof-truth/1"
 
@@ -44,6 +51,7 @@ class Request:
         trials: of each case.
         duration: of each trial [s].
         rate: physics steps a second.
+        experiment: a machine and what is done with it, in the place of legs and of trials that are drawn.
     """
 
     root: Path
@@ -52,6 +60,42 @@ class Request:
     trials: int = TRIALS
     duration: float = DURATION
     rate: float = RATE
+    experiment: Experiment | None = None
+
+    @classmethod
+    def of_machine(cls, root: Path, seed: int, kind: Kind | None, experiment: Experiment) -> Request:
+        """Of a machine; trials, their duration and the physics' rate follow from what is done with it."""
+        times = [r.time for r in experiment.recordings]
+        machine = machine_of(experiment.model)
+        assert machine is not None
+        longest = max(float(t[-1] - t[0]) for t in times)
+        return cls(root, seed, kind, len(times), longest, FINER / machine.timestep, experiment)
+
+    @property
+    def model(self) -> Model:
+        """What a diagnosis takes the robot to be."""
+        return nominal_model() if self.experiment is None else self.experiment.model
+
+    @property
+    def trial_names(self) -> list[str]:
+        """Of every case."""
+        if self.experiment is None:
+            return [f"trial_{k:02d}" for k in range(self.trials)]
+        return [r.name for r in self.experiment.recordings]
+
+    def reality(self, case: int) -> tuple[Reality, list[Array]]:
+        """A case's reality and, for each trial, what its sensors would show without noise."""
+        if self.experiment is None:
+            reality = draw(self.seed, case, kind=self.kind, trials=self.trials, duration=self.duration)
+            return reality, simulate(reality, self.rate)
+        for attempt in range(ATTEMPTS):
+            # What flies apart was no machine; another is drawn, from a stream of its own.
+            own = draw_machine(self.experiment, self.seed, case, self.kind, attempt)
+            try:
+                return own, simulate_machine(own)
+            except SimulationDiverged:
+                continue
+        raise ConfigError(f"case {case} of seed {self.seed}: {ATTEMPTS} machines in turn diverged on these commands")
 
     def recordings(self, case: int) -> Path:
         """The folder that a diagnosis is given."""
@@ -92,16 +136,17 @@ class Made:
 def truth_of(reality: Reality, clean: list[Any]) -> dict[str, Any]:
     """All there is to know of a reality, as JSON.
 
-    ``excess`` is what is left of data without noise when the ten default parameters have been fitted without any
-    effect. In a pair ``alone`` says of each finding how much is left when only it is missing.
+    ``excess`` is what is left of data without noise when the default parameters have been fitted without any effect. In
+    a pair ``alone`` says of each finding how much is left when only it is missing.
     """
     nothing = not reality.effects and not reality.outside
-    left = excess(reality, clean, refit=not nothing)
+    left = _excess(reality, clean, refit=not nothing)
     found = []
     for name, locations, parameters in findings(reality.effects):
         others = [e for e in reality.effects if e.name != name]
-        alone = excess(reality, clean, others) if others else left
-        found.append({"effect": name, "locations": locations, "parameters": parameters, "alone": alone.total})
+        alone = _excess(reality, clean, others) if others else left
+        own = {"effect": name, "locations": locations, "parameters": parameters, "alone": alone.total}
+        found.append({**own, **_scales(reality, name)})
     beyond = [
         {"effect": e.name, "locations": acts_on(e, reality.leg), "parameters": e.parameters()} for e in reality.outside
     ]
@@ -123,15 +168,30 @@ def truth_of(reality: Reality, clean: list[Any]) -> dict[str, Any]:
     }
 
 
+def _excess(reality: Reality, clean: list[Array], effects: Sequence[Effect] = (), refit: bool = True) -> Excess:
+    if isinstance(reality, MachineReality):
+        return machine_excess(reality, clean, effects)
+    return leg_excess(reality, clean, effects, refit)
+
+
+def _scales(reality: Reality, effect: str) -> dict[str, Any]:
+    """What errors of an effect's parameters are relative to, where no table says it for every robot."""
+    if not isinstance(reality, MachineReality):
+        return {}
+    return {"scales": {key: scale for (name, key), scale in reality.scales.items() if name == effect}}
+
+
 def changed_names(reality: Reality) -> list[str]:
-    """The leg's numbers that were drawn."""
+    """The robot's numbers that were drawn."""
+    if isinstance(reality, MachineReality):
+        return list(reality.drawn)
     a = [f"{a.name}.{key}" for a in reality.leg.actuators for key in ("stiffness", "area", "rest_length", "damping")]
     return a + [f"{j.name}.damping" for j in reality.leg.joints]
 
 
 def make_case(request: Request, case: int) -> Made:
     """Make one case, unless it is there."""
-    names = [f"trial_{k:02d}" for k in range(request.trials)]
+    names = request.trial_names
     known = read_text(request.seal(case))
     line = read_text(request.truth(case))
     if known is not None and line is not None and holds(request.recordings(case), names):
@@ -139,9 +199,11 @@ def make_case(request: Request, case: int) -> Made:
         _check_same(request, truth)
         return Made(case, known.strip(), 0.0)
     began = time.perf_counter()
-    reality = draw(request.seed, case, kind=request.kind, trials=request.trials, duration=request.duration)
-    clean = simulate(reality, request.rate)
-    seen = recordings(reality, clean)
+    reality, clean = request.reality(case)
+    if isinstance(reality, MachineReality):
+        seen = machine_recordings(reality, clean, noise(reality))
+    else:
+        seen = recordings(reality, clean)
     made = {"duration_s": request.duration, "physics_hz": request.rate, "recordings_sha256": digest(seen)}
     line = salted({**truth_of(reality, clean), **made}, request.seed, case)
     write_folder(request.recordings(case), seen)
@@ -202,6 +264,18 @@ def _each(request: Request, cases: list[int], workers: int) -> Iterator[Made]:
             raise
 
 
+def recorded(folder: Path, model: Model) -> tuple[Recording, ...]:
+    """A case's recordings.
+
+    Raises:
+        RecordingError: where they cannot be read.
+    """
+    if machine_of(model) is None:
+        return read_set(folder)
+    joints, actuators = model.morphology.joint_names, model.morphology.actuator_names
+    return read_set(folder, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators))
+
+
 def open_truth(request: Request, case: int) -> dict[str, Any]:
     """The truth of a case, its seal and the recordings checked.
 
@@ -214,6 +288,6 @@ def open_truth(request: Request, case: int) -> dict[str, Any]:
         missing = request.truth(case) if line is None else request.seal(case)
         raise ConfigError(f"{missing}: the file is missing, so case {case} cannot be opened")
     truth = opened(line.strip(), sealed.strip(), str(request.truth(case)))
-    if digest(read_set(request.recordings(case))) != truth["recordings_sha256"]:
+    if digest(recorded(request.recordings(case), request.model)) != truth["recordings_sha256"]:
         raise ConfigError(f"{request.recordings(case)}: the recordings were changed after their truth was sealed")
     return truth

@@ -66,7 +66,7 @@ def _excess(reality: Reality, clean: Sequence[Array], model: Model, refit: bool)
 
     if not refit:
         found = joint_excess(residuals_of(model, segments, simulator))
-        return _rounded(found, {})
+        return rounded(found, {})
     free = free_parameters(model, default_names(Model(reality.leg)))
     searched = fit(free, segments, simulator=simulator, settings=SEARCH)
     best, theta = joint_excess(searched.residuals), searched.theta
@@ -82,10 +82,12 @@ def _excess(reality: Reality, clean: Sequence[Array], model: Model, refit: bool)
     weighted = joint_excess(residuals_of(free.model_at(moved), segments, simulator))
     if weighted.mean() < best.mean():
         best, theta = weighted, moved
-    return _rounded(best, dict(zip(free.names, theta.tolist(), strict=True)))
+    return rounded(best, dict(zip(free.names, theta.tolist(), strict=True)))
 
 
-def _rounded(joints: Array, parameters: dict[str, float]) -> Excess:
+def rounded(joints: Array, parameters: dict[str, float]) -> Excess:
+    """An excess (nj,) and what was fitted, to six digits."""
+
     def digits(value: float) -> float:
         return float(f"{value:.6g}")
 

@@ -52,6 +52,12 @@ class Limits:
             if not getattr(self, key) > 0.0:
                 raise ConfigError(f"{key} is {number(getattr(self, key))}; it must be above 0")
 
+    @classmethod
+    def of_machine(cls, joints: Sequence[str], actuators: Sequence[str]) -> Limits:
+        """Of a robot whose commands may be anything, and whose joints may turn without end."""
+        both = tuple(joints), tuple(actuators)
+        return cls(-math.inf, math.inf, math.inf, both[0], joints=both[0], actuators=both[1])
+
 
 LEG = Limits()
 

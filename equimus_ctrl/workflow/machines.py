@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,11 +44,7 @@ def read_machine_set(files: Sequence[Path], machine: Machine) -> tuple[Recording
         RecordingError: where a file cannot be read or lacks one of them.
     """
     joints, actuators = machine.joint_names, machine.actuator_names
-    limits = Limits(
-        command_low=-math.inf, command_high=math.inf, max_angle=math.inf, rotating=joints, joints=joints,
-        actuators=actuators,
-    )  # fmt: skip
-    return read_set(files, joints=joints, actuators=actuators, limits=limits)
+    return read_set(files, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators))
 
 
 @dataclass(frozen=True)

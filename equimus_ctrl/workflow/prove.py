@@ -12,13 +12,14 @@ from typing import Any
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.machine import processors
-from equimus_ctrl.models.leg import nominal_leg
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.apart import each_apart
 from equimus_ctrl.proof.designs import DURATION, TRIALS
+from equimus_ctrl.proof.machines import Experiment
 from equimus_ctrl.proof.realities import Kind
 from equimus_ctrl.proof.scoring import Score, score
-from equimus_ctrl.proof.seal import seal_of_all
+from equimus_ctrl.proof.seal import digest, seal_of_all
 from equimus_ctrl.proof.store import Request, make_cases, open_truth
 from equimus_ctrl.recordings.folders import read_text
 
@@ -53,7 +54,13 @@ class Proof:
         """What ``prove --json`` prints."""
         r = self.request
         found = self.score.to_dict()
-        head = {"schema": found.pop("schema"), "seed": r.seed, "kind": r.kind, "trials": r.trials}
+        head = {
+            "schema": found.pop("schema"),
+            "robot": r.model.name,
+            "seed": r.seed,
+            "kind": r.kind,
+            "trials": r.trials,
+        }
         rest = {"duration_s": r.duration, "seal": self.seal, "notes": list(self.notes), "seconds": self.seconds}
         return {**head, **rest, **found}
 
@@ -66,8 +73,9 @@ def put_to_proof(
     kind: Kind | None = None,
     trials: int = TRIALS,
     duration: float = DURATION,
+    experiment: Experiment | None = None,
     workers: int | None = None,
-    baselines: bool = True,
+    baselines: bool | None = None,
     progress: Progress = lambda stage, done, total: None,
     say: Say = lambda sentence: None,
 ) -> Proof:
@@ -80,8 +88,9 @@ def put_to_proof(
         kind: of all cases; drawn for each by default.
         trials: of each case.
         duration: of each trial [s].
+        experiment: a machine and what is done with it, in the place of legs and of trials that are drawn.
         workers: processes at a time; as many as there are processors by default.
-        baselines: whether simpler methods are given the same cases.
+        baselines: whether simpler methods are given the same cases; by default those of legs, for which alone they are.
         progress: see ``Progress``.
         say: see ``Say``; the seal of all seals is said before the first diagnosis begins.
 
@@ -91,9 +100,14 @@ def put_to_proof(
     """
     begun = time.perf_counter()
     _check(cases, seed, trials, duration, workers)
-    workers = workers or processors()
+    if experiment is not None and baselines:
+        raise ConfigError("the simpler methods are for legs; a machine is put to the proof without them")
+    workers, baselines = workers or processors(), experiment is None if baselines is None else baselines
     presets.check_folder(folder)
-    request = Request(folder, seed, kind, trials, duration)
+    if experiment is None:
+        request = Request(folder, seed, kind, trials, duration)
+    else:
+        request = Request.of_machine(folder, seed, kind, experiment)
     _claim(request)
     done = 0
 
@@ -116,7 +130,7 @@ def put_to_proof(
         progress(STAGES[2], case + 1, cases)
     reports = [_read(request.report(case)) for case in range(cases)]
     others = [_read(request.baselines(case))["answers"] if baselines else {} for case in range(cases)]
-    found = score(truths, reports, others, nominal_leg())
+    found = score(truths, reports, others, request.model.morphology)
     return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun)
 
 
@@ -139,7 +153,10 @@ def _claim(request: Request) -> None:
         "trials": request.trials,
         "duration_s": request.duration,
         "physics_hz": request.rate,
+        "robot": request.model.name,
     }
+    if request.experiment is not None:
+        wanted["recordings_sha256"] = digest(request.experiment.recordings)
     text = read_text(path)
     if text is None:
         presets.write_text(path, presets.json_text(wanted))
@@ -180,7 +197,7 @@ def _diagnose(
     request: Request, seals: Sequence[str], workers: int, baselines: bool, progress: Progress, say: Say
 ) -> list[str]:
     current, cases = _Current(seals), range(len(seals))
-    tasks: list[tuple[Path, Path | None, Path | None, str]] = []
+    tasks: list[tuple[Path, Model, Path | None, Path | None, str]] = []
     stale = {"report": 0, "baselines": 0}
     for case in cases:
         paths = {"report": request.report(case), **({"baselines": request.baselines(case)} if baselines else {})}
@@ -189,7 +206,8 @@ def _diagnose(
             stale[what] += state is False
         needed = {what: None if state else paths[what] for what, state in states.items()}
         if any(needed.values()):
-            tasks.append((request.recordings(case), needed["report"], needed.get("baselines"), seals[case]))
+            given = (request.recordings(case), request.model)
+            tasks.append((*given, needed["report"], needed.get("baselines"), seals[case]))
     for what, count in stale.items():
         if count:
             kind = "reports" if what == "report" else "answers of the baselines"

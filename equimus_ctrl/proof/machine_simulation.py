@@ -1,0 +1,179 @@
+"""Concealed realities of machines in MuJoCo, at a fine step, by other code than the diagnosis uses.
+
+MuJoCo is stepped from Python. All that pushes is a CasADi function, evaluated in the middle of each step, that is at
+coordinates and rates carried on from its start; the diagnosis gives MuJoCo's fields what they can hold and evaluates
+the rest in machine code at the start of its own, longer steps. Dry friction is MuJoCo's in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+import mujoco
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.machine import Course, Realised, commands_on, measured_of, quiet, realise, steps_of
+from equimus_ctrl.engines.predict import SET, TIMES, noted
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.fit import FitSettings, fit, machine_simulator
+from equimus_ctrl.identification.noise import JointNoise
+from equimus_ctrl.models.machine import harden
+from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.proof.machines import MachineReality, machine_recordings
+from equimus_ctrl.proof.outside import Motion, MotionEffect
+from equimus_ctrl.proof.strength import Excess, rounded
+from equimus_ctrl.types import Array, Recording
+
+FINER = 4
+"""Physics steps for each of the nominal model's."""
+SEARCH = FitSettings(tolerance=1e-3, steps=30)
+"""Of the refit that says how strong a case is; it begins at the truth."""
+
+
+def simulate_machine(reality: MachineReality) -> list[Array]:
+    """For each trial (n, nj) what the sensors would show without noise [rad or m].
+
+    Raises:
+        SimulationDiverged: where the machine's numbers are none.
+    """
+    dt = reality.machine.timestep / FINER
+    bodies = machine_model(reality.machine, [e for e in reality.effects if not isinstance(e, ForceEffect)])
+    push = _push(reality)
+    found = []
+    for trial in trials_of(reality):
+        own = realise(bodies, trial, dt)
+        with quiet():
+            course = _follow(own, trial, push)
+        if course.sound < len(course.q):
+            raise SimulationDiverged(f"case {reality.case} of seed {reality.seed}: the simulation diverged")
+        found.append(measured_of(own, course, trial.sample_times)[0])
+    return found
+
+
+def trials_of(reality: MachineReality) -> list[Trial]:
+    """What is done, each from rest at its first angles."""
+    model, found = machine_model(reality.machine), []
+    for design, start, notes in zip(reality.trials, reality.starts, reality.notes, strict=True):
+        recording = _recording(reality, design.name, design.time, design.command, start, notes)
+        trial = Trial.of(recording, start)
+        settings, factors = noted(model, recording, SET), noted(model, recording, TIMES)
+        found.append(replace(trial, settings=settings, factors=factors))
+    return found
+
+
+def _recording(
+    reality: MachineReality, name: str, time: Array, command: Array, position: Array, notes: dict[str, str]
+) -> Recording:
+    robot = reality.machine
+    rows = np.broadcast_to(position, (len(time), len(robot.joints)))
+    return Recording(name, time, command, np.array(rows), robot.actuator_names, robot.joint_names, notes=notes)
+
+
+class _Push:
+    """All pushes at once, through buffers."""
+
+    def __init__(self, function: ca.Function, rubbing: tuple[int, ...]) -> None:
+        self.rubbing = rubbing
+        self._given = [np.zeros(function.numel_in(i)) for i in range(5)]
+        self._found = [np.zeros(function.numel_out(i)) for i in range(2)]
+        self._buffer, self._evaluate = function.buffer()
+        for i, array in enumerate(self._given):
+            self._buffer.set_arg(i, memoryview(array))  # type: ignore[call-arg, arg-type]
+        for i, array in enumerate(self._found):
+            self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg, arg-type]
+
+    def __call__(self, q: Array, v: Array, load: Array, command: Array, time: float) -> tuple[Array, Array]:
+        """(nj,) pushes and (nj,) bounds of dry friction."""
+        values: tuple[Array | float, ...] = (q, v, load, command, time)
+        for array, value in zip(self._given, values, strict=True):
+            array[:] = value
+        self._evaluate()
+        return self._found[0], self._found[1]
+
+
+def _push(reality: MachineReality) -> _Push | None:
+    effects: list[Effect] = [e for e in reality.effects if isinstance(e, ForceEffect)]
+    effects += reality.outside
+    if not effects:
+        return None
+    robot = reality.machine
+    nj, na = len(robot.joints), len(robot.actuators)
+    q, v, load, command = ca.SX.sym("q", nj), ca.SX.sym("v", nj), ca.SX.sym("load", nj), ca.SX.sym("u", na)
+    time = ca.SX.sym("t")
+    torque, bound, rubbing = ca.SX.zeros(nj), ca.SX.zeros(nj), set()
+    by_name = dict(zip(robot.joint_names, range(nj), strict=True))
+    at = Motion(
+        reality.leg, time, {name: q[j] for name, j in by_name.items()}, {name: v[j] for name, j in by_name.items()},
+        dict(zip(robot.actuator_names, ca.vertsplit(command), strict=True)),
+    )  # fmt: skip
+    for effect in effects:
+        if isinstance(effect, MotionEffect):
+            for name, value in effect.push(at).items():
+                torque[by_name[name]] += value
+            continue
+        assert isinstance(effect, ForceEffect) and effect.n_states == 0
+        j, p = by_name[effect.location], {key: ca.SX(value) for key, value in effect.parameters().items()}
+        speed = ca.fabs(v[j])
+        torque[j] += effect.force(q[j], v[j], (), p)
+        bound[j] += effect.dry_friction(q[j], speed, p) + effect.friction_of_load(ca.fabs(load[j]), speed, p)
+        if effect.rubs or effect.loads:
+            rubbing.add(j)
+    return _Push(ca.Function("push", [q, v, load, command, time], [torque, bound]), tuple(sorted(rubbing)))
+
+
+def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
+    model, nj = own.mujoco, len(own.places)
+    dt = float(model.opt.timestep)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+    data = mujoco.MjData(model)
+    at, dofs, drives = own.places.T
+    for j in push.rubbing if push else ():
+        harden(model, int(dofs[j]))
+    loss = own.loss.copy()
+    data.qpos[at] = trial.position
+    for place, _, joint in own.rotors:
+        data.qpos[place] = trial.position[joint]
+    ctrl, steps = commands_on(own, trial), steps_of(trial, dt)
+    q, v = np.zeros((2, steps + 1, nj))
+    sound = steps + 1
+    for k in range(steps + 1):
+        q[k], v[k] = data.qpos[at], data.qvel[dofs]
+        if not np.all(np.abs(v[k]) < MAX_SPEED):
+            sound = k
+            break
+        if k == steps:
+            break
+        data.ctrl[:] = ctrl[k]
+        if push is not None:
+            gain = 0.5 * (v[k] - v[max(k - 1, 0)])
+            middle = q[k] + 0.5 * dt * (v[k] + 0.5 * gain)
+            load = data.qfrc_actuator[drives]
+            torque, bound = push(middle, v[k] + gain, load, ctrl[k], trial.start + (k + 0.5) * dt)
+            data.qfrc_applied[dofs] = torque
+            model.dof_frictionloss[dofs] = loss + bound
+        mujoco.mj_step(model, data)
+    return Course(trial.start, dt, q, v, ctrl, sound)
+
+
+def machine_excess(reality: MachineReality, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
+    """What is left when a machine with ``effects`` alone is fitted to a reality, see ``strength.excess``.
+
+    It is fitted as a diagnosis would be: in the same windows, their starts and the default numbers free.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
+        model = machine_model(reality.machine, effects)
+        silent = machine_recordings(reality, clean, [np.zeros_like(c) for c in clean])
+        segments = split(model, silent).train
+        free, noise = uncertain(model), tuple(JointNoise(sigma) for sigma in reality.noise)
+        found = fit(free, segments, simulator=machine_simulator(threads=1), settings=SEARCH, noise=noise)
+        joints = ((np.concatenate(found.residuals) / np.array(reality.noise)) ** 2).mean(axis=0)
+        return rounded(joints, dict(zip(free.names, found.theta.tolist(), strict=True)))

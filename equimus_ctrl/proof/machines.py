@@ -1,0 +1,230 @@
+"""Concealed realities of a machine from MuJoCo's XML: its numbers wrong, perhaps something left out, driven as it was.
+
+A machine has no workspace that a proof could know of. So what is done with it is what was done with it: commands, times
+and first angles are those of recordings that somebody has, and the proof is one of these experiments too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.candidates import seen_places, uncertain
+from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.effects.base import REGISTRY, Effect
+from equimus_ctrl.errors import ConfigError, ModelError
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.models.machine import Machine
+from equimus_ctrl.models.model import Model, machine_model, machine_of, places
+from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.proof.designs import TrialDesign
+from equimus_ctrl.proof.machine_sizes import machine_sizes
+from equimus_ctrl.proof.outside import OUTSIDE
+from equimus_ctrl.proof.realities import (
+    ALIKE_SHARE,
+    WHAT,
+    Kind,
+    Reality,
+    draw_noise,
+    kind_of,
+    stream,
+)
+from equimus_ctrl.proof.sizes import Size
+from equimus_ctrl.types import Array, Recording
+
+LITTLE_KNOWN = {"damping": 0.4, "quadratic_damping": 0.4, "frictionloss": 0.4, "armature": 0.4}
+SPREAD = 0.15
+"""± share of a machine's free numbers."""
+NOISE = (5e-4, 2e-3)
+"""Standard deviation of each joint's noise, in units of what it covers."""
+CORRELATION = (0.5, 8.0)
+"""Correlation time of coloured noise in sampling intervals."""
+ATTEMPTS, STREAMS = 100, 10
+"""At most, to draw what a machine can have."""
+UNLIKE = 1.3
+"""Least factor between friction forwards and backwards; else it would be Coulomb friction by another name."""
+
+
+@dataclass(frozen=True, eq=False)
+class MachineReality(Reality):
+    """One concealed reality of a machine; ``leg`` is the machine.
+
+    Attributes:
+        starts: for each trial (nj,) angles at its start [rad or m].
+        notes: of each trial.
+        drawn: names of the numbers that are not the nominal machine's.
+        scales: parameter of an effect at a place → what an error of it is relative to, and where it does nothing.
+    """
+
+    starts: tuple[Array, ...] = ()
+    notes: tuple[dict[str, str], ...] = ()
+    drawn: tuple[str, ...] = ()
+    scales: dict[tuple[str, str], tuple[float, float | None]] = field(default_factory=dict)
+
+    @property
+    def machine(self) -> Machine:
+        """With its true numbers."""
+        return cast("Machine", self.leg)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A machine and what is done with it.
+
+    Attributes:
+        model: the nominal machine.
+        recordings: whose commands, times, first angles and notes are used; what else was measured only gives scales.
+    """
+
+    model: Model
+    recordings: tuple[Recording, ...]
+
+    def __post_init__(self) -> None:
+        if machine_of(self.model) is None:
+            raise ConfigError(f"{self.model.name} is no machine from MuJoCo's XML; a leg's experiments are drawn")
+        if self.model.effects:
+            raise ConfigError(f"{self.model.name} has effects already; prove with the machine alone")
+        split(self.model, self.recordings)  # what cannot be diagnosed makes no proof
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """As a diagnosis of these recordings would cut them."""
+        parts = split(self.model, self.recordings)
+        return (*parts.train, *parts.heldout)
+
+
+def draw_machine(
+    experiment: Experiment, seed: int, case: int, kind: Kind | None = None, attempt: int = 0
+) -> MachineReality:
+    """The reality of a case.
+
+    Args:
+        experiment: what is done with which machine.
+        seed: of the whole proof.
+        case: its number.
+        kind: by default one of ``realities.SHARES``.
+        attempt: how many realities of this case were none.
+
+    Raises:
+        ConfigError: for an unknown kind, or where none of many draws can be.
+    """
+    rng = stream(seed, case, WHAT + STREAMS * attempt)
+    chosen = kind_of(rng, kind)
+    model = experiment.model
+    segments = experiment.segments
+    seen = seen_places(model, segments)
+    table = machine_sizes(model, seen)
+    real, drawn = _other_numbers(rng, model)
+    spans = [seen[joint].span for joint in model.morphology.joint_names]
+    interval = seen[model.morphology.joint_names[0]].interval
+    noise, correlation = draw_noise(
+        rng, [(NOISE[0] * s, NOISE[1] * s) for s in spans], (CORRELATION[0] * interval, CORRELATION[1] * interval)
+    )
+    effects: tuple[Effect, ...] = ()
+    outside: tuple[Effect, ...] = ()
+    if chosen == "single":
+        effects = _attached(rng, real, table, REGISTRY, 1)
+    elif chosen == "pair":
+        effects = _attached(rng, real, table, REGISTRY, 2)
+    elif chosen == "outside":
+        outside = _attached(rng, real, table, OUTSIDE, 1)
+    designs = [TrialDesign(r.name, "as recorded", r.time, r.command) for r in experiment.recordings]
+    scales = {}
+    for effect in (*effects, *outside):
+        for row in table:
+            if row.effect == effect.name and row.at in ("", effect.location):
+                scales[effect.name, row.parameter] = _scale(row, effect)
+    return MachineReality(
+        case, seed, chosen, real.morphology, effects, outside, noise, correlation, tuple(designs),
+        np.zeros((len(designs), 0)),
+        starts=tuple(np.array(r.position[0]) for r in experiment.recordings),
+        notes=tuple(dict(r.notes) for r in experiment.recordings), drawn=drawn, scales=scales,
+    )  # fmt: skip
+
+
+def _scale(row: Size, effect: Effect) -> tuple[float, float | None]:
+    """(what an error is relative to, where the effect does nothing), see ``estimates.measure_of``."""
+    info = effect.parameter_info()
+    if row.law == "linear" and info[row.parameter]["unit"] in ("rad", "m"):
+        return row.high - row.low, None
+    zero = (effect.grows_from() if row.parameter == next(iter(info)) else None) or 0.0
+    return abs(float(getattr(effect, row.parameter)) - zero), zero
+
+
+def _other_numbers(rng: np.random.Generator, model: Model) -> tuple[Model, tuple[str, ...]]:
+    """The machine with its default free numbers spread evenly."""
+    names = uncertain(model).names
+    nominal = model.parameters()
+    for _ in range(ATTEMPTS):
+        shares = {n: LITTLE_KNOWN.get(n.rpartition(".")[2], SPREAD) * rng.uniform(-1.0, 1.0) for n in names}
+        try:
+            real = model.with_parameters({n: float(f"{nominal[n] * (1 + s):.8g}") for n, s in shares.items()})
+            machine = machine_of(real)
+            assert machine is not None
+            machine.mujoco_model()
+        except ModelError:  # inertias that no body can have
+            continue
+        return real, tuple(names)
+    raise ConfigError(f"{model.name}: no numbers near its own make a machine")
+
+
+def _attached(
+    rng: np.random.Generator, real: Model, table: Sequence[Size], known: dict[str, type[Effect]], count: int
+) -> tuple[Effect, ...]:
+    """So many different effects that the machine can have at once."""
+    names = sorted({row.effect for row in table} & set(known))
+    for _ in range(ATTEMPTS):
+        chosen = [names[k] for k in rng.choice(len(names), count, replace=False)]
+        try:
+            found = tuple(effect for name in chosen for effect in _one(rng, real, table, known[name]))
+            Model(real.morphology, tuple(e for e in found if e.name in REGISTRY))
+        except (ConfigError, ModelError):  # out of bounds, excluded by each other, or not possible on this machine
+            continue
+        return found
+    raise ConfigError(f"{real.name}: none of {ATTEMPTS} draws gave effects that it can have")
+
+
+def _one(rng: np.random.Generator, real: Model, table: Sequence[Size], cls: type[Effect]) -> tuple[Effect, ...]:
+    sites = sorted({row.at for row in table if row.effect == cls.name})
+    if sites == [""]:
+        sites = [s for kind in cls.sits_at for s in places(real.morphology)[kind]]
+    site = sites[int(rng.integers(len(sites)))]
+    everywhere = len(sites) > 1 and cls.alike and "link" not in cls.sits_at and rng.random() < ALIKE_SHARE
+    rows = [row for row in table if row.effect == cls.name and row.at in ("", site)]
+    for _ in range(ATTEMPTS):
+        values = {row.parameter: row.draw(rng) for row in rows}
+        if cls.name == "stribeck_friction" and values["breakaway"] < values["friction"] / 3:
+            continue  # that would be Coulomb friction by another name
+        if cls.name == "asymmetric_friction":
+            low, high = sorted(values.values())
+            if high < UNLIKE * low:
+                continue
+        break
+    return tuple(cls(s, **values) for s in (sites if everywhere else [site]))
+
+
+def machine_recordings(reality: MachineReality, clean: Sequence[Array], disturbed: Sequence[Array]) -> list[Recording]:
+    """What a diagnosis may see, to a thousandth of the noise.
+
+    Args:
+        reality: what happened.
+        clean: for each trial (n, nj) what sensors without noise would show [rad or m].
+        disturbed: the noise.
+    """
+    robot = cast("Morphology", reality.machine)
+    digits = int(3 - np.floor(np.log10(min(reality.noise))))
+    return [
+        Recording(
+            trial.name, trial.time, trial.command, np.round(shown + more, digits), robot.actuator_names,
+            robot.joint_names, notes=notes,
+        )
+        for trial, shown, more, notes in zip(reality.trials, clean, disturbed, reality.notes, strict=True)
+    ]  # fmt: skip
+
+
+def without(reality: MachineReality, effects: Sequence[Effect]) -> Model:
+    """The true machine with some of its effects alone."""
+    return replace(machine_model(reality.machine), effects=tuple(effects))

@@ -1,0 +1,195 @@
+"""The proof of machines: realities that are what they are said to be, made by other code than the diagnosis uses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from equimus_ctrl.cli.main import main
+from equimus_ctrl.diagnosis.candidates import seen_places
+from equimus_ctrl.effects.base import REGISTRY, Effect
+from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model, machine_model, nominal_model, places
+from equimus_ctrl.proof.machine_simulation import FINER, machine_excess, simulate_machine, trials_of
+from equimus_ctrl.proof.machine_sizes import machine_sizes
+from equimus_ctrl.proof.machines import Experiment, MachineReality, draw_machine, machine_recordings
+from equimus_ctrl.proof.outside import OUTSIDE
+from equimus_ctrl.proof.simulation import noise
+from equimus_ctrl.types import Recording
+from equimus_ctrl.workflow.runs import gather, load_model
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
+TWO = Path(__file__).resolve().parents[1] / "benchmarks" / "real_machines" / "double_pendulum_c1.xml"
+ALIKE = 2e-3
+"""Of what a joint covers: so far apart two ways to step the same laws may be, whose steps are alike."""
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> Experiment:
+    """The pendulum of the documents with what was recorded of it."""
+    model = load_model(EXAMPLES / "pendulum.xml")
+    return Experiment(model, tuple(gather(EXAMPLES / "pendulum", model)))
+
+
+@pytest.fixture(scope="module")
+def two_joints() -> Experiment:
+    """A double pendulum, three trials of two seconds."""
+    model = load_model(TWO)
+    robot, rng = model.morphology, np.random.default_rng(3)
+    time = np.arange(0, 2, 0.01)
+    trials = []
+    for k in range(3):
+        torque = np.sin(2 * np.pi * rng.uniform(0.3, 1.5, 2) * time[:, None] + k) * (1.2, 0.6)
+        angles = np.zeros((200, 2)) + rng.uniform(-0.5, 0.5, 2)
+        still = Recording(f"run_{k}", time, torque, angles, robot.actuator_names, robot.joint_names)
+        reality = _reality(model, (still,), ())
+        moved = machine_recordings(reality, simulate_machine(reality), [np.zeros((200, 2))])
+        trials += moved
+    return Experiment(model, tuple(trials))
+
+
+def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Effect, ...]) -> MachineReality:
+    from equimus_ctrl.proof.designs import TrialDesign
+
+    return MachineReality(
+        0, 0, "single", model.morphology, effects, (), (1e-3,) * len(model.morphology.joints), 0.0,
+        tuple(TrialDesign(r.name, "as recorded", r.time, r.command) for r in recordings),
+        np.zeros((len(recordings), 0)), starts=tuple(np.array(r.position[0]) for r in recordings),
+        notes=tuple(dict(r.notes) for r in recordings),
+    )  # fmt: skip
+
+
+def test_there_is_a_size_for_every_effect_of_machines(two_joints: Experiment) -> None:
+    model = two_joints.model
+    table = machine_sizes(model, seen_places(model, two_joints.segments))
+    own = {name for name, cls in REGISTRY.items() if "mjcf" in cls.robots}
+    assert own <= {row.effect for row in table}
+    assert {row.effect for row in table} <= own | set(OUTSIDE)
+    for row in table:
+        assert row.parameter in {**REGISTRY, **OUTSIDE}[row.effect].parameter_info()
+        assert row.low < row.high
+
+
+@pytest.mark.parametrize("name", sorted(name for name, cls in REGISTRY.items() if "mjcf" in cls.robots))
+def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) -> None:
+    model, cls = two_joints.model, REGISTRY[name]
+    seen = seen_places(model, two_joints.segments)
+    table = machine_sizes(model, seen)
+    site = next(row.at for row in table if row.effect == name) or places(model.morphology)[cls.sits_at[0]][0]
+    rows = [row for row in table if row.effect == name and row.at in ("", site)]
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        try:
+            effect = cls(site, **{row.parameter: row.draw(rng) for row in rows})
+            real = Model(model.morphology, (effect,))
+            break
+        except ConfigError:
+            continue
+    reality = _reality(model, two_joints.recordings, real.effects)
+    ours = simulate_machine(reality)
+    dt = reality.machine.timestep / FINER
+    theirs = simulate_machines([real], trials_of(reality), dt=dt, threads=1)
+    plain = simulate_machines([model], trials_of(reality), dt=dt, threads=1)
+    for own, other, without in zip(ours, theirs, plain, strict=True):
+        apart, does = np.abs(own - other.position[0]).max(), np.abs(own - without.position[0]).max()
+        assert apart < max(ALIKE, 0.05 * does), (effect, apart, does)
+
+
+def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
+    first, again = (draw_machine(pendulum, 3, 1) for _ in range(2))
+    assert first.leg.parameters() == again.leg.parameters()
+    assert first.effects == again.effects and first.noise == again.noise
+    assert first.leg.parameters() != draw_machine(pendulum, 3, 2).leg.parameters()
+    one, two = simulate_machine(first), simulate_machine(again)
+    assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(noise(first), noise(again), strict=True))
+
+
+def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) -> None:
+    kinds = set()
+    for case in range(30):
+        reality = draw_machine(two_joints, 1, case)
+        kinds.add(reality.kind)
+        names = {e.name for e in reality.effects}
+        assert len(names) == {"none": 0, "single": 1, "pair": 2, "outside": 0}[reality.kind]
+        assert (len(reality.outside) > 0) == (reality.kind == "outside")
+        assert not names & set(OUTSIDE)
+        shares = {n: reality.leg.parameters()[n] / two_joints.model.parameters()[n] for n in reality.drawn}
+        assert shares and all(0.55 < share < 1.45 for share in shares.values())
+    assert kinds == {"none", "single", "pair", "outside"}
+
+
+def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment) -> None:
+    plain = draw_machine(pendulum, 5, 0, "none")
+    clean = simulate_machine(plain)
+    assert machine_excess(plain, clean).total < 0.02
+    rubbing = replace(plain, kind="single", effects=(REGISTRY["coulomb_friction"]("hinge", friction=0.1),))
+    clean = simulate_machine(rubbing)
+    assert machine_excess(rubbing, clean).total > 10
+    assert machine_excess(rubbing, clean, rubbing.effects).total < 0.05
+
+
+def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None:
+    reality = draw_machine(pendulum, 5, 1, "none")
+    clean = simulate_machine(reality)
+    seen = machine_recordings(reality, clean, noise(reality))
+    error = np.concatenate([r.position - c for r, c in zip(seen, clean, strict=True)])
+    assert error.std() == pytest.approx(reality.noise[0], rel=0.1)
+    assert [r.name for r in seen] == [r.name for r in pendulum.recordings]
+    assert np.array_equal(seen[0].command, pendulum.recordings[0].command)
+
+
+def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experiment) -> None:
+    noted = tuple(replace(r, notes={"set.arm.mass": "0.9"}) for r in pendulum.recordings)
+    experiment = Experiment(pendulum.model, noted)
+    reality = draw_machine(experiment, 2, 0, "none")
+    heavy = reality.model.with_parameters({"arm.mass": 0.9})
+    dt = reality.machine.timestep / FINER
+    bare = [replace(t, settings={}) for t in trials_of(reality)]
+    expected = simulate_machines([machine_model(reality.machine), heavy], bare, dt=dt)
+    for own, other in zip(simulate_machine(reality), expected, strict=True):
+        assert np.abs(own - other.position[1]).max() < ALIKE < np.abs(own - other.position[0]).max()
+    assert machine_recordings(reality, simulate_machine(reality), noise(reality))[0].notes == noted[0].notes
+
+
+def test_a_proof_of_a_pendulum_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(EXAMPLES / "pendulum" / f"run_{k}.csv") for k in (1, 2)]
+    command = ["prove", *files, "--model", str(EXAMPLES / "pendulum.xml"), "--cases", "2", "--kind", "none", "--seed",
+               "8", "--no-figures", "--json", "--output", str(tmp_path / "proof")]  # fmt: skip
+    assert main(command) == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert found["robot"] == "pendulum"
+    assert found["false_alarms"]["all"] == {**found["false_alarms"]["all"], "count": 0, "of": 2}
+    assert "sealed" in err
+    assert main(command) == 0
+    assert "2 of 2 cases were diagnosed before" in capsys.readouterr().err
+    assert main([*command[:2], *command[3:]]) == 2
+    assert "holds a proof with" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([str(EXAMPLES / "pendulum")], "recordings are for --model"),
+        (["--model", str(EXAMPLES / "pendulum.xml")], "give their folder or files"),
+        ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "pendulum.xml"), "--trials", "3"], "are for legs"),
+        ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "pendulum.xml"), "--baselines"], "are for legs"),
+    ],
+)  # fmt: skip
+def test_what_does_not_go_together_is_told(
+    options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["prove", *options, "--output", str(tmp_path / "p")]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "p").exists()
+
+
+def test_a_leg_is_no_machine(pendulum: Experiment) -> None:
+    with pytest.raises(ConfigError, match="no machine"):
+        Experiment(nominal_model(), pendulum.recordings)
