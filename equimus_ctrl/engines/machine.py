@@ -28,7 +28,8 @@ from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.machine import processors
-from equimus_ctrl.models.machine import Machine, harden, rotor_of
+from equimus_ctrl.models.machine import Machine
+from equimus_ctrl.models.machine_parts import harden, rotor_of
 from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array
 

@@ -37,6 +37,8 @@ STEP = 3e-3
 static friction, a hundredth of what sensors' noise is."""
 DIVERGED = 3.0
 """Residual of a sample that a diverging simulation could not give [rad]: worse than any real one, yet finite."""
+FARTHEST = float(np.nextafter(DIVERGED, 0.0))
+"""Of samples that a simulation did give, for one that is farther off: what turns over may be turns away [rad]."""
 DIFFERENCE = 1e-5
 """Step of the finite differences, in units of each parameter's scale."""
 START_DIFFERENCE = 1e-5
@@ -385,7 +387,7 @@ class Problem:
             if first and not found.sound[0]:
                 change[:, found.reached[0] :] = 0.0
             elif not first:
-                change[:, np.any(np.abs(residual) >= DIVERGED, axis=1)] = 0.0
+                change[:, np.any(np.abs(residual) >= FARTHEST, axis=1)] = 0.0
             by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
             by_start.append(np.moveaxis(change[p : p + segment.free_start] / START_DIFFERENCE, 0, -1))
         return by_theta, by_start
@@ -399,8 +401,8 @@ def _triangle(matrix: Array) -> Array:
 def _residual(segment: Segment, found: Predicted, index: int) -> Array:
     reached = found.reached[index]
     residual = np.full(segment.measured.shape, DIVERGED)
-    residual[:reached] = segment.measured[:reached] - found.position[index, :reached]
-    return np.asarray(np.clip(residual, -DIVERGED, DIVERGED))
+    residual[:reached] = np.clip(segment.measured[:reached] - found.position[index, :reached], -FARTHEST, FARTHEST)
+    return residual
 
 
 def fit(

@@ -26,7 +26,7 @@ from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit, machine_simulator
 from equimus_ctrl.identification.noise import JointNoise
-from equimus_ctrl.models.machine import harden
+from equimus_ctrl.models.machine_parts import harden
 from equimus_ctrl.models.model import machine_model
 from equimus_ctrl.proof.machines import MachineReality, machine_recordings
 from equimus_ctrl.proof.outside import Motion, MotionEffect
