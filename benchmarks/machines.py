@@ -1,6 +1,9 @@
 """How long a diagnosis of a machine takes: friction concealed in one and two joints, four trials of ten seconds each.
 
-python benchmarks/machines.py [--seed 0]
+python benchmarks/machines.py [--seed 0] [--record DIR]
+
+With ``--record`` the recordings are written and nothing is diagnosed: ``equimus-ctrl prove DIR/two_joints --model …``
+takes their commands.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from equimus_ctrl.effects import CoulombFriction, ViscousFriction
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.models.model import Model, machine_model
+from equimus_ctrl.recordings import write
 from equimus_ctrl.types import Recording
 
 HERE = Path(__file__).resolve().parent
@@ -25,6 +29,7 @@ MACHINES = {
     "2 joints": (HERE / "real_machines" / "double_pendulum_c1.xml", {"shoulder": 1.5, "elbow": 0.8}),
 }
 NOISE = 1e-3
+FOLDERS = "one_joint", "two_joints"
 
 
 def recorded(real: Model, sizes: dict[str, float], seed: int) -> list[Recording]:
@@ -54,12 +59,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
+    parser.add_argument("--record", type=Path, metavar="DIR", help="write the recordings here, one folder a machine")
     given = parser.parse_args()
     rows = []
     for label, (xml, sizes) in MACHINES.items():
         machine = workflow.load_machine(xml)
         effects = [e for joint in sizes for e in (CoulombFriction(joint, 0.1), ViscousFriction(joint, 0.03))]
         trials = recorded(machine_model(machine, effects), sizes, given.seed)
+        if given.record:
+            (given.record / FOLDERS[len(sizes) - 1]).mkdir(parents=True, exist_ok=True)
+            for trial in trials:
+                write(given.record / FOLDERS[len(sizes) - 1] / f"{trial.name}.csv", trial)
+            continue
         begun = time.perf_counter()
         found = workflow.diagnose_recordings(trials, machine_model(machine))
         seconds = time.perf_counter() - begun
@@ -70,7 +81,7 @@ def main() -> None:
             print(
                 f"{label}: {seconds:.1f} s, {windows} windows fitted, {found.verdict}: {', '.join(named)}", flush=True
             )
-    if given.json:
+    if given.json and not given.record:
         print(json.dumps(rows))
 
 

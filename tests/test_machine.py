@@ -305,6 +305,13 @@ def test_the_unit_of_a_speed_servos_command_does_not_depend_on_its_gain() -> Non
     assert len(units) == 1 and "N" not in units
 
 
+def test_a_speed_servo_has_one_gain() -> None:
+    machine = Machine("cart", slider('<velocity name="m" joint="way" kv="3"/>'))
+    assert "m.gain" not in machine.parameters() and machine.parameters()["m.kv"] == 3
+    changed = machine.with_parameters({"m.kv": 5.0}).mujoco_model()
+    assert changed.actuator_gainprm[0, 0] == 5.0 and changed.actuator_biasprm[0, 2] == -5.0
+
+
 UNITS: dict[Effect, dict[str, str]] = {
     CoulombFriction("reach", 1.0): {"friction": "N"},
     CoulombFriction("shoulder", 1.0): {"friction": "N·m"},

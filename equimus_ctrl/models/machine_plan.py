@@ -322,12 +322,19 @@ def _drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
                 model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 1] = value, -value
 
             found.append(Number(f"{drive.name}.kp", gain, f"{push}/{place}", stiff))
+        elif not drive.servo and bias[2] != 0 and math.isclose(float(bias[2]), -gain):
+
+            def follows(model: Any, value: float, name: str = drive.name) -> None:
+                k = model.actuator(name).id
+                model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 2] = value, -value
+
+            found.append(Number(f"{drive.name}.kv", gain, f"{push}·s/{place}", follows))
         else:
             unit = f"{push}/{drive.unit}" if drive.unit not in ("1", push) else "1" if drive.unit == push else push
             found.append(
                 Number(f"{drive.name}.gain", gain, unit, _setter("actuator", drive.name, "actuator_gainprm", 0))
             )
-        if bias[2] != 0 or drive.servo:
+        if f"{drive.name}.kv" not in {n.name for n in found} and (bias[2] != 0 or drive.servo):
 
             def damped(model: Any, value: float, name: str = drive.name) -> None:
                 model.actuator_biasprm[model.actuator(name).id, 2] = -value

@@ -52,6 +52,11 @@ class Limits:
             if not getattr(self, key) > 0.0:
                 raise ConfigError(f"{key} is {number(getattr(self, key))}; it must be above 0")
 
+    @property
+    def pressures(self) -> bool:
+        """Whether commands are pressures; those of machines are whatever their actuators take."""
+        return math.isfinite(self.command_high)
+
     @classmethod
     def of_machine(cls, joints: Sequence[str], actuators: Sequence[str]) -> Limits:
         """Of a robot whose commands may be anything, and whose joints may turn without end."""

@@ -102,7 +102,10 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
             raise sheet.header_error(_unknown_column(column))
     if "time" not in sheet.header:
         raise sheet.header_error("column 'time' is missing; sample times in seconds belong in it")
-    for prefix, what in (("cmd", "commanded pressures in Pa"), ("pos", "joint angles in rad")):
+    told = (
+        ("commanded pressures in Pa", "joint angles in rad") if limits.pressures else ("commands", "joints' positions")
+    )
+    for prefix, what in zip(("cmd", "pos"), told, strict=True):
         if not found[prefix]:
             raise sheet.header_error(
                 f"there is no column '{prefix}.<{PREFIXES[prefix]}>'; {what} belong in such columns"
@@ -175,7 +178,8 @@ def _before_value(place: str, key: str, value: str, limits: Limits) -> float:
         pressure = math.nan
     if not math.isfinite(pressure):
         raise RecordingError(
-            f"{place}, note {key}: {shorten(value)} is not a finite number; a pressure in Pa belongs there"
+            f"{place}, note {key}: {shorten(value)} is not a finite number; a "
+            f"{'pressure in Pa' if limits.pressures else 'command'} belongs there"
         )
     if problem := checks.command_problem(pressure, limits):
         raise RecordingError(f"{place}, note {key}: {problem}")
