@@ -31,6 +31,7 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import Split
+from equimus_ctrl.diagnosis.weighing import weigh
 from equimus_ctrl.diagnosis.where import excess_of, where_off
 from equimus_ctrl.identification.fit import STEP, Simulator, machine_simulator, reduced_simulator, residuals_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood
@@ -237,14 +238,12 @@ def _finer(
         return None
     step = machine.timestep / STEPS_FINER
     data = replace(search.data, simulator=machine_simulator(step, settings.threads), coarse=None)
-    there = data.simulator([best.fit.model], data.segments, [start[None] for start in best.fit.starts])
-    moved = [p.position[0] - (s.measured - r) for p, s, r in zip(there, data.segments, best.fit.residuals, strict=True)]
-    sigma = np.array([own.sigma for own in best.noise])
-    error = float(((np.concatenate(moved) / sigma) ** 2).sum())
-    if not error > NO_MATTER * data.n:
+    left_by_best, error = _step_error(search.data, data.simulator, best, best.noise)
+    others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
+    doubted = [k for k, (left, own_error) in enumerate(others) if left - left_by_best < MAY_DO * own_error]
+    if not doubted and error < NO_MATTER * data.n:
         return None
     own = replace(data, fine=data.simulator)
-    doubted = [k for k, f in enumerate(found.without) if f.deviance - best.deviance < MAY_DO * error]
     needless = {k for k in doubted if not search.believed(own.settle_finely(found.without[k]), best)}
     if not needless and not rest.leftovers:
         return None
@@ -265,6 +264,16 @@ def _finer(
             f"would be taken for missing physics. All of this was worked out with {1e3 * step:g} ms."
         ),
     )
+
+
+def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> tuple[float, float]:
+    """χ² that a hypothesis leaves, and χ² of what a finer step changes and no other numbers or starts would undo."""
+    model, starts = fitted.fit.model, [start[None] for start in fitted.fit.starts]
+    before, after = (simulator([model], data.segments, starts) for simulator in (data.simulator, finer))
+    moved = [np.moveaxis(a.position - b.position, 0, -1) for a, b in zip(after, before, strict=True)]
+    weighing = weigh(data.times, fitted.fit, noise)
+    column, basis = weighing.columns(data.times, moved)[:, 0], np.linalg.qr(weighing.slopes)[0]
+    return float((weighing.residual**2).sum()), float((column**2).sum() - ((basis.T @ column) ** 2).sum())
 
 
 def _simplified(search: Search, found: Searched) -> Searched:

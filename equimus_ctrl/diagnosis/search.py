@@ -110,6 +110,7 @@ class Search:
         self.notify = notify
         self.fitted: list[Fitted] = []
         self._first: tuple[Screened, ...] = ()
+        self._compared: dict[tuple[Fitted, Fitted], bool] = {}
         self._challenged: dict[tuple[frozenset[str], str], tuple[Fitted, list[Fitted]]] = {}
 
     def score(self, fitted: Fitted) -> float:
@@ -135,7 +136,7 @@ class Search:
         for depth in range(2 * self.settings.most_parts):
             self.notify(f"what could be missing, round {depth + 1}", best.label)
             options = [o for o in self.challenge(best) if len(o.hypothesis) <= self.settings.most_parts]
-            if self._leads_nowhere(sure[0], best, options) and self._may_try_all(best):
+            if self._may_try_all(best) and self._leads_nowhere(sure[0], best, options):
                 self.notify("what could be missing, all there is", best.label)
                 options += self._options(best, "", [o.hypothesis[-1].candidate.label for o in options])
             if not options:
@@ -187,6 +188,11 @@ class Search:
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
         """Whether a flexible push would explain far more than the next effect: then that is not what is missing."""
+        if (best, top) not in self._compared:
+            self._compared[best, top] = self._is_outdone(best, top)
+        return self._compared[best, top]
+
+    def _is_outdone(self, best: Fitted, top: Fitted) -> bool:
         at = linear(self.data, best, best.noise)
         if at is None:
             return False
