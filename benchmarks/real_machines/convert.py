@@ -39,11 +39,16 @@ NOMINAL_VOLTS, NOMINAL_GAIN = 7.4, 100
 """For which the servo's stiffness and torque stand in its model."""
 
 
+def ascending(time: Array) -> Array:
+    """(n,) which rows' times go on."""
+    return np.concatenate([[True], np.diff(np.maximum.accumulate(time)) > 0])
+
+
 def recording(
     name: str, time: Array, commands: Mapping[str, Array], positions: Mapping[str, Array], notes: Mapping[str, str]
 ) -> Recording:
     """A trial; rows whose time does not go on are left out."""
-    kept = np.concatenate([[True], np.diff(np.maximum.accumulate(time)) > 0])
+    kept = ascending(time)
     command, position = (np.column_stack(list(table.values()))[kept] for table in (commands, positions))
     return Recording(name, time[kept], command, position, tuple(commands), tuple(positions), notes=notes)
 
@@ -126,7 +131,7 @@ def double_pendulum(folder: Path) -> dict[str, list[Recording]]:
             )
             found.setdefault(f"double_pendulum_{design}", []).append(trial)
             if design == "a0":
-                kept = np.concatenate([[True], np.diff(np.maximum.accumulate(table["time"])) > 0])
+                kept = ascending(table["time"])
                 asked = np.column_stack(
                     [
                         tau[kept] - compensation(table["time"][kept], q[kept], table[key][kept], tau[kept])

@@ -31,7 +31,7 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import Split
-from equimus_ctrl.diagnosis.weighing import weigh
+from equimus_ctrl.diagnosis.weighing import orthonormal, outside, weigh
 from equimus_ctrl.diagnosis.where import excess_of, where_off
 from equimus_ctrl.identification.fit import STEP, Simulator, machine_simulator, reduced_simulator, residuals_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood
@@ -272,8 +272,8 @@ def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> t
     before, after = (simulator([model], data.segments, starts) for simulator in (data.simulator, finer))
     moved = [np.moveaxis(a.position - b.position, 0, -1) for a, b in zip(after, before, strict=True)]
     weighing = weigh(data.times, fitted.fit, noise)
-    column, basis = weighing.columns(data.times, moved)[:, 0], np.linalg.qr(weighing.slopes)[0]
-    return float((weighing.residual**2).sum()), float((column**2).sum() - ((basis.T @ column) ** 2).sum())
+    column = weighing.columns(data.times, moved)[:, 0]
+    return float((weighing.residual**2).sum()), outside(column, orthonormal(weighing.slopes))
 
 
 def _simplified(search: Search, found: Searched) -> Searched:

@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Hypothesis, Part, model_of, with_part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.weighing import Weighing, weigh
+from equimus_ctrl.diagnosis.weighing import Weighing, orthonormal, outside, weigh
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import white_noise
@@ -165,8 +165,8 @@ def _again(
     # Weak directions would be bent far to fit the curvature.
     strong = np.linalg.pinv(w.slopes[:, :base], rcond=STRONG)
     kinds = {tried[place].kept for tried, place in chosen}
-    bases = [{kept: _orthonormal(v.slopes[:, list(kept)]) for kept in kinds} for v in weighings]
-    totals = [{kept: _outside(v.residual, q) for kept, q in qs.items()} for v, qs in zip(weighings, bases, strict=True)]
+    bases = [{kept: orthonormal(v.slopes[:, list(kept)]) for kept in kinds} for v in weighings]
+    totals = [{kept: outside(v.residual, q) for kept, q in qs.items()} for v, qs in zip(weighings, bases, strict=True)]
     thetas = []
     for tried, place in chosen:
         change = strong @ (w.residual - columns[0][:, tried[place].index])
@@ -177,22 +177,13 @@ def _again(
         for k, (tried, place) in enumerate(chosen):
             t = tried[place]
             gains = tuple(
-                totals[way][t.kept] - _outside(v.residual - moved[way][:, k], bases[way][t.kept])
+                totals[way][t.kept] - outside(v.residual - moved[way][:, k], bases[way][t.kept])
                 for way, v in enumerate(weighings)
             )
             theta = data.free.moved(thetas[k], strong @ (w.residual - moved[0][:, k]) * scale)
             if gains[0] > t.gains[0]:
                 tried[place] = replace(t, factor=1.0, gains=gains, theta=np.concatenate([theta, t.theta[base:]]))
             thetas[k] = theta
-
-
-def _orthonormal(slopes: Array) -> Array:
-    return np.asarray(np.linalg.qr(slopes)[0])
-
-
-def _outside(residual: Array, basis: Array) -> float:
-    """Sum of squares outside what a basis spans."""
-    return float((residual**2).sum() - ((basis.T @ residual) ** 2).sum())
 
 
 def _changes(

@@ -50,3 +50,13 @@ def weigh(times: Sequence[Array], fit: Fit, noise: Noise) -> Weighing:
         slopes.append(both[:, 1:])
         starts.append(basis)
     return Weighing(noise, np.concatenate(residuals), np.concatenate(slopes), starts)
+
+
+def orthonormal(slopes: Array) -> Array:
+    """(N, p) a basis of what parameters can do."""
+    return np.asarray(np.linalg.qr(slopes)[0])
+
+
+def outside(residual: Array, basis: Array) -> float:
+    """Sum of squares of what a basis cannot do."""
+    return float((residual**2).sum() - ((basis.T @ residual) ** 2).sum())

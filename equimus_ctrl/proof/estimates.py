@@ -12,7 +12,7 @@ from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import places
 from equimus_ctrl.proof.answers import OURS, STRONG, Case, Method
 from equimus_ctrl.proof.shares import Share
-from equimus_ctrl.proof.sizes import size_of
+from equimus_ctrl.proof.sizes import measured_by, size_of
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,8 @@ def measure_of(effect: str, parameter: str, location: str, true: float) -> tuple
     sits (a spring's rest, a centre, a stop's angle) have no zero of their own; theirs are relative to the range that
     the table of sizes draws them from.
     """
-    info = REGISTRY[effect].parameter_info()
     kind = next(kind for kind, names in places(nominal_leg()).items() if location in names)
-    row = size_of(effect, parameter, kind, location)
-    if row.law == "linear" and info[parameter]["unit"] in ("rad", "m"):
-        return row.high - row.low, None
-    zero = (REGISTRY[effect].grows_from() if parameter == next(iter(info)) else None) or 0.0
-    return abs(true - zero), zero
+    return measured_by(size_of(effect, parameter, kind, location), REGISTRY[effect], true)
 
 
 def found_numbers(cases: Sequence[Case], method: Method = OURS) -> list[Number]:

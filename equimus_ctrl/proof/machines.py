@@ -7,7 +7,7 @@ and first angles are those of recordings that somebody has, and the proof is one
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
@@ -18,7 +18,7 @@ from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import Model, machine_model, machine_of, places
+from equimus_ctrl.models.model import Model, machine_of, places
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.proof.designs import TrialDesign
 from equimus_ctrl.proof.machine_sizes import machine_sizes
@@ -32,7 +32,7 @@ from equimus_ctrl.proof.realities import (
     kind_of,
     stream,
 )
-from equimus_ctrl.proof.sizes import Size
+from equimus_ctrl.proof.sizes import Size, by_another_name, measured_by
 from equimus_ctrl.types import Array, Recording
 
 LITTLE_KNOWN = {"damping": 0.4, "quadratic_damping": 0.4, "frictionloss": 0.4, "armature": 0.4}
@@ -44,8 +44,6 @@ CORRELATION = (0.5, 8.0)
 """Correlation time of coloured noise in sampling intervals."""
 ATTEMPTS, STREAMS = 100, 10
 """At most, to draw what a machine can have."""
-UNLIKE = 1.3
-"""Least factor between friction forwards and backwards; else it would be Coulomb friction by another name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,22 +134,15 @@ def draw_machine(
     for effect in (*effects, *outside):
         for row in table:
             if row.effect == effect.name and row.at in ("", effect.location):
-                scales[effect.name, row.parameter] = _scale(row, effect)
+                scales[effect.name, row.parameter] = measured_by(
+                    row, type(effect), float(getattr(effect, row.parameter))
+                )
     return MachineReality(
         case, seed, chosen, real.morphology, effects, outside, noise, correlation, tuple(designs),
         np.zeros((len(designs), 0)),
         starts=tuple(np.array(r.position[0]) for r in experiment.recordings),
         notes=tuple(dict(r.notes) for r in experiment.recordings), drawn=drawn, scales=scales,
     )  # fmt: skip
-
-
-def _scale(row: Size, effect: Effect) -> tuple[float, float | None]:
-    """(what an error is relative to, where the effect does nothing), see ``estimates.measure_of``."""
-    info = effect.parameter_info()
-    if row.law == "linear" and info[row.parameter]["unit"] in ("rad", "m"):
-        return row.high - row.low, None
-    zero = (effect.grows_from() if row.parameter == next(iter(info)) else None) or 0.0
-    return abs(float(getattr(effect, row.parameter)) - zero), zero
 
 
 def _other_numbers(rng: np.random.Generator, model: Model) -> tuple[Model, tuple[str, ...]]:
@@ -196,13 +187,8 @@ def _one(rng: np.random.Generator, real: Model, table: Sequence[Size], cls: type
     rows = [row for row in table if row.effect == cls.name and row.at in ("", site)]
     for _ in range(ATTEMPTS):
         values = {row.parameter: row.draw(rng) for row in rows}
-        if cls.name == "stribeck_friction" and values["breakaway"] < values["friction"] / 3:
-            continue  # that would be Coulomb friction by another name
-        if cls.name == "asymmetric_friction":
-            low, high = sorted(values.values())
-            if high < UNLIKE * low:
-                continue
-        break
+        if not by_another_name(cls.name, values):
+            break
     return tuple(cls(s, **values) for s in (sites if everywhere else [site]))
 
 
@@ -223,8 +209,3 @@ def machine_recordings(reality: MachineReality, clean: Sequence[Array], disturbe
         )
         for trial, shown, more, notes in zip(reality.trials, clean, disturbed, reality.notes, strict=True)
     ]  # fmt: skip
-
-
-def without(reality: MachineReality, effects: Sequence[Effect]) -> Model:
-    """The true machine with some of its effects alone."""
-    return replace(machine_model(reality.machine), effects=tuple(effects))

@@ -212,8 +212,5 @@ def _values(rng: np.random.Generator, cls: type[Effect], kind: str, location: st
     rows = [sizes.size_of(cls.name, key, kind, location) for key in cls.parameter_info()]
     while True:
         values = {row.parameter: row.draw(rng) for row in rows}
-        if cls.name == "asymmetric_lag" and abs(math.log(values["fill"] / values["vent"])) < math.log(1.5):
-            continue  # that would be a symmetric lag by another name
-        if cls.name == "stribeck_friction" and values["breakaway"] < values["friction"] / 3:
-            continue  # that would be Coulomb friction by another name
-        return values
+        if not sizes.by_another_name(cls.name, values):
+            return values

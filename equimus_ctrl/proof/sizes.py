@@ -9,11 +9,13 @@ BAA is mostly below 22 kPa.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError
 
 Law = Literal["log", "linear", "either sign", "about one"]
@@ -146,6 +148,30 @@ BEYOND = (
     Size("fade", "time_constant", 2.0, 10.0, "slower than the leg, within a trial"),
 )
 """Of everything from outside it."""
+
+
+UNLIKE = 1.3
+"""Least factor between dry friction forwards and backwards that is called different."""
+
+
+def by_another_name(effect: str, values: Mapping[str, float]) -> bool:
+    """Whether an effect with these values would rightly be called by a simpler one's name."""
+    if effect == "asymmetric_lag":
+        return abs(math.log(values["fill"] / values["vent"])) < math.log(1.5)
+    if effect == "stribeck_friction":
+        return values["breakaway"] < values["friction"] / 3
+    if effect == "asymmetric_friction":
+        return max(values.values()) < UNLIKE * min(values.values())
+    return False
+
+
+def measured_by(row: Size, effect: type[Effect], true: float) -> tuple[float, float | None]:
+    """(what an error is relative to, where the effect does nothing), see ``estimates.measure_of``."""
+    info = effect.parameter_info()
+    if row.law == "linear" and info[row.parameter]["unit"] in ("rad", "m"):
+        return row.high - row.low, None
+    zero = (effect.grows_from() if row.parameter == next(iter(info)) else None) or 0.0
+    return abs(true - zero), zero
 
 
 def size_of(effect: str, parameter: str, kind: str, location: str) -> Size:
