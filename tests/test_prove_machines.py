@@ -183,6 +183,7 @@ def test_a_proof_of_a_pendulum_from_end_to_end(tmp_path: Path, capsys: pytest.Ca
     [
         ([str(EXAMPLES / "pendulum")], "recordings are for --model"),
         (["--model", str(EXAMPLES / "pendulum.xml")], "give their folder or files"),
+        ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "heavy_leg.toml")], "is no machine from MuJoCo's XML"),
         ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "pendulum.xml"), "--trials", "3"], "are for legs"),
         ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "pendulum.xml"), "--baselines"], "are for legs"),
     ],

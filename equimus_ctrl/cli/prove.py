@@ -146,10 +146,11 @@ def _experiment(
         raise ConfigError("--trials and --duration are for legs; a machine is driven as in its recordings")
     if not recordings:
         raise ConfigError(f"{model}: a machine is driven as in recordings of it; give their folder or files too")
-    from equimus_ctrl.proof.machines import Experiment
+    from equimus_ctrl.proof.machines import Experiment, require_bare_machine
     from equimus_ctrl.workflow.runs import gather, load_model
 
     own = load_model(model)
+    require_bare_machine(own)  # before its recordings are taken for a leg's
     return Experiment(own, tuple(gather(recordings, own)))
 
 

@@ -81,10 +81,7 @@ class Experiment:
     recordings: tuple[Recording, ...]
 
     def __post_init__(self) -> None:
-        if machine_of(self.model) is None:
-            raise ConfigError(f"{self.model.name} is no machine from MuJoCo's XML; a leg's experiments are drawn")
-        if self.model.effects:
-            raise ConfigError(f"{self.model.name} has effects already; prove with the machine alone")
+        require_bare_machine(self.model)
         split(self.model, self.recordings)  # what cannot be diagnosed makes no proof
 
     @property
@@ -92,6 +89,14 @@ class Experiment:
         """As a diagnosis of these recordings would cut them."""
         parts = split(self.model, self.recordings)
         return (*parts.train, *parts.heldout)
+
+
+def require_bare_machine(model: Model) -> None:
+    """Raise ConfigError where a model is of no machine, or has effects already."""
+    if machine_of(model) is None:
+        raise ConfigError(f"{model.name} is no machine from MuJoCo's XML; a leg's experiments are drawn")
+    if model.effects:
+        raise ConfigError(f"{model.name} has effects already; prove with the machine alone")
 
 
 def draw_machine(
