@@ -111,6 +111,15 @@ def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(noise(first), noise(again), strict=True))
 
 
+def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experiment) -> None:
+    for case in range(40):
+        reality = draw_machine(pendulum, 1, case, "pair")
+        for effect in reality.effects:
+            for key in effect.parameter_info():
+                low, high = effect.bounds(key, reality.leg)
+                assert low <= getattr(effect, key) <= high, (case, effect, key)
+
+
 def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) -> None:
     kinds = set()
     for case in range(30):

@@ -177,10 +177,16 @@ def _attached(
         try:
             found = tuple(effect for name in chosen for effect in _one(rng, real, table, known[name]))
             Model(real.morphology, tuple(e for e in found if e.name in REGISTRY))
-        except (ConfigError, ModelError):  # out of bounds, excluded by each other, or not possible on this machine
+        except (ConfigError, ModelError):  # excluded by each other, or not possible on this machine
             continue
-        return found
+        if all(_believable(effect, key, real) for effect in found for key in effect.parameter_info()):
+            return found
     raise ConfigError(f"{real.name}: none of {ATTEMPTS} draws gave effects that it can have")
+
+
+def _believable(effect: Effect, key: str, real: Model) -> bool:
+    low, high = effect.bounds(key, real.morphology)
+    return low <= getattr(effect, key) <= high
 
 
 def _one(rng: np.random.Generator, real: Model, table: Sequence[Size], cls: type[Effect]) -> tuple[Effect, ...]:
