@@ -29,12 +29,12 @@ from equimus_ctrl.diagnosis.results import (
     Verdict,
 )
 from equimus_ctrl.diagnosis.screening import Screened
-from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
+from equimus_ctrl.diagnosis.search import LONG, Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.weighing import orthonormal, outside, weigh
 from equimus_ctrl.diagnosis.where import excess_of, where_off
 from equimus_ctrl.identification.fit import STEP, Simulator, machine_simulator, reduced_simulator, residuals_of
-from equimus_ctrl.identification.noise import Noise, log_likelihood
+from equimus_ctrl.identification.noise import Noise, log_likelihood, white_noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
@@ -57,6 +57,9 @@ PATIENCE = 1
 FINE = STEP / 3
 """The same where rivals are told apart."""
 Finely = Callable[[Fitted], Fitted]
+SILENT, PLAIN = 16.0, 5.0
+"""χ² below which trials on which two models differ tell nothing of either, and times the least gain of deviance of what
+is believed all the same."""
 CARRIES_OVER = 0.25
 """Least gain on held-out trials for each sample, as a share of that on the trials fitted, of what is believed."""
 
@@ -136,8 +139,13 @@ def _diagnose(
         if machine_of(free.model) is None
         else replace(settings.search, patience=PATIENCE, thorough=True)
     )
-    search = Search(data, pool, wanted, notify)
-    found = search.run(base)
+    near = Search(replace(data, segments=split.near), pool, wanted, notify) if split.near else None
+    start = near.run(near.data.base()).best if near else base
+    search = Search(data, pool, wanted, notify, near.fitted if near else ())
+    found = Searched(base, base, (), (), (), ())
+    if start.hypothesis:
+        found = search.beginning(base, _refitted(data, start))
+    found = search.go_on(found)
     if machine_of(free.model) is not None:
         found = _simplified(search, found)
     progress("trials left out", 0.82, found.best.label)
@@ -146,8 +154,11 @@ def _diagnose(
     rest = remainder(data, found.base, found.best, found.without)
     doubtful: tuple[Named, ...] = ()
     while rest.superfluous:
-        doubtful += tuple(_named(found.best.hypothesis[k]) for k in rest.superfluous)
+        dropped = [found.best.hypothesis[k] for k in rest.superfluous]
+        doubtful += tuple(_named(part) for part in dropped)
         found = _less(search, found, rest.superfluous)
+        if found.best.hypothesis:
+            found = _confirmed(search, search.go_on(found, [part.candidate.label for part in dropped]), split)
         rest = remainder(data, found.base, found.best, found.without)
     coarse = ""
     if (exact := _finer(search, found, rest, settings)) is not None:
@@ -195,6 +206,12 @@ def _diagnose(
         (*_notes(found), *([coarse] if coarse else [])),
         time.perf_counter() - begun,
     )
+
+
+def _refitted(data: Data, other: Fitted) -> Fitted:
+    """What was fitted to other windows of the same trials, in these."""
+    begin = (other.fit.theta, [s.start for s in data.segments])
+    return data.settle(data.rough(other.hypothesis, [begin], white_noise(other.fit.residuals), LONG))
 
 
 def _named(part: Part) -> Named:
@@ -306,19 +323,35 @@ def _confirmed(search: Search, found: Searched, split: Split) -> Searched:
         return found
     while found.best.hypothesis:
         judge = _Judge(search.data, split, found)
-        ratios = [judge.carried_over(without, found.best) for without in found.without]
+        ratios = [_carried_over(search, judge, without, found.best) for without in found.without]
         place = int(np.argmin(ratios))
         if ratios[place] >= CARRIES_OVER:
             return found
         without, limit = found.without[place], search.score(found.best) + ALIKE
         rivals = sorted((r for r in found.rivals[place] if search.score(r) < limit), key=search.score)
-        better = next((r for r in rivals if judge.carried_over(without, r) >= CARRIES_OVER), None)
+        better = next((r for r in rivals if _carried_over(search, judge, without, r) >= CARRIES_OVER), None)
         if better is None or len(found.best.hypothesis) > 1:
             found = _again(search, found, without)
         else:
             others = (found.best, *(r for r in found.rivals[place] if r is not better))
             return replace(found, best=better, rivals=(others,))
     return found
+
+
+def _carried_over(search: Search, judge: _Judge, simple: Fitted, rich: Fitted) -> float:
+    """See ``_Judge.carried_over``; of a machine over what the trials held out could show, where that is less.
+
+    Machines' recordings are what somebody has, not drawn alike: a drive's limit may never be reached in some. What they
+    cannot show at all is believed where it is plain in what was fitted.
+    """
+    ratio = judge.carried_over(simple, rich)
+    if ratio >= CARRIES_OVER or machine_of(search.data.free.model) is None:
+        return ratio
+    apart = judge.apart(simple, rich)
+    if apart >= SILENT:
+        return max(ratio, judge.gain(simple, rich) / apart)
+    plain = simple.deviance - rich.deviance > PLAIN * search.threshold(max(rich.n_parameters - simple.n_parameters, 1))
+    return CARRIES_OVER if plain else ratio
 
 
 class _Judge:
@@ -356,6 +389,13 @@ class _Judge:
         """The fall of the deviance of what was held out, over that of what was fitted for as many samples."""
         share = sum(s.measured.size for s in self.split.heldout) / self.data.n
         return self.gain(simple, rich) / max((simple.deviance - rich.deviance) * share, 1e-300)
+
+    def apart(self, simple: Fitted, rich: Fitted) -> float:
+        """χ² by which two models differ on what was held out: what the better one would gain there if it were true."""
+        before, after = (self.heldout(f.fit.model) for f in (simple, rich))
+        times = [s.trial.sample_times for s in self.split.heldout]
+        moved = (whiten(self.noise, t, a - b) for t, a, b in zip(times, before, after, strict=True))
+        return sum(float((w**2).sum()) for w in moved)
 
     def share(self, simple: Sequence[Array], rich: Sequence[Array], base: Sequence[Array]) -> float:
         """Of the excess error of ``base`` that ``rich`` has less than ``simple``."""

@@ -15,7 +15,6 @@ from equimus_ctrl.diagnosis.flexible import Axis, Group
 from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, linear, nuisances
 from equimus_ctrl.diagnosis.results import Leftover
 from equimus_ctrl.diagnosis.where import excess_of
-from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
@@ -37,8 +36,10 @@ MOST = 3
 """How many pushes are told at most."""
 UNTOLD = 1e-4
 """Part of a push of which the free parameters leave less than this share is not told."""
-COORDINATES = {"pos": "pos", "len": "pos", "vel": "vel", "rate": "vel"}
-"""What goes with a joint's coordinate and its rate, where a drive has a fixed gear."""
+COORDINATES = {
+    "pos": "pos", "len": "pos", "vel": "vel", "rate": "vel", "cmd": "cmd", "past": "past", "path": "past",
+}  # fmt: skip
+"""What a place's coordinates are, in the words of the laws there."""
 MUCH = 3.0
 """Excess error of a joint, over the noise's variance, from which on something is left whatever it goes with."""
 POINTS = 61
@@ -126,24 +127,26 @@ def _stands_in(data: Data, without: Fitted, best: Fitted, gap: float, share: flo
     at = linear(data, without, best.noise)
     if at is None:
         return False
-    pushes = flexible(at)
-    if machine_of(data.free.model) is not None:
-        pushes = [push for push in pushes if not _restates(push.group, best.hypothesis)]
+    geared = machine_of(data.free.model) is not None
+    pushes = [push for push in flexible(at) if not _restates(push.group, best.hypothesis, geared)]
     return max((push.found.gain for push in pushes[:tried]), default=0.0) > share * gap
 
 
-def _restates(group: Group, hypothesis: Hypothesis) -> bool:
-    """Whether a push is what a part of a hypothesis says, without its name: at its joint, over what its law depends on.
+def _restates(group: Group, hypothesis: Hypothesis, geared: bool) -> bool:
+    """Whether a push is what a part of a hypothesis says, without its name: at its place, over what its law depends on.
 
-    A curve over the speed is dry and viscous friction of the same joint; that is no simpler story.
+    A curve over the speed is friction of the same joint, a share of the pressure that depends on the length is an area
+    that does: those are no simpler stories. Drives with a fixed gear are where their joints are, and what depends on
+    more than a law does restates it too.
     """
-    told = {COORDINATES[key] for key in re.findall(r"(pos|vel|len|rate)\.", group.depends_on)}
-    return any(
-        issubclass(part.candidate.effect, ForceEffect)
-        and set(group.joints) <= set(part.candidate.locations)
-        and part.candidate.effect.depends() <= told
-        for part in hypothesis
-    )
+    told = {COORDINATES[key] for key in re.findall(r"(pos|vel|len|rate|cmd|past|path)\.", group.depends_on)}
+    for part in hypothesis:
+        law, places = part.candidate.effect, set(part.candidate.locations)
+        own = law.depends()
+        here = group.location in places or (geared and set(group.joints) <= places)
+        if own and here and (own <= told if geared else own == told):
+            return True
+    return False
 
 
 def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:

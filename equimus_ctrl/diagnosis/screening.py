@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -89,8 +90,12 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
                 continue
     if not entries:
         return []
-    changes = _changes(data, fitted, entries)
     weighings = [weigh(data.times, fitted.fit, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)]
+    changes = _changes(data, fitted, entries)
+    if data.quick and (smaller := _smaller(data, weighings[0], entries, changes)):
+        more = _changes(data, fitted, smaller)
+        entries = [*entries, *smaller]
+        changes = [np.concatenate(pair, axis=2) for pair in zip(changes, more, strict=True)]
     columns = [w.columns(data.times, changes) for w in weighings]
     owners = _owners(len(data.free.free), fitted.hypothesis)
     found: dict[int, list[_Tried]] = {}
@@ -139,6 +144,34 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
             )
         )
     return screened
+
+
+def _smaller(
+    data: Data, weighing: Weighing, entries: Sequence[tuple[Candidate, Hypothesis]], changes: Sequence[Array]
+) -> list[tuple[Candidate, Hypothesis]]:
+    """Guesses that change far more than is left, with first parameters that change about as much as that.
+
+    Along a trial small causes add up: what one so large does says little of what one of the right size would.
+    """
+    basis = orthonormal(weighing.slopes)
+    left = outside(weighing.residual, basis)
+    columns = weighing.columns(data.times, changes)
+    found = []
+    for k, (candidate, hypothesis) in enumerate(entries):
+        nothing = candidate.effect.grows_from()
+        factor = math.sqrt(left / max(outside(columns[:, k], basis), 1e-300))
+        if nothing is None or factor > LEAST:
+            continue
+        values = dict(hypothesis[-1].values)
+        first = next(iter(values))
+        values[first] = nothing + (values[first] - nothing) * factor
+        try:
+            scaled = (*hypothesis[:-1], Part(candidate, values))
+            model_of(data.free.model, scaled)
+        except ConfigError:  # below what it can be
+            continue
+        found.append((candidate, scaled))
+    return found
 
 
 def _again(

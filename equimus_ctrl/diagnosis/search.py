@@ -7,7 +7,7 @@ simulations of one leg differ.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -95,6 +95,7 @@ class Search:
         pool: the candidates.
         settings: how it goes.
         notify: see ``Notify``.
+        elsewhere: hypotheses with these candidates that were fitted to other windows of the same trials, to begin from.
     """
 
     def __init__(
@@ -103,12 +104,15 @@ class Search:
         pool: Sequence[Candidate],
         settings: SearchSettings | None = None,
         notify: Notify = lambda stage, best: None,
+        elsewhere: Sequence[Fitted] = (),
     ) -> None:
         self.data = data
         self.pool = list(pool)
         self.settings = settings or SearchSettings()
         self.notify = notify
+        self.elsewhere = sorted(elsewhere, key=self.score)
         self.fitted: list[Fitted] = []
+        self.barred: set[str] = set()
         self._first: tuple[Screened, ...] = ()
         self._compared: dict[tuple[Fitted, Fitted], bool] = {}
         self._challenged: dict[tuple[frozenset[str], str], tuple[Fitted, list[Fitted]]] = {}
@@ -129,9 +133,23 @@ class Search:
 
     def run(self, base: Fitted) -> Searched:
         """Search from a model without effects that was refitted."""
-        best = base
-        without: tuple[Fitted, ...] = ()
-        rivals: tuple[tuple[Fitted, ...], ...] = ()
+        return self.go_on(Searched(base, base, (), (), (), ()))
+
+    def beginning(self, base: Fitted, start: Fitted) -> Searched:
+        """A hypothesis to go on from, less what is not needed and with what fits better in its parts' places."""
+        self._first = tuple(screen(self.data, base, self.pool))
+        best, without, rivals = self._exchanged(start)
+        return Searched(base, best, without, rivals, self._first, tuple(self.fitted))
+
+    def go_on(self, found: Searched, barred: Sequence[str] = ()) -> Searched:
+        """Search from where one ended.
+
+        Args:
+            found: there.
+            barred: labels of candidates that are not to be part of it.
+        """
+        self.barred |= set(barred)
+        base, best, without, rivals = found.base, found.best, found.without, found.rivals
         sure, outdone = (best, without, rivals), 0
         for depth in range(2 * self.settings.most_parts):
             self.notify(f"what could be missing, round {depth + 1}", best.label)
@@ -213,14 +231,15 @@ class Search:
         for left_out in ("", instead_of):
             known = self._challenged.get((whole, left_out))
             if known and known[0].deviance <= fitted.deviance + SETTLED:
-                return [o for o in known[1] if instead_of not in {p.candidate.label for p in o.hypothesis}]
+                without = {instead_of, *self.barred}
+                return [o for o in known[1] if not without & {p.candidate.label for p in o.hypothesis}]
         options = self._options(fitted, instead_of)
         self._challenged[whole, instead_of] = fitted, options
         return options
 
     def _options(self, fitted: Fitted, left_out: str, known: Sequence[str] | None = None) -> list[Fitted]:
         """Hypotheses with one more part: the promising ones, or with some that are known all others."""
-        pool = [c for c in self.pool if c.label != left_out and c.label not in (known or ())]
+        pool = [c for c in self.pool if c.label not in {left_out, *(known or ()), *self.barred}]
         tried = min(self.settings.tried, INSTEAD) if left_out else self.settings.tried
         tried = tried if known is None else len(pool)
         weights = white_noise(fitted.fit.residuals)
@@ -263,7 +282,30 @@ class Search:
                         starts.append((np.concatenate([self.data.free.start, s.begin[base:]]), fitted.fit.starts))
                     old = chosen.get(s.candidate.label)
                     chosen[s.candidate.label] = (s.hypothesis, starts + (old[1] if old else []))
+        for hypothesis, begin in self._from_elsewhere(fitted, {c.label for c in pool}, tried):
+            label = hypothesis[-1].candidate.label
+            old = chosen.get(label)
+            chosen[label] = (hypothesis, [begin, *(old[1] if old else [])])
         return [*chosen.values(), *((h, [b]) for h, b in self._splits(fitted))]
+
+    def _from_elsewhere(
+        self, fitted: Fitted, labels: Collection[str], most: int
+    ) -> Iterator[tuple[tuple[Part, ...], Begin]]:
+        """Of what was fitted elsewhere the best that adds one of some candidates to a hypothesis."""
+        base = len(self.data.free.free)
+        own = [part.candidate.label for part in fitted.hypothesis]
+        met: set[str] = set()
+        for other in self.elsewhere:
+            parts = {part.candidate.label: part for part in other.hypothesis}
+            more = parts.keys() - set(own)
+            if len(parts) != len(own) + 1 or len(more) != 1 or more & met or not more <= set(labels):
+                continue
+            met |= more
+            hypothesis = tuple(parts[label] for label in (*own, *more))
+            values = [v for part in hypothesis for v in part.values.values()]
+            yield hypothesis, (np.concatenate([other.fit.theta[:base], values]), fitted.fit.starts)
+            if len(met) == most:
+                return
 
     @cached_property
     def given(self) -> Fitted:

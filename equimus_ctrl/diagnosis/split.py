@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import fnmatch
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.identification.fit import DIVERGED, Simulator, residuals_of, simulator_for
@@ -33,6 +35,8 @@ LENGTHS = (8.0, 4.0, 2.0, 1.0, 0.5)
 NEAR, MOSTLY = 0.5, 0.8
 """So near to what was measured, in units of the usual trial's standard deviation, a model is to stay in this share of
 the windows: farther away, fits end in the nearest of many valleys."""
+ONCE = 1.5
+"""Times what a joint takes to cross its way: what one small change does there tells what a larger one would do."""
 MOST_ANGLE = 12.6
 """Angles beyond two turns are degrees [rad]."""
 
@@ -44,10 +48,12 @@ class Split:
     Attributes:
         train: fitted.
         heldout: not seen by any fit or choice.
+        near: what is fitted, in windows so short that errors do not grow in them; nothing where that is no difference.
     """
 
     train: tuple[Segment, ...]
     heldout: tuple[Segment, ...]
+    near: tuple[Segment, ...] = ()
 
 
 def check(model: Model, recordings: Sequence[Recording]) -> None:
@@ -134,6 +140,7 @@ def split(
     if machine_of(model) is not None and shoot is None:
         shoot = window_length(model, recordings, window, simulator)
     train, unseen = [], []
+    fitted: list[tuple[int, tuple[float, float]]] = []
     for k, r in enumerate(recordings):
         low, high = window or (float(r.time[0]), float(r.time[-1]))
         if k in judging:
@@ -142,11 +149,15 @@ def split(
         edge = high if until is None else min(until, high)
         if edge > low:
             train += _cut(model, r, k, (low, edge), shoot, fit_start=True)
+            fitted.append((k, (low, edge)))
         if edge < high and np.count_nonzero(r.time > edge) >= LEAST_SAMPLES:
             unseen += _cut(model, r, k, (float(np.nextafter(edge, high)), high), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
-    return Split(tuple(train), tuple(unseen))
+    near: list[Segment] = []
+    if machine_of(model) is not None and (short := _motion_length(model, train)) < (shoot or math.inf):
+        near = [s for k, span in fitted for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
+    return Split(tuple(train), tuple(unseen), tuple(near))
 
 
 def check_settings(free: FreeParameters, parts: Split) -> None:
@@ -166,6 +177,13 @@ def _cut(
     return [replace(s, recording=k) for s in cut(model, [r], window=window, shoot=shoot, fit_start=fit_start)]
 
 
+def _motion_length(model: Model, segments: Sequence[Segment]) -> float:
+    """The longest windows in which a machine's quickest joint crosses hardly more than its way once [s]."""
+    seen = seen_places(model, segments)
+    time = min(seen[joint].span / seen[joint].speed for joint in model.morphology.joint_names)
+    return next((length for length in LENGTHS if length <= ONCE * time), LENGTHS[-1])
+
+
 def window_length(
     model: Model,
     recordings: Sequence[Recording],
@@ -176,6 +194,12 @@ def window_length(
 
     Whole trials where it does, which tell most; where nothing holds a joint in place, small errors grow and windows are
     short. None for whole trials.
+
+    Args:
+        model: of the machine.
+        recordings: what was measured.
+        window: (from, to) of each trial that counts at all [s].
+        simulator: that follows it.
 
     Raises:
         SimulationDiverged: where the model diverges in all windows, however short.

@@ -126,6 +126,11 @@ class Effect:
         """The place that ``exclusive`` means, on a robot (a ``models.morphology.Morphology``)."""
         return self.location
 
+    @classmethod
+    def depends(cls) -> set[str]:
+        """On what a push of it at its place depends: ``pos``, ``vel``, ``cmd``, ``past``; nothing where it is none."""
+        return set()
+
     def bounds(self, key: str, robot: Any) -> tuple[float, float]:
         """Between what a parameter can vary on a robot while all else about the effect stays."""
         meta = self.parameter_info()[key]

@@ -214,6 +214,10 @@ class ActuatorGain(BodyEffect):
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
         return [{"factor": factor} for factor in (0.95, 1.05, 0.8, 1.25)]
 
+    @classmethod
+    def depends(cls) -> set[str]:
+        return {"cmd"}
+
     def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_gain(self.location, self.factor)
 
@@ -234,6 +238,10 @@ class TorqueSaturation(BodyEffect):
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
         return [{"level": share * seen.drive} for share in (0.95, 0.85, 0.7, 0.55, 0.4)]
+
+    @classmethod
+    def depends(cls) -> set[str]:
+        return {"cmd"}
 
     def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_limit(self.location, self.level)

@@ -100,12 +100,19 @@ class ForceEffect(Effect):
 
     @classmethod
     def depends(cls) -> set[str]:
-        """On what its push at a joint depends: ``pos``, ``vel`` or both; dry friction on the direction of the speed."""
+        """On what its push depends: ``pos``, ``vel``, ``cmd``; with states of its own it is the ``past`` alone.
+
+        Dry friction depends on the direction of the speed.
+        """
         x, rate, p = ca.SX.sym("x"), ca.SX.sym("rate"), {key: ca.SX.sym(key) for key in cls.parameter_info()}
         z = [ca.SX.sym(f"z{k}") for k in range(cls.n_states)]
         push = ca.SX(cls.force(x, rate, z, p)) + ca.SX(cls.dry_friction(x, ca.fabs(rate), p)) * ca.sign(rate)
         push += ca.SX(cls.friction_of_load(ca.SX(LOAD), ca.fabs(rate), p)) * ca.sign(rate)
-        return {name for name, symbol in (("pos", x), ("vel", rate)) if ca.depends_on(push, symbol)}
+        area = ca.SX(cls.more_area(x, ca.SX(1), p))
+        if z and ca.depends_on(push, ca.vertcat(*z)):
+            return {"past"}
+        found = {name for name, symbol in (("pos", x), ("vel", rate)) if ca.depends_on(push, symbol)}
+        return found | {"pos", "cmd"} if ca.depends_on(area, x) else found
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:

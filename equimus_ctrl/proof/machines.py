@@ -186,7 +186,7 @@ def _attached(
 
 def _believable(effect: Effect, key: str, real: Model) -> bool:
     low, high = effect.bounds(key, real.morphology)
-    return low <= getattr(effect, key) <= high
+    return low <= float(getattr(effect, key)) <= high
 
 
 def _one(rng: np.random.Generator, real: Model, table: Sequence[Size], cls: type[Effect]) -> tuple[Effect, ...]:
