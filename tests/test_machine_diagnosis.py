@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +13,30 @@ import pytest
 
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.cli.main import main
+from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, uncertain
+from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.flexible import Group
+from equimus_ctrl.diagnosis.remainder import _restates
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.split import window_length
+from equimus_ctrl.diagnosis.screening import screen
+from equimus_ctrl.diagnosis.split import split, window_length
 from equimus_ctrl.effects import (
+    ConstantForce,
     CoulombFriction,
+    Creep,
     DrivePlay,
     Effect,
+    NarrowingArea,
+    NonlinearStiffness,
     PayloadMass,
+    QuadraticDamping,
+    TorqueSaturation,
     TransportDelay,
     ViscousFriction,
 )
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.identification.fit import machine_simulator
 from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import Model, machine_model
 from equimus_ctrl.recordings import find_recordings, write
@@ -166,6 +179,65 @@ def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
     assert found.verdict == "consistent" and not found.findings
     assert any("physics step of the XML, 10 ms, is too long" in note and "2.5 ms" in note for note in found.notes)
     assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
+
+
+def test_what_is_far_weaker_than_any_guess_is_looked_for_at_its_own_size() -> None:
+    """Along a trial a weak drag adds up; a hundred times as much would stop the pendulum and say nothing of it."""
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+    model, drag = machine_model(machine), 0.0003
+    trials = recorded(machine_model(machine, [QuadraticDamping("hinge", drag)]), seed=4)
+    parts = split(model, trials)
+    data = Data(uncertain(model), parts.train, machine_simulator(None, 1), machine_simulator(4e-3, 1), quick=True)
+    base, pool = data.base(), [c for c in candidates(model, parts.train) if c.label == "quadratic_damping:hinge"]
+    least = min(guess["drag"] for guess in pool[0].guesses)
+    (found,), (blunt,) = screen(data, base, pool), screen(replace(data, quick=False), base, pool)
+    value = found.hypothesis[-1].values["drag"]
+    assert drag < 0.3 * least and drag / 3 < value < 3 * drag
+    assert max(found.gains) > max(blunt.gains)
+
+
+def test_a_limit_that_the_trial_held_out_never_reaches_is_named() -> None:
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+    real = machine_model(machine, [TorqueSaturation("drive", 0.6)])
+    loud, quiet = recorded(real, count=2, seed=1), recorded(real, count=1, seed=2, size=0.35)
+    trials = [*loud, replace(quiet[0], name="quiet")]
+    assert np.abs(quiet[0].command).max() < 0.6 < np.abs(loud[0].command).max()
+    found = workflow.diagnose_recordings(trials, machine_model(machine), heldout=["quiet"], most=1)
+    assert named(found) == [("torque_saturation", ("drive",))] and value(found) == pytest.approx(0.6, rel=0.02)
+
+
+def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
+    def group(location: str, joint: str, told: str) -> Group:
+        return Group(location, (joint,), told, "", (), {})
+
+    def part(label: str, law: type[Effect]) -> tuple[Part, ...]:
+        return (Part(Candidate(law, (label,), ({},)), {}),)
+
+    area, cubic, creep = part("maa", NarrowingArea), part("maa", NonlinearStiffness), part("maa", Creep)
+    by_length, shared = group("maa", "hip", "len.maa"), group("maa", "hip", "len.maa·cmd.maa")
+    assert _restates(shared, area, False) == "same" and not _restates(by_length, area, False)
+    assert _restates(by_length, cubic, False) == "same" and not _restates(shared, cubic, False)
+    assert _restates(group("maa", "hip", "past.maa"), creep, False) == "same"
+    assert not _restates(group("baa", "knee", "len.baa·cmd.baa"), area, False)
+    limit = part("drive", TorqueSaturation)
+    assert _restates(group("drive", "hinge", "cmd.drive"), limit, True) == "same"
+    assert not _restates(group("hinge", "hinge", "pos.hinge"), limit, True)
+    dry = part("hinge", CoulombFriction)
+    assert _restates(group("hinge", "hinge", "vel.hinge"), dry, True) == "same"
+    assert _restates(group("hinge", "hinge", "pos.hinge·sign(vel.hinge)"), dry, True) == "more"
+    assert not _restates(group("hinge", "hinge", "time"), dry, True)
+    assert _restates(group("hinge", "hinge", "time"), part("hinge", ConstantForce), True) == "more"
+    assert not _restates(group("hinge", "hinge", "time"), part("hinge", TransportDelay), True)
+
+
+def test_a_search_in_short_windows_leads_where_motions_are_quick() -> None:
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+    model = machine_model(machine)
+    parts = split(model, recorded(model))
+    lengths = {round(float(s.trial.sample_times[-1] - s.trial.start), 1) for s in parts.near}
+    assert len(parts.train) == 2 and parts.near and lengths <= {0.5, 1.0, 2.0}
+    assert sum(s.measured.size for s in parts.near) == sum(s.measured.size for s in parts.train)
+    assert not split(model, recorded(model), shoot=0.5).near
 
 
 def test_identification_gives_numbers_with_intervals() -> None:

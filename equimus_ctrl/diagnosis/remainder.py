@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -28,6 +29,9 @@ TRACE = 0.01
 INSTEAD = 0.85
 """Share of what a named effect and what is left explain, from which on a single push is believed in place of both: the
 push is linear, where the effect was fitted."""
+MORE = 1.1
+"""The same for a push that depends on more than the effect's own law: that it can do all that the law does is no
+reason to do without the law's name."""
 TRIED = 5
 """So many pushes, the best on trials left out, may stand in for an effect."""
 ALONE = 0.97
@@ -38,6 +42,7 @@ UNTOLD = 1e-4
 """Part of a push of which the free parameters leave less than this share is not told."""
 COORDINATES = {
     "pos": "pos", "len": "pos", "vel": "vel", "rate": "vel", "cmd": "cmd", "past": "past", "path": "past",
+    "time": "time",
 }  # fmt: skip
 """What a place's coordinates are, in the words of the laws there."""
 MUCH = 3.0
@@ -128,25 +133,28 @@ def _stands_in(data: Data, without: Fitted, best: Fitted, gap: float, share: flo
     if at is None:
         return False
     geared = machine_of(data.free.model) is not None
-    pushes = [push for push in flexible(at) if not _restates(push.group, best.hypothesis, geared)]
-    return max((push.found.gain for push in pushes[:tried]), default=0.0) > share * gap
+    pushes = [(push.found.gain, _restates(push.group, best.hypothesis, geared)) for push in flexible(at)]
+    others = [(gain, restated) for gain, restated in pushes if restated != "same"][:tried]
+    return any(gain > (MORE if restated else share) * gap for gain, restated in others)
 
 
-def _restates(group: Group, hypothesis: Hypothesis, geared: bool) -> bool:
+def _restates(group: Group, hypothesis: Hypothesis, geared: bool) -> Literal["", "same", "more"]:
     """Whether a push is what a part of a hypothesis says, without its name: at its place, over what its law depends on.
 
     A curve over the speed is friction of the same joint, a share of the pressure that depends on the length is an area
-    that does: those are no simpler stories. Drives with a fixed gear are where their joints are, and what depends on
-    more than a law does restates it too.
+    that does: those are no simpler stories. Drives with a fixed gear are where their joints are, and a push there that
+    depends on more than the law does says more.
     """
-    told = {COORDINATES[key] for key in re.findall(r"(pos|vel|len|rate|cmd|past|path)\.", group.depends_on)}
+    told = {COORDINATES[key] for key in re.findall(r"\b(pos|vel|len|rate|cmd|past|path|time)\b", group.depends_on)}
+    found: Literal["", "same", "more"] = ""
     for part in hypothesis:
-        law, places = part.candidate.effect, set(part.candidate.locations)
-        own = law.depends()
+        own, places = part.candidate.effect.depends(), set(part.candidate.locations)
         here = group.location in places or (geared and set(group.joints) <= places)
-        if own and here and (own <= told if geared else own == told):
-            return True
-    return False
+        if own == told and here:
+            return "same"
+        if geared and here and own is not None and own < told:
+            found = "more"
+    return found
 
 
 def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:

@@ -127,9 +127,9 @@ class Effect:
         return self.location
 
     @classmethod
-    def depends(cls) -> set[str]:
-        """On what a push of it at its place depends: ``pos``, ``vel``, ``cmd``, ``past``; nothing where it is none."""
-        return set()
+    def depends(cls) -> set[str] | None:
+        """On what its push at its place depends: ``pos``, ``vel``, ``cmd``, ``past``; None where it is no push."""
+        return None
 
     def bounds(self, key: str, robot: Any) -> tuple[float, float]:
         """Between what a parameter can vary on a robot while all else about the effect stays."""
