@@ -410,10 +410,13 @@ WRONG: dict[str, tuple[str, str]] = {
         "cart: actuator 'puller' does not drive a joint",
     ),
     "dyntype": (
-        slider('<general name="slow" joint="way" dyntype="filter" dynprm="0.1"/>'),
-        "cart: actuator 'slow' has a state of its own (dyntype), expected none",
+        slider('<general name="slow" joint="way" dyntype="integrator"/>'),
+        "cart: actuator 'slow' has a state that recordings do not tell (dyntype), expected none or a first-order filter",
     ),
-    "lag": (slider('<position name="slow" joint="way" timeconst="0.1"/>'), "cart: actuator 'slow' has a state of"),
+    "integrated velocity": (
+        slider('<intvelocity name="slow" joint="way" kp="2" actrange="-1 1"/>'),
+        "cart: actuator 'slow' has a state that recordings do not tell",
+    ),
     "damper": (
         slider('<damper name="brake" joint="way" kv="1" ctrlrange="0 1"/>'),
         "cart: actuator 'brake' is neither a motor nor a servo",

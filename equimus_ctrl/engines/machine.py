@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from threading import local
@@ -33,6 +33,10 @@ from equimus_ctrl.models.machine_parts import harden, rotor_of
 from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array
 
+SETTLED = 10.0
+"""Time constants after which a filter has forgotten what was."""
+MIN_TIME = 1e-15
+"""Least time constant that MuJoCo divides by [s]."""
 Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
 
 
@@ -164,7 +168,17 @@ class _Scratch(local):
         self.known: dict[tuple[int, ...], Any] = {}
 
     def data(self, model: Any) -> Any:
-        key = (model.nq, model.nv, model.nu, model.nbody, model.ntendon, model.ngeom, model.nsite, hash(model.names))
+        key = (
+            model.nq,
+            model.nv,
+            model.nu,
+            model.na,
+            model.nbody,
+            model.ntendon,
+            model.ngeom,
+            model.nsite,
+            hash(model.names),
+        )
         if key not in self.known:
             self.known[key] = mujoco.MjData(model)
         data = self.known[key]
@@ -211,6 +225,32 @@ def commands_on(own: Realised, trial: Trial) -> Array:
     return np.ascontiguousarray(out[:, 0])
 
 
+def filled(own: Realised, trial: Trial) -> Array:
+    """(n,) of MuJoCo's activations at a trial's start: what filters of commands came to by then.
+
+    As if the command before the recording had been in force for long.
+    """
+    model = own.mujoco
+    out = np.zeros(model.na)
+    drives = [drive for drive in own.machine.actuators if drive.state is not None]
+    constants = {drive.name: max(float(model.actuator_dynprm[drive.index, 0]), MIN_TIME) for drive in drives}
+    if not drives:
+        return out
+    lead = min(SETTLED * max(constants.values()), max(trial.start - float(trial.times[0]), 0.0))
+    early = replace(trial, start=trial.start - lead, sample_times=np.array([trial.start]))
+    rows, dt = commands_on(own, early), float(model.opt.timestep)
+    first = commands_on(own, replace(early, start=early.start - dt, sample_times=np.array([early.start])))[0]
+    for drive in drives:
+        kept = math.exp(-dt / constants[drive.name])
+        values = np.append(first[drive.index], rows[:, drive.index] if lead > 0 else [])
+        weights = (1 - kept) * kept ** np.arange(len(values) - 1, -1, -1)
+        weights[0] = kept ** (len(values) - 1)
+        limited = model.actuator_ctrllimited[drive.index]
+        inside = np.clip(values, *model.actuator_ctrlrange[drive.index]) if limited else values
+        out[drive.state] = inside @ weights
+    return out
+
+
 def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array | None = None) -> Course:
     """Step a machine through a trial.
 
@@ -228,6 +268,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array |
     data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj:]
     for q, v, joint in own.rotors:
         data.qpos[q], data.qvel[v] = start[joint], start[nj + joint]
+    data.act[:] = filled(own, trial)
     dt = float(model.opt.timestep)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     sound = kernel.run_machine(
@@ -361,6 +402,9 @@ def pushes(own: Realised, position: Array, velocity: Array, command: Array) -> t
         for q, v, joint in own.rotors:
             data.qpos[q], data.qvel[v] = position[k, joint], velocity[k, joint]
         data.ctrl[:] = command[k]
+        for drive in own.machine.actuators:
+            if drive.state is not None:
+                data.act[drive.state] = command[k, drive.index]
         mujoco.mj_forward(model, data)
         drives[k] = data.actuator_force
         weights[k] = data.qfrc_bias[own.places[:, 1]]

@@ -14,6 +14,8 @@ import numpy as np
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.types import Array
 
+FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+"""Dynamics of actuators that commands alone tell the state of."""
 SLIDING = {
     "rad": "m", "rad/s": "m/s", "N·m": "N", "N·m/rad": "N/m", "N·m·s/rad": "N·s/m", "N·m·s²/rad²": "N·s²/m²",
     "kg·m²": "kg",
@@ -78,6 +80,8 @@ class Drive:
         servo: whether its force depends on where its joint is, so that its command is a goal.
         unit: of its command.
         range: of its commands.
+        state: place of what it follows its command with, a first-order filter's value, among MuJoCo's activations; None
+            where it follows at once.
     """
 
     name: str
@@ -86,6 +90,7 @@ class Drive:
     servo: bool
     unit: str
     range: tuple[float, float]
+    state: int | None = None
 
 
 @dataclass(frozen=True)
@@ -205,8 +210,12 @@ def _drives(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
             raise ModelError(f"{told} has no name, by which a recording's columns could be told")
         if int(base.actuator_trntype[i]) != int(mujoco.mjtTrn.mjTRN_JOINT):
             raise ModelError(f"{told} does not drive a joint, expected motor, position or general actuators at joints")
-        if int(base.actuator_dyntype[i]) != int(mujoco.mjtDyn.mjDYN_NONE):
-            raise ModelError(f"{told} has a state of its own (dyntype), expected none; a lag is an effect here")
+        dynamics = int(base.actuator_dyntype[i])
+        if dynamics not in (int(mujoco.mjtDyn.mjDYN_NONE), *FILTERS):
+            raise ModelError(
+                f"{told} has a state that recordings do not tell (dyntype), expected none or a first-order filter of "
+                "its command (filter, filterexact)"
+            )
         gain, kind = int(base.actuator_gaintype[i]), int(base.actuator_biastype[i])
         if gain != int(gains.mjGAIN_FIXED) or kind not in (int(biases.mjBIAS_NONE), int(biases.mjBIAS_AFFINE)):
             raise ModelError(
@@ -222,7 +231,8 @@ def _drives(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
             unit = f"{place}/s"
         limited = bool(base.actuator_ctrllimited[i])
         low, high = (float(v) for v in base.actuator_ctrlrange[i]) if limited else (-math.inf, math.inf)
-        found.append(Drive(actuator.name, i, axis.name, servo, unit, (low, high)))
+        state = int(base.actuator_actadr[i]) if dynamics in FILTERS else None
+        found.append(Drive(actuator.name, i, axis.name, servo, unit, (low, high), state))
     if not found:
         raise ModelError(f"{name}: has no actuator")
     return tuple(found)
@@ -340,6 +350,9 @@ def _drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
                 model.actuator_biasprm[model.actuator(name).id, 2] = -value
 
             found.append(Number(f"{drive.name}.kv", -float(bias[2]), f"{push}·s/{place}", damped))
+        if drive.state is not None:
+            write = _setter("actuator", drive.name, "actuator_dynprm", 0)
+            found.append(Number(f"{drive.name}.time_constant", float(base.actuator_dynprm[i, 0]), "s", write))
         if base.actuator_forcelimited[i] and math.isclose(*np.abs(base.actuator_forcerange[i])):
 
             def limit(model: Any, value: float, name: str = drive.name) -> None:

@@ -21,7 +21,7 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
-from equimus_ctrl.engines.machine import Course, Realised, commands_on, measured_of, quiet, realise, steps_of
+from equimus_ctrl.engines.machine import Course, Realised, commands_on, filled, measured_of, quiet, realise, steps_of
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit, machine_simulator
@@ -142,6 +142,7 @@ def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
     data.qpos[at] = trial.position
     for place, _, joint in own.rotors:
         data.qpos[place] = trial.position[joint]
+    data.act[:] = filled(own, trial)
     ctrl, steps = commands_on(own, trial), steps_of(trial, dt)
     q, v = np.zeros((2, steps + 1, nj))
     sound = steps + 1

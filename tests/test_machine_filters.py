@@ -1,0 +1,113 @@
+"""Actuators of MuJoCo's XML that follow their commands through a first-order filter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from equimus_ctrl import workflow
+from equimus_ctrl.effects import FirstOrderLag, TransportDelay
+from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.machine import filled, pushes, realise, simulate_machines
+from equimus_ctrl.models.machine import Machine
+from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.types import Array, Recording
+
+MASS, TAU, DT = 2.0, 0.08, 1e-3
+FORCE = f'<general name="motor" joint="way" dyntype="filterexact" dynprm="{TAU}"/>'
+EULER = FORCE.replace("filterexact", "filter")
+SERVO = f'<position name="motor" joint="way" kp="200" kv="30" timeconst="{TAU}"/>'
+
+
+def cart(drive: str = FORCE) -> Machine:
+    return Machine(
+        "cart",
+        f"""<mujoco><option timestep="{DT}" gravity="0 0 0" integrator="implicitfast"/><worldbody>
+        <body name="box"><joint name="way" type="slide" axis="1 0 0"/>
+        <inertial mass="{MASS}" pos="0 0 0" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+        <actuator>{drive}</actuator></mujoco>""",
+    )
+
+
+def moved(machine: Machine, trial: Trial, *effects: object) -> Array:
+    (found,) = simulate_machines([machine_model(machine, effects)], [trial], threads=1)  # type: ignore[arg-type]
+    assert found.sound.all()
+    return np.asarray(found.position[0, :, 0])
+
+
+def square(seconds: float = 2.0, before: float = 0.0) -> Trial:
+    time = np.arange(0, seconds, 0.01)
+    command = np.sign(np.sin(2 * np.pi * 1.3 * time + 0.4))[:, None]
+    return Trial("t", time, command, np.array([before]), 0.0, np.zeros(1), time, np.zeros(1))
+
+
+@pytest.mark.parametrize("drive", [FORCE, EULER])
+def test_a_force_builds_up_as_its_filter_does(drive: str) -> None:
+    """m·x'' = 1 − exp(−t/τ) after a step, twice integrated."""
+    time = np.arange(0, 1, 0.01)
+    step = Trial("t", time, np.ones((len(time), 1)), np.zeros(1), 0.0, np.zeros(1), time, np.zeros(1))
+    exact = (time**2 / 2 - TAU * time + TAU**2 * (1 - np.exp(-time / TAU))) / MASS
+    assert np.abs(moved(cart(drive), step) - exact).max() < 2e-3 * exact[-1]
+    settled = replace(step, before=np.ones(1))
+    assert moved(cart(drive), settled)[-1] == pytest.approx(time[-1] ** 2 / 2 / MASS, rel=2e-3)
+
+
+@pytest.mark.parametrize("drive", [FORCE, EULER, SERVO])
+def test_a_window_begins_with_what_the_filter_came_to(drive: str) -> None:
+    machine, whole = cart(drive), square()
+    x = moved(machine, whole)
+    fine = replace(whole, sample_times=np.array([0.0, 0.83 - 1e-3, 0.83, 0.83 + 1e-3]))
+    near = moved(machine, fine)
+    speed = (near[3] - near[1]) / 2e-3
+    later = whole.times[whole.times > 0.831]
+    window = replace(whole, start=0.83, position=near[2:3], velocity=np.array([speed]), sample_times=later)
+    assert np.abs(moved(machine, window) - x[-len(later) :]).max() < 2e-3 * np.ptp(x)
+
+
+def test_a_filter_sees_commands_as_they_arrive() -> None:
+    own = realise(machine_model(cart(), [TransportDelay("motor", 0.05)]))
+    time = np.arange(0, 1, 0.01)
+    trial = Trial("t", time, np.ones((100, 1)), np.zeros(1), 0.4, np.zeros(1), time[41:], np.zeros(1))
+    assert filled(own, trial)[0] == pytest.approx(1 - np.exp(-0.35 / TAU), abs=2e-3)
+    drives, _ = pushes(own, np.zeros((1, 1)), np.zeros((1, 1)), np.array([[0.7]]))
+    assert drives[0, 0] == pytest.approx(0.7)
+
+
+def test_commands_beyond_their_range_fill_no_further() -> None:
+    own = realise(machine_model(cart(FORCE.replace("/>", ' ctrllimited="true" ctrlrange="-0.5 0.5"/>'))))
+    time = np.arange(0, 1, 0.01)
+    trial = Trial("t", time, np.full((100, 1), 3.0), np.zeros(1), 0.9, np.zeros(1), time[91:], np.zeros(1))
+    assert filled(own, trial)[0] == pytest.approx(0.5, rel=1e-3)
+
+
+def recorded(machine: Machine, *effects: object) -> list[Recording]:
+    rng, found = np.random.default_rng(0), []
+    for k in range(3):
+        time = np.arange(0, 3, 0.01)
+        command = (0.1 * np.sin(2 * np.pi * (0.7 + 0.5 * k) * time + k) + 0.05 * np.sign(np.sin(5 * time)))[:, None]
+        trial = Trial(f"t{k}", time, command, command[0], 0.0, np.zeros(1), time, np.zeros(1))
+        x = moved(machine, trial, *effects)[:, None] + rng.normal(0, 1e-4, (300, 1))
+        found.append(Recording(f"t{k}", time, command, x, ("motor",), ("way",)))
+    return found
+
+
+def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
+    machine = cart(SERVO)
+    assert machine.parameters()["motor.time_constant"] == TAU and machine.unit("motor.time_constant") == "s"
+    model = machine_model(machine.with_parameters({"motor.time_constant": 0.03}))
+    found = workflow.identify_recordings(recorded(machine), model, free=["motor.time_constant"], folds=0)
+    assert found.fit.model.parameters()["motor.time_constant"] == pytest.approx(TAU, rel=0.02)
+    machine = machine.with_parameters({"motor.time_constant": 0.05})
+    again = mujoco.MjModel.from_xml_string(machine.exported(machine.mujoco_model()))
+    assert again.actuator_dynprm[0, 0] == 0.05
+
+
+def test_a_lag_beside_the_filter_is_found() -> None:
+    found = workflow.diagnose_recordings(
+        recorded(cart(SERVO), FirstOrderLag("motor", 0.05)), machine_model(cart(SERVO)), most=1
+    )
+    names = {f.named.effect for f in found.findings} | {e.effect for f in found.findings for e in f.equivalent}
+    assert found.verdict == "explained" and "first_order_lag" in names
