@@ -230,7 +230,7 @@ def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
     assert not _restates(group("hinge", "hinge", "time"), part("hinge", TransportDelay), True)
 
 
-def test_a_search_in_short_windows_leads_where_motions_are_quick() -> None:
+def test_short_windows_go_with_how_quick_a_motion_is() -> None:
     machine = Machine("robot", PENDULUM.format(drive=MOTOR))
     model = machine_model(machine)
     parts = split(model, recorded(model))

@@ -139,13 +139,10 @@ def _diagnose(
         if machine_of(free.model) is None
         else replace(settings.search, patience=PATIENCE, thorough=True)
     )
-    near = Search(replace(data, segments=split.near), pool, wanted, notify) if split.near else None
-    start = near.run(near.data.base()).best if near else base
-    search = Search(data, pool, wanted, notify, near.fitted if near else ())
-    found = Searched(base, base, (), (), (), ())
-    if start.hypothesis:
-        found = search.beginning(base, _refitted(data, start))
-    found = search.go_on(found)
+    search = Search(data, pool, wanted, notify)
+    found = search.run(base)
+    if split.near and data.excessive(found.best):
+        search, found = _from_near(search, found, split)
     if machine_of(free.model) is not None:
         found = _simplified(search, found)
     progress("trials left out", 0.82, found.best.label)
@@ -208,10 +205,22 @@ def _diagnose(
     )
 
 
-def _refitted(data: Data, other: Fitted) -> Fitted:
-    """What was fitted to other windows of the same trials, in these."""
-    begin = (other.fit.theta, [s.start for s in data.segments])
-    return data.settle(data.rough(other.hypothesis, [begin], white_noise(other.fit.residuals), LONG))
+def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, Searched]:
+    """The search's end, or where one that begins with what short windows tell ends, if that fits better.
+
+    Errors do not grow in short windows: what a small change does there tells what a larger one does.
+    """
+    data, settings, notify = search.data, search.settings, search.notify
+    near = Search(replace(data, segments=split.near), search.pool, settings, notify)
+    best = near.run(near.data.base()).best
+    labels = [sorted(part.candidate.label for part in fitted.hypothesis) for fitted in (best, found.best)]
+    if not best.hypothesis or labels[0] == labels[1]:
+        return search, found
+    other = Search(data, search.pool, settings, notify, near.fitted)
+    begin = (best.fit.theta, [s.start for s in data.segments])
+    start = data.settle(data.rough(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
+    end = other.go_on(other.beginning(found.base, start))
+    return (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
 
 
 def _named(part: Part) -> Named:

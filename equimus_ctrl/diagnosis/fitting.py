@@ -19,7 +19,7 @@ from equimus_ctrl.types import Array
 
 ROUNDS = 4
 """How often noise and parameters are estimated in turn, at most."""
-STRONG = 4.0
+STRONG, EXCESSIVE = 4.0, 1.5
 """So many times the noise."""
 TURNS, LOOKS, WIDTH, NARROWER, LEVELS = 3, (15, 47), 0.4, 5.0, 4
 """Around a parameter that acts in steps so many values are looked at, in a first look or a thorough one, so far to
@@ -226,9 +226,15 @@ class Data:
 
     def strong(self, fitted: Fitted) -> bool:
         """Whether residuals are so much larger than the noise that derivatives say little of what would remove them."""
+        return self._beyond(fitted, STRONG)
+
+    def excessive(self, fitted: Fitted) -> bool:
+        """Whether more is left than noise that has no colour."""
+        return self._beyond(fitted, EXCESSIVE)
+
+    def _beyond(self, fitted: Fitted, times: float) -> bool:
         rough = rough_noise([s.measured for s in self.segments])
-        rmse = fitted.fit.rmse
-        return bool(any(r > STRONG * own.sigma for r, own in zip(rmse, rough, strict=True)))
+        return any(r > times * own.sigma for r, own in zip(fitted.fit.rmse, rough, strict=True))
 
     def _first_noise(self) -> Noise:
         return white_noise([s.measured - s.measured.mean(axis=0) for s in self.segments])
