@@ -143,8 +143,6 @@ def _diagnose(
     found = search.run(base)
     if split.near and data.excessive(found.best):
         search, found = _from_near(search, found, split)
-    if machine_of(free.model) is not None:
-        found = _simplified(search, found)
     progress("trials left out", 0.82, found.best.label)
     found = _confirmed(search, found, split)
     progress("what is left", 0.86, found.best.label)
@@ -237,19 +235,10 @@ def _less(search: Search, found: Searched, places: Sequence[int]) -> Searched:
     """The search's end without some parts, and without those that are believed no more then."""
     while places:
         kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)
-        found = _again(search, found, search.refit(found.best, kept) if kept else found.base)
+        found = search.moved(found, search.refit(found.best, kept) if kept else found.base)
         pairs = enumerate(found.without)
         places = [k for k, without in pairs if not search.believed(without, found.best)][:1]
     return found
-
-
-def _again(search: Search, found: Searched, best: Fitted) -> Searched:
-    """The search's end moved to another hypothesis, with what it would be without each part."""
-    parts = best.hypothesis
-    without = tuple(search.refit(best, parts[:k] + parts[k + 1 :]) for k in range(len(parts)))
-    old = {part.candidate.label: rivals for part, rivals in zip(found.best.hypothesis, found.rivals, strict=True)}
-    rivals = tuple(old.get(part.candidate.label, ()) if len(parts) == 1 else () for part in parts)
-    return Searched(found.base, best, without, rivals, found.first, tuple(search.fitted))
 
 
 def _finer(
@@ -277,7 +266,7 @@ def _finer(
     base = own.settle_finely(found.base)
     kept = tuple(part for k, part in enumerate(best.hypothesis) if k not in needless)
     start = replace(found, base=base)
-    exact = _again(other, start, (other.refit(best, kept) if needless else own.settle_finely(best)) if kept else base)
+    exact = other.moved(start, (other.refit(best, kept) if needless else own.settle_finely(best)) if kept else base)
     left = remainder(data, base, exact.best, exact.without)
     if not needless and left.leftovers:
         return None
@@ -302,27 +291,6 @@ def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> t
     return float((weighing.residual**2).sum()), outside(column, orthonormal(weighing.slopes))
 
 
-def _simplified(search: Search, found: Searched) -> Searched:
-    """The hypothesis with the simplest of effects that exclude each other in a place, unless a richer one is needed.
-
-    Such as dry friction without what it is more at rest: searches with many kinks rank them by chance.
-    """
-    for k, part in enumerate(found.best.hypothesis):
-        own = part.candidate
-        for other in search.pool:
-            same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
-            if not same or other.n_parameters >= own.n_parameters:
-                continue
-            begins = [dict(guess) for guess in other.guesses]
-            shared = {key: part.values[key] for key in begins[0] if key in part.values}
-            values = {**begins[len(begins) // 2], **shared}
-            hypothesis = found.best.hypothesis
-            simple = search.refit(found.best, (*hypothesis[:k], Part(other, values), *hypothesis[k + 1 :]))
-            if not search.believed(simple, found.best):
-                return _simplified(search, _again(search, found, simple))
-    return found
-
-
 def _confirmed(search: Search, found: Searched, split: Split) -> Searched:
     """The hypothesis less the parts that do not improve what was held out.
 
@@ -340,7 +308,7 @@ def _confirmed(search: Search, found: Searched, split: Split) -> Searched:
         rivals = sorted((r for r in found.rivals[place] if search.score(r) < limit), key=search.score)
         better = next((r for r in rivals if _carried_over(search, judge, without, r) >= CARRIES_OVER), None)
         if better is None or len(found.best.hypothesis) > 1:
-            found = _again(search, found, without)
+            found = search.moved(found, without)
         else:
             others = (found.best, *(r for r in found.rivals[place] if r is not better))
             return replace(found, best=better, rivals=(others,))

@@ -176,6 +176,9 @@ class Search:
             without, rivals = (before,), (others,)
             if len(best.hypothesis) > 1:
                 best, without, rivals = self._exchanged(best)
+            if self.settings.thorough:
+                plain = self._simplified(Searched(base, best, without, rivals, (), ()))
+                best, without, rivals = plain.best, plain.without, plain.rivals
             if not outdone:
                 sure = best, without, rivals
             if not best.hypothesis:
@@ -352,6 +355,34 @@ class Search:
                 return best, tuple(withouts), tuple(all_rivals)
         found = [self.refit(best, best.hypothesis[:k] + best.hypothesis[k + 1 :]) for k in range(len(best.hypothesis))]
         return best, tuple(found), tuple(() for _ in found)
+
+    def moved(self, found: Searched, best: Fitted) -> Searched:
+        """A search's end moved to another hypothesis, with what it would be without each part."""
+        parts = best.hypothesis
+        without = tuple(self.refit(best, parts[:k] + parts[k + 1 :]) for k in range(len(parts)))
+        old = {part.candidate.label: rivals for part, rivals in zip(found.best.hypothesis, found.rivals, strict=True)}
+        rivals = tuple(old.get(part.candidate.label, ()) if len(parts) == 1 else () for part in parts)
+        return Searched(found.base, best, without, rivals, found.first, tuple(self.fitted))
+
+    def _simplified(self, found: Searched) -> Searched:
+        """The simplest of effects that exclude each other in a place, unless a richer one is needed.
+
+        Such as dry friction without what it is more at rest: searches with many kinks rank them by chance.
+        """
+        hypothesis = found.best.hypothesis
+        for k, part in enumerate(hypothesis):
+            own = part.candidate
+            for other in self.pool:
+                same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
+                if not same or other.n_parameters >= own.n_parameters:
+                    continue
+                begins = [dict(guess) for guess in other.guesses]
+                shared = {key: part.values[key] for key in begins[0] if key in part.values}
+                values = {**begins[len(begins) // 2], **shared}
+                simple = self.refit(found.best, (*hypothesis[:k], Part(other, values), *hypothesis[k + 1 :]))
+                if not self.believed(simple, found.best):
+                    return self._simplified(self.moved(found, simple))
+        return found
 
     def refit(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> Fitted:
         """A part of a fitted hypothesis, fitted to the end from there."""
