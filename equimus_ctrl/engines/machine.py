@@ -22,7 +22,7 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.sensors import LATE, sample, sensor_settings
-from equimus_ctrl.effects.valves import shaped_commands, valve_settings
+from equimus_ctrl.effects.valves import FILL, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -35,8 +35,8 @@ from equimus_ctrl.types import Array
 
 SETTLED = 10.0
 """Time constants after which a filter has forgotten what was."""
-MIN_TIME = 1e-15
-"""Least time constant that MuJoCo divides by [s]."""
+AT_ONCE = 1e-9
+"""A step in which nothing moves [s]."""
 Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
 
 
@@ -168,17 +168,8 @@ class _Scratch(local):
         self.known: dict[tuple[int, ...], Any] = {}
 
     def data(self, model: Any) -> Any:
-        key = (
-            model.nq,
-            model.nv,
-            model.nu,
-            model.na,
-            model.nbody,
-            model.ntendon,
-            model.ngeom,
-            model.nsite,
-            hash(model.names),
-        )
+        sizes = model.nq, model.nv, model.nu, model.na, model.nbody, model.ntendon, model.ngeom, model.nsite
+        key = (*sizes, hash(model.names))
         if key not in self.known:
             self.known[key] = mujoco.MjData(model)
         data = self.known[key]
@@ -233,21 +224,24 @@ def filled(own: Realised, trial: Trial) -> Array:
     model = own.mujoco
     out = np.zeros(model.na)
     drives = [drive for drive in own.machine.actuators if drive.state is not None]
-    constants = {drive.name: max(float(model.actuator_dynprm[drive.index, 0]), MIN_TIME) for drive in drives}
     if not drives:
         return out
-    lead = min(SETTLED * max(constants.values()), max(trial.start - float(trial.times[0]), 0.0))
-    early = replace(trial, start=trial.start - lead, sample_times=np.array([trial.start]))
-    rows, dt = commands_on(own, early), float(model.opt.timestep)
-    first = commands_on(own, replace(early, start=early.start - dt, sample_times=np.array([early.start])))[0]
+    longest = max(float(model.actuator_dynprm[drive.index, 0]) for drive in drives)
+    lead = min(SETTLED * longest, max(trial.start - float(trial.times[0]), 0.0))
+    early, dt = replace(trial, start=trial.start - lead, sample_times=np.array([trial.start])), model.opt.timestep
+    first = commands_on(own, replace(early, start=early.start - dt, sample_times=np.array([early.start])))
+    rows = np.concatenate([first, commands_on(own, early)]) if lead > 0 else first
     for drive in drives:
-        kept = math.exp(-dt / constants[drive.name])
-        values = np.append(first[drive.index], rows[:, drive.index] if lead > 0 else [])
-        weights = (1 - kept) * kept ** np.arange(len(values) - 1, -1, -1)
-        weights[0] = kept ** (len(values) - 1)
-        limited = model.actuator_ctrllimited[drive.index]
-        inside = np.clip(values, *model.actuator_ctrlrange[drive.index]) if limited else values
-        out[drive.state] = inside @ weights
+        if model.actuator_ctrllimited[drive.index]:
+            rows[:, drive.index] = np.clip(rows[:, drive.index], *model.actuator_ctrlrange[drive.index])
+    lags = valve_settings((), own.machine.actuator_names)
+    for drive in drives:
+        lags[drive.index, [FILL, VENT]] = model.actuator_dynprm[drive.index, 0]
+    found = np.empty((1, 2, rows.shape[1]))
+    times = early.start + dt * np.arange(-1, len(rows) - 1)
+    pressure_history(times, rows, rows[0].copy(), lags, trial.start, AT_ONCE, found)
+    for drive in drives:
+        out[drive.state] = found[0, 0, drive.index]
     return out
 
 

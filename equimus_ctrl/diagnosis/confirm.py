@@ -1,0 +1,117 @@
+"""What trials left out say of a hypothesis: whether they improve by as much as can be expected of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.search import Search, Searched
+from equimus_ctrl.diagnosis.split import Split
+from equimus_ctrl.diagnosis.where import excess_of
+from equimus_ctrl.identification.fit import residuals_of
+from equimus_ctrl.identification.noise import Noise, log_likelihood, whiten
+from equimus_ctrl.models.model import machine_of
+from equimus_ctrl.types import Array
+
+ALIKE = 10.0
+"""Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
+SILENT, PLAIN = 16.0, 5.0
+"""χ² below which trials on which two models differ tell nothing of either, and times the least gain of deviance of what
+is believed all the same."""
+CARRIES_OVER = 0.25
+"""Least gain on held-out trials for each sample, as a share of that on the trials fitted, of what is believed."""
+
+
+def confirmed(search: Search, found: Searched, split: Split) -> Searched:
+    """The hypothesis less the parts that do not improve what was held out.
+
+    Where another part fits as well in such a part's place and does improve it, that one is believed instead.
+    """
+    if not split.heldout:
+        return found
+    while found.best.hypothesis:
+        judge = Judge(search.data, split, found)
+        ratios = [_carried_over(search, judge, without, found.best) for without in found.without]
+        place = int(np.argmin(ratios))
+        if ratios[place] >= CARRIES_OVER:
+            return found
+        without, limit = found.without[place], search.score(found.best) + ALIKE
+        rivals = sorted((r for r in found.rivals[place] if search.score(r) < limit), key=search.score)
+        better = next((r for r in rivals if _carried_over(search, judge, without, r) >= CARRIES_OVER), None)
+        if better is None or len(found.best.hypothesis) > 1:
+            found = search.moved(found, without)
+        else:
+            others = (found.best, *(r for r in found.rivals[place] if r is not better))
+            return replace(found, best=better, rivals=(others,))
+    return found
+
+
+def _carried_over(search: Search, judge: Judge, simple: Fitted, rich: Fitted) -> float:
+    """See ``Judge.carried_over``; of a machine over what the trials held out could show, where that is less.
+
+    Machines' recordings are what somebody has, not drawn alike: a drive's limit may never be reached in some. What they
+    cannot show at all is believed where it is plain in what was fitted.
+    """
+    ratio = judge.carried_over(simple, rich)
+    if ratio >= CARRIES_OVER or machine_of(search.data.free.model) is None:
+        return ratio
+    apart = judge.apart(simple, rich)
+    if apart >= SILENT:
+        return max(ratio, judge.gain(simple, rich) / apart)
+    plain = simple.deviance - rich.deviance > PLAIN * search.threshold(max(rich.n_parameters - simple.n_parameters, 1))
+    return CARRIES_OVER if plain else ratio
+
+
+class Judge:
+    """Models judged on what was held out, and on what was fitted."""
+
+    def __init__(self, data: Data, split: Split, found: Searched) -> None:
+        self.data, self.split, self.found = data, split, found
+        self._known: dict[int, list[Array]] = {}
+
+    @property
+    def noise(self) -> Noise:
+        """That of the best hypothesis."""
+        return self.found.best.noise
+
+    def heldout(self, model: object) -> list[Array]:
+        """For each segment held out (m, nj) measured − predicted [rad]."""
+        key = id(model)
+        if key not in self._known:
+            self._known[key] = residuals_of(model, self.split.heldout, self.data.simulator)  # type: ignore[arg-type]
+        return self._known[key]
+
+    def nominal(self) -> list[Array]:
+        """For each segment fitted, of the model as it came."""
+        return residuals_of(self.data.free.model, self.split.train, self.data.simulator)
+
+    def gain(self, simple: Fitted, rich: Fitted) -> float:
+        """Fall of the deviance of what was held out, under one noise; nan where nothing was."""
+        if not self.split.heldout:
+            return math.nan
+        times = [s.trial.sample_times for s in self.split.heldout]
+        before, after = (log_likelihood(self.noise, times, self.heldout(f.fit.model)) for f in (simple, rich))
+        return 2.0 * (after - before)
+
+    def carried_over(self, simple: Fitted, rich: Fitted) -> float:
+        """The fall of the deviance of what was held out, over that of what was fitted for as many samples."""
+        share = sum(s.measured.size for s in self.split.heldout) / self.data.n
+        return self.gain(simple, rich) / max((simple.deviance - rich.deviance) * share, 1e-300)
+
+    def apart(self, simple: Fitted, rich: Fitted) -> float:
+        """χ² by which two models differ on what was held out: what the better one would gain there if it were true."""
+        before, after = (self.heldout(f.fit.model) for f in (simple, rich))
+        times = [s.trial.sample_times for s in self.split.heldout]
+        moved = (whiten(self.noise, t, a - b) for t, a, b in zip(times, before, after, strict=True))
+        return sum(float((w**2).sum()) for w in moved)
+
+    def share(self, simple: Sequence[Array], rich: Sequence[Array], base: Sequence[Array]) -> float:
+        """Of the excess error of ``base`` that ``rich`` has less than ``simple``."""
+        if not simple:
+            return math.nan
+        before, after, whole = (float(excess_of(r, self.noise).mean()) for r in (simple, rich, base))
+        return float(np.clip((before - after) / whole, -1.0, 1.0)) if whole > 0 else 0.0
