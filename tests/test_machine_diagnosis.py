@@ -14,11 +14,13 @@ import pytest
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, uncertain
-from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.confirm import ALIKE, _another
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group
 from equimus_ctrl.diagnosis.remainder import _restates
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.screening import screen
+from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import split, window_length
 from equimus_ctrl.effects import (
     ConstantForce,
@@ -26,8 +28,10 @@ from equimus_ctrl.effects import (
     Creep,
     DrivePlay,
     Effect,
+    GravityTilt,
     NarrowingArea,
     NonlinearStiffness,
+    ParallelSpring,
     PayloadMass,
     QuadraticDamping,
     TorqueSaturation,
@@ -228,6 +232,51 @@ def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
     assert not _restates(group("hinge", "hinge", "time"), dry, True)
     assert _restates(group("hinge", "hinge", "time"), part("hinge", ConstantForce), True) == "more"
     assert not _restates(group("hinge", "hinge", "time"), part("hinge", TransportDelay), True)
+    surface = group("hinge", "hinge", "pos.hinge·vel.hinge")
+    assert _restates(surface, dry, True) == "more"
+    assert _restates(surface, (*dry, *part("hinge", ParallelSpring)), True) == "same"
+
+
+class Searching:
+    """A search over a pendulum's recordings, and hypotheses fitted by hand."""
+
+    def __init__(self, concealed: Sequence[Effect]) -> None:
+        machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+        nominal = machine_model(machine)
+        self.split = split(nominal, recorded(machine_model(machine, concealed), seed=7))
+        data = Data(uncertain(nominal), self.split.train, machine_simulator())
+        self.pool = candidates(nominal, self.split.train)
+        self.search = Search(data, self.pool, SearchSettings(thorough=True))
+        self.base = data.base()
+
+    def fitted(self, *labels: str) -> Fitted:
+        """A hypothesis of effects, each at its weakest guess, fitted and remembered."""
+        chosen = [next(c for c in self.pool if c.label == label) for label in labels]
+        return self.search.refit(self.base, tuple(Part(c, dict(c.guesses[0])) for c in chosen))
+
+    def end(self, best: Fitted) -> Searched:
+        return self.search.moved(Searched(self.base, self.base, (), (), (), ()), best)
+
+
+def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the_end() -> None:
+    own = Searching([GravityTilt("base", 0.06), CoulombFriction("hinge", 0.05)])
+    own.fitted("gravity_tilt:base"), own.fitted("sensor_offset:hinge"), own.fitted("viscous_friction:hinge")
+    best = own.fitted("coulomb_friction:hinge", "sensor_offset:hinge")
+    found = own.end(best)
+    assert not found.rivals[1]
+    rivals = own.search.in_place(found, 1, 30.0)
+    assert [r.label for r in rivals] == ["coulomb_friction:hinge gravity_tilt:base"]
+    assert own.search.score(rivals[0]) < own.search.score(best) + ALIKE
+
+
+def test_another_hypothesis_takes_the_place_of_one_that_trials_left_out_refuse() -> None:
+    own = Searching([CoulombFriction("hinge", 0.05), ViscousFriction("hinge", 0.03)])
+    poor = own.end(own.fitted("coulomb_friction:hinge", "sensor_scale:hinge"))
+    assert _another(own.search, poor, 1, own.split) is None
+    true = own.fitted("coulomb_friction:hinge", "viscous_friction:hinge")
+    better = _another(own.search, poor, 1, own.split)
+    assert better is not None and better.best.label == true.label
+    assert all(own.search.believed(without, better.best) for without in better.without)
 
 
 def test_short_windows_go_with_how_quick_a_motion_is() -> None:

@@ -210,7 +210,9 @@ def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, S
     begin = (best.fit.theta, [s.start for s in data.segments])
     start = data.settle(data.rough(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
     end = other.go_on(other.beginning(found.base, start))
-    return (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
+    chosen, kept = (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
+    chosen.fitted = [*search.fitted, *other.fitted]
+    return chosen, kept
 
 
 def _named(part: Part) -> Named:
@@ -337,7 +339,7 @@ def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: 
     own = found.best.hypothesis[k].candidate.label
     named: dict[str, Named] = {}
     near = search.score(found.best) + margin + BLUR
-    for rival in sorted(found.rivals[k], key=search.score):
+    for rival in sorted(search.in_place(found, k, margin + BLUR), key=search.score):
         other = [p for p in rival.hypothesis if id(p.candidate) not in rest]
         if rival.n_parameters > found.best.n_parameters or len(other) != 1 or search.score(rival) >= near:
             continue

@@ -76,9 +76,11 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
     at = linear(data, best, best.noise)
     if at is None:
         return Remainder((), ())
-    if _imitated(data, base, best):
+    whole_instead = Remainder((), tuple(range(len(best.hypothesis))))
+    geared = machine_of(data.free.model) is not None
+    if not geared and _imitated(data, base, best):
         # Anything can be imitated by enough effects; one push that does it alone is the simpler story.
-        return Remainder((), tuple(range(len(best.hypothesis))))
+        return whole_instead
     taken = _squares(data, base, best) - _squares(data, best, best)
     threshold = max(LEAST_GAIN, LEAST_SHARE * data.n)
     found: list[tuple[Flexible, Array]] = []
@@ -94,6 +96,9 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
         extra = columns if extra is None else np.column_stack([extra, columns])
     if not found:
         return Remainder(_much(data, best), ())
+    if geared and _imitated(data, base, best):
+        # A machine without its effects is so far off that a push is no measure of effects that leave nothing.
+        return whole_instead
     superfluous = _superfluous(data, best, without, found[0][0].found.gain)
     total = sum(f.found.gain for f, _ in found)
     told = tuple(_told(data, at, f, columns, f.found.gain / total, threshold) for f, columns in found)
@@ -143,18 +148,19 @@ def _restates(group: Group, hypothesis: Hypothesis, geared: bool) -> Literal["",
 
     A curve over the speed is friction of the same joint, a share of the pressure that depends on the length is an area
     that does: those are no simpler stories. Drives with a fixed gear are where their joints are, and a push there that
-    depends on more than the law does says more.
+    depends on more than the law does says more; on what the laws of several parts there depend on, the same.
     """
     told = {COORDINATES[key] for key in re.findall(r"\b(pos|vel|len|rate|cmd|past|path|time)\b", group.depends_on)}
     found: Literal["", "same", "more"] = ""
+    together: set[str] = set()
     for part in hypothesis:
         own, places = part.candidate.effect.depends(), set(part.candidate.locations)
         here = group.location in places or (geared and set(group.joints) <= places)
         if own == told and here:
             return "same"
         if geared and here and own is not None and own < told:
-            found = "more"
-    return found
+            found, together = "more", together | own
+    return "same" if found and together == told else found
 
 
 def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:

@@ -18,7 +18,7 @@ from equimus_ctrl.diagnosis.candidates import Candidate, Part, model_of
 from equimus_ctrl.diagnosis.fitting import SETTLED, Data, Fitted, whitened
 from equimus_ctrl.diagnosis.leftover import flexible, linear
 from equimus_ctrl.diagnosis.screening import Screened, screen
-from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.types import Array
@@ -71,6 +71,8 @@ class Searched:
     fitted: tuple[Fitted, ...]
 
 
+Kind = tuple[str, tuple[str, ...]]
+"""What a part is: its law, or what it shares with those that exclude it, and where."""
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
 OUTDONE = 0.5
@@ -139,7 +141,7 @@ class Search:
         """A hypothesis to go on from, less what is not needed and with what fits better in its parts' places."""
         self._first = tuple(screen(self.data, base, self.pool))
         best, without, rivals = self._exchanged(start)
-        return Searched(base, best, without, rivals, self._first, tuple(self.fitted))
+        return self._simplified(Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
 
     def go_on(self, found: Searched, barred: Sequence[str] = ()) -> Searched:
         """Search from where one ended.
@@ -364,6 +366,50 @@ class Search:
         rivals = tuple(old.get(part.candidate.label, ()) if len(parts) == 1 else () for part in parts)
         return Searched(found.base, best, without, rivals, found.first, tuple(self.fitted))
 
+    def in_place(self, found: Searched, k: int, margin: float) -> list[Fitted]:
+        """Hypotheses with another in a part's place.
+
+        Where fits may end in one of many valleys, what fitted about as well in the part's place beside any other parts
+        is fitted beside those of the end too, from where they are.
+
+        Args:
+            found: the end.
+            k: place of the part.
+            margin: what the score of one that fits about as well may lack.
+        """
+        rivals = list(found.rivals[k])
+        if not self.settings.thorough:
+            return rivals
+        parts = found.best.hypothesis
+        own, rest = _kind(parts[k]), {_kind(part) for j, part in enumerate(parts) if j != k}
+        near = self.score(found.best) + margin
+        others: dict[Kind, Part] = {}
+        for rival in rivals:
+            left = [part for part in rival.hypothesis if _kind(part) not in rest]
+            if len(left) == 1 and self.score(rival) < near:
+                others[_kind(left[0])] = left[0]
+        for known in self._beside_the_same().values():
+            for kind, (score, part) in known.items():
+                if own in known and kind not in rest and abs(score - known[own][0]) < margin:
+                    others.setdefault(kind, part)
+        others.pop(own, None)
+        for other in others.values():
+            try:
+                rivals.append(self.refit(found.best, (*parts[:k], *parts[k + 1 :], other)))
+            except (ConfigError, SimulationDiverged):  # what a part excludes, or what cannot have happened
+                continue
+        return rivals
+
+    def _beside_the_same(self) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
+        """For kinds of parts that were fitted together what else was fitted beside them, its best score and itself."""
+        found: dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]] = {}
+        for fitted in sorted(self.fitted, key=self.score):
+            kinds = [_kind(part) for part in fitted.hypothesis]
+            for place, part in enumerate(fitted.hypothesis):
+                rest = tuple(sorted(kinds[:place] + kinds[place + 1 :]))
+                found.setdefault(rest, {}).setdefault(kinds[place], (self.score(fitted), part))
+        return found
+
     def _simplified(self, found: Searched) -> Searched:
         """The simplest of effects that exclude each other in a place, unless a richer one is needed.
 
@@ -394,6 +440,11 @@ class Search:
         found = self.data.settle(self.data.rough(hypothesis, [(theta, fitted.fit.starts)], weights, LONG))
         self.fitted.append(found)
         return found
+
+
+def _kind(part: Part) -> Kind:
+    effect = part.candidate.effect
+    return effect.exclusive or effect.name, part.candidate.locations
 
 
 def _by_gain(way: int) -> Callable[[Screened], float]:
