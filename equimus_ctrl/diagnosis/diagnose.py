@@ -50,8 +50,8 @@ MACHINES_COARSE = 2.0
 STEPS_FINER, NO_MATTER, MAY_DO = 4, 1e-3, 4.0
 """Where something of a machine is missing, so many steps in the place of one are tried, unless they change less than
 this share of the noise's variance; what gains more than so many times what they change is none of their error."""
-PATIENCE = 1
-"""With machines, whose pushes do much alike: see ``SearchSettings``."""
+PATIENCE, VALLEYS = 1, 20.0
+"""With machines, whose pushes do much alike and rub: see ``SearchSettings``."""
 FINE = STEP / 3
 """The same where rivals are told apart."""
 Finely = Callable[[Fitted], Fitted]
@@ -129,7 +129,7 @@ def _diagnose(
     wanted = (
         settings.search
         if machine_of(free.model) is None
-        else replace(settings.search, patience=PATIENCE, thorough=True)
+        else replace(settings.search, patience=PATIENCE, valleys=VALLEYS, thorough=True)
     )
     search = Search(data, pool, wanted, notify)
     found = search.run(base)
@@ -336,6 +336,7 @@ def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: 
     What is near is looked at with fine steps: where commands jump, the errors of longer ones can tell alike from alike.
     """
     rest = {id(p.candidate) for p in found.without[k].hypothesis}
+    margin += search.settings.valleys
     own = found.best.hypothesis[k].candidate.label
     named: dict[str, Named] = {}
     near = search.score(found.best) + margin + BLUR

@@ -37,6 +37,7 @@ class SearchSettings:
         kept: of them, how many are fitted to the end.
         patience: how many effects in a row may explain far less than a flexible push, for what they do together: of
             two that are missing each may.
+        valleys: by so much deviances scatter with where a search ends: dry friction gives a fit many valleys.
         thorough: whether all candidates are tried where the promising ones do not lead on and much is left: where
             errors grow along a trial, what a small change does tells little of what a fit will find.
     """
@@ -47,6 +48,7 @@ class SearchSettings:
     tried: int = 5
     kept: int = 3
     patience: int = 0
+    valleys: float = 0.0
     thorough: bool = False
 
 
@@ -131,7 +133,7 @@ class Search:
     def threshold(self, parameters: int) -> float:
         """Least gain of deviance for an effect with so many parameters."""
         chance = float(chi2.isf(self.settings.level / max(len(self.pool), 1), parameters))
-        return max(chance, self.settings.least_share * self.data.n)
+        return max(chance, self.settings.least_share * self.data.n) + self.settings.valleys
 
     def run(self, base: Fitted) -> Searched:
         """Search from a model without effects that was refitted."""
