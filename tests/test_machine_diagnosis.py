@@ -260,7 +260,8 @@ class Searching:
 
 def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the_end() -> None:
     own = Searching([GravityTilt("base", 0.06), CoulombFriction("hinge", 0.05)])
-    own.fitted("gravity_tilt:base"), own.fitted("sensor_offset:hinge"), own.fitted("viscous_friction:hinge")
+    for label in ("gravity_tilt:base", "sensor_offset:hinge", "viscous_friction:hinge"):
+        own.fitted(label)
     best = own.fitted("coulomb_friction:hinge", "sensor_offset:hinge")
     found = own.end(best)
     assert not found.rivals[1]

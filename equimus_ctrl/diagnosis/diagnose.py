@@ -210,9 +210,9 @@ def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, S
     begin = (best.fit.theta, [s.start for s in data.segments])
     start = data.settle(data.rough(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
     end = other.go_on(other.beginning(found.base, start))
-    chosen, kept = (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
-    chosen.fitted = [*search.fitted, *other.fitted]
-    return chosen, kept
+    best_search, best_end = (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
+    best_search.fitted = [*search.fitted, *other.fitted]
+    return best_search, best_end
 
 
 def _named(part: Part) -> Named:
