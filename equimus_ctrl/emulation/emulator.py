@@ -158,6 +158,8 @@ class Emulator:
         """
         every = whole_ratio(TICK, self.settings.rate, "ticks over the sensor's rate")
         in_force: Array = np.zeros(len(self._channels))
+        self._plant.reset(seed=self.settings.seed)
+        self._plant.step(in_force)  # what is made at the first step is made before time begins
         observation = self._plant.reset(seed=self.settings.seed)
         origin, tick = clock.monotonic(), 0
         try:
@@ -167,17 +169,18 @@ class Emulator:
                 observation = self._plant.step(in_force)
                 tick += 1
                 self.seen.time = tick / TICK
-                if tick % every == 0:
-                    self._measured(tick / TICK, observation.position)
-                self._deliver(tick / TICK)
-                if tick % int(TICK) == 0:
-                    notify(self.seen)
                 left = origin + tick / TICK - clock.monotonic()
                 if left > 0:
                     clock.sleep(left)
                 elif left < -MOST_BEHIND:
                     self.seen.left_out += round(-left * TICK)
                     origin -= left
+                if tick % every == 0:
+                    # When the angles were these, however late this process is: as a sensor's own clock has it.
+                    self._measured(tick / TICK, origin + tick / TICK, observation.position)
+                self._deliver(tick / TICK)
+                if tick % int(TICK) == 0:
+                    notify(self.seen)
         finally:
             self._device.close()
             if self._rival is not None:
@@ -232,13 +235,13 @@ class Emulator:
             self.seen.lowest[i] = min(self.seen.lowest[i], value)
         return np.asarray(np.clip(command, self._low, self._high))
 
-    def _measured(self, now: float, position: Array) -> None:
+    def _measured(self, now: float, stamp: float, position: Array) -> None:
         """One measurement goes on its way."""
         angles = position + ASTRAY * self._acting("jump", now)
         numbers = [q / own.scale + own.zero for q, own in zip(angles.tolist(), self._joints, strict=True)]
         if self._acting("nan", now):
             numbers = [math.nan] * len(numbers)
-        stamp = clock.monotonic() + AHEAD * (self._acting("clock", now) - self._acting("back", now))
+        stamp += AHEAD * (self._acting("clock", now) - self._acting("back", now))
         leaves = now + self._delay()
         for fault in self.settings.faults:
             if fault.kind == "stall" and fault.acts(now):

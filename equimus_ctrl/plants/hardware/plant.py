@@ -34,6 +34,8 @@ PAUSED, MOST_PAUSES = 0.5, 20
 often that may be."""
 EARLY = 1e-6
 """Share of a period that rounding may take."""
+FRESH = 2e-3
+"""A run's instants are so long after the quickest measurement would have come [s]."""
 NEAR = 2e-3
 """Before a deadline a sleep ends by so much, and the rest is waited for in short ones [s]."""
 
@@ -286,9 +288,12 @@ class HardwarePlant:
         with self._lock:
             self._begun = True
             # A period after the last command, or what may change within a period would depend on when it was sent.
-            self._origin, self._k = max(clock.monotonic(), self._sent_at + self._spec.control_dt), 0
-            self._due = self._origin + self._spec.control_dt
+            dt = self._spec.control_dt
+            origin = max(clock.monotonic(), self._sent_at + dt)
             assert self._seen is not None
+            # Soon after a measurement is due, where they come as often: else it would be luck how old they are.
+            self._origin, self._k = origin + (self._seen.stamp + FRESH - origin) % dt, 0
+            self._due = self._origin + dt
             self._last = (self._seen.stamp - self._origin, self._seen.position)
         self._wait(self._origin)
 

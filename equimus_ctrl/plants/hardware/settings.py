@@ -132,7 +132,7 @@ class HardwareSettings:
     """
 
     rate: float = 120.0
-    patience: float = 3.0
+    patience: float = 10.0
     settle: float = 3.0
     wire: Wire = field(default_factory=Wire)
     safety: Safety = field(default_factory=Safety)
@@ -216,7 +216,7 @@ class _Flat:
     """The settings without their tables by name."""
 
     rate: float = 120.0
-    patience: float = 3.0
+    patience: float = 10.0
     settle: float = 3.0
     wire: Wire = field(default_factory=Wire)
     safety: Safety = field(default_factory=Safety)
