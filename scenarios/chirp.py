@@ -26,14 +26,11 @@ def build(
     profile = context.profile(times, values)
     # The reference is what slow commands would give, so that closed-loop controllers can be asked to follow it too.
     knots = np.arange(0, len(times), 4)
-    poses = [context.kinematics.equilibrium(values[0])]
-    for k in knots[1:]:
-        poses.append(context.kinematics.equilibrium(values[k], poses[-1]))
     return eq.Scenario(
         name="chirp",
         summary=f"pressures sweep {low:g} to {high:g} Hz around {mean:g} kPa",
         duration=duration,
-        reference=eq.SampledReference(times[knots], np.array(poses)),
+        reference=eq.SampledReference(times[knots], context.kinematics.equilibria(values[knots])),
         start=eq.Start(command=values[0]),
         commands=profile,
         controller="open_loop",

@@ -118,6 +118,28 @@ def test_an_equilibrium_is_looked_for_near_the_start_given() -> None:
         assert k.equilibrium([0.0], start=[start])[0] == pytest.approx(math.pi / 2 + 2 * math.pi * turn, abs=1e-9)
 
 
+@pytest.mark.parametrize("rate", [0.02, 1.0])  # [Hz]: at the latter poses are too far apart to be followed
+def test_poses_along_pressures_are_those_found_one_by_one(rate: float) -> None:
+    k = Kinematics(LEG)
+    t = np.arange(0.0, 6.0, 1 / 10)
+    pressures = 25e3 * (1 + np.stack([np.sin(2 * np.pi * rate * t), np.cos(2 * np.pi * 1.3 * rate * t)], axis=1))
+    one_by_one = [k.equilibrium(pressures[0])]
+    for pressure in pressures[1:]:
+        one_by_one.append(k.equilibrium(pressure, one_by_one[-1]))
+    np.testing.assert_allclose(k.equilibria(pressures), one_by_one, atol=1e-10)
+
+
+def test_poses_along_pressures_stay_on_their_turn_or_are_refused() -> None:
+    k = Kinematics(pendulum())
+    for turn in (-1, 0, 1):
+        whole = math.pi / 2 + 2 * math.pi * turn
+        np.testing.assert_allclose(k.equilibria(np.zeros((5, 1)), [whole + 0.3]), np.full((5, 1), whole), atol=1e-9)
+    with pytest.raises(ModelError, match="no pose at rest was found under pressures of 10, 12.5 kPa"):
+        Kinematics(LEG, "stance").equilibria([[10e3, 12.5e3], [10e3, 12.5e3]])
+    with pytest.raises(ModelError, match="expected one finite number of Pa"):
+        Kinematics(LEG).equilibria([[10e3, 12e3], [10e3, math.nan]])
+
+
 @pytest.mark.parametrize("name", ["one_joint", "mono_and_bi", "more_drives_than_joints"])
 def test_static_pressure_and_equilibrium_undo_each_other(name: str) -> None:
     m = random_morphology(name, 4)

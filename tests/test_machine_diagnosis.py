@@ -40,7 +40,8 @@ from equimus_ctrl.effects import (
 )
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
-from equimus_ctrl.identification.fit import machine_simulator
+from equimus_ctrl.identification.fit import FitSettings, fit, machine_simulator
+from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import Model, machine_model
 from equimus_ctrl.recordings import find_recordings, write
@@ -235,6 +236,33 @@ def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
     surface = group("hinge", "hinge", "pos.hinge·vel.hinge")
     assert _restates(surface, dry, True) == "more"
     assert _restates(surface, (*dry, *part("hinge", ParallelSpring)), True) == "same"
+
+
+def test_a_fit_goes_on_with_the_derivatives_of_an_earlier_ones_end() -> None:
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+    nominal = machine_model(machine)
+    free, simulator = uncertain(nominal), machine_simulator()
+    some = split(nominal, recorded(machine_model(machine, [ViscousFriction("hinge", 0.05)]), seed=7)).train
+    noise = white_noise([np.full((100, 1), NOISE)])
+    first = fit(free, some, simulator=simulator, noise=noise, settings=FitSettings(1e-3, 2))
+    end = [(first.theta, first.starts)]
+    one = FitSettings(1e-5, 1)
+    alone = fit(free, some, simulator=simulator, noise=noise, settings=one, begin=end)
+    going_on = fit(free, some, simulator=simulator, noise=noise, settings=one, begin=end, earlier=first)
+    derivative = len(free.free) + max(s.free_start for s in some)
+    assert going_on.evaluations == alone.evaluations - derivative
+    np.testing.assert_array_equal(going_on.theta, alone.theta)
+    for one_way, other in zip(going_on.jacobians, alone.jacobians, strict=True):
+        np.testing.assert_array_equal(one_way, other)
+    # Elsewhere, or by another engine, they say nothing.
+    begun = [(free.start, [s.start for s in some])]
+    elsewhere = [
+        fit(free, some, simulator=simulator, noise=noise, settings=one, begin=begun, earlier=e) for e in (None, first)
+    ]
+    assert elsewhere[0].evaluations == elsewhere[1].evaluations
+    finer = machine_simulator(dt=5e-4)
+    others = [fit(free, some, simulator=finer, noise=noise, settings=one, begin=end, earlier=e) for e in (None, first)]
+    assert others[0].evaluations == others[1].evaluations and not np.array_equal(others[0].theta, alone.theta)
 
 
 class Searching:

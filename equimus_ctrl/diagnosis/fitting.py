@@ -117,7 +117,7 @@ class Data:
         best = fitted
         for _ in range(ROUNDS):
             steps = FitSettings(1e-5, 12)
-            found = self._fit(best.hypothesis, [best.begin], noise or best.noise, steps)
+            found = self._fit(best.hypothesis, [best.begin], noise or best.noise, steps, earlier=best.fit)
             after = self._judged(best.hypothesis, found)
             gain, noise = best.deviance - after.deviance, None
             if gain > 0:
@@ -136,14 +136,20 @@ class Data:
         )
 
     def _fit(
-        self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, settings: FitSettings, thorough: bool = True
+        self,
+        hypothesis: Hypothesis,
+        begin: Sequence[Begin],
+        noise: Noise,
+        settings: FitSettings,
+        thorough: bool = True,
+        earlier: Fit | None = None,
     ) -> Fit:
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
         coarse = self.coarse if self.quick and not thorough else None
         found = fit(
             parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside,
-            coarse=coarse,
+            coarse=coarse, earlier=earlier,
         )  # fmt: skip
         jumps = self.jumps(hypothesis)
         for _ in range((TURNS if thorough else 1) if jumps else 0):

@@ -56,6 +56,8 @@ IDLE = 1e-9
 
 Begin = tuple[Array, Sequence[Array]]
 """Parameters (p,) and, for each segment, its start (2 nj,)."""
+Derivatives = tuple[list[Array], list[Array]]
+"""For each segment (m, nj, p) ∂prediction/∂θ and (m, nj, s) ∂prediction/∂start."""
 Simulator = Callable[[Sequence[Model], Sequence[Segment], Sequence[Array]], list[Predicted]]
 """(models, segments, starts (k, 2 nj) for each segment as the sensors show them) → predictions."""
 
@@ -129,12 +131,12 @@ class Fit:
         starts: for each segment (2 nj,) its start as the sensors show it [rad, rad/s].
         residuals: for each segment (m, nj) measured − predicted [rad].
         before: the same of the model as it came.
-        jacobians: for each segment (m, nj, p) ∂prediction/∂θ.
-        start_jacobians: for each segment (m, nj, s) ∂prediction/∂start, its free numbers.
         cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else [rad²].
         at_bound: (p,) −1, 0, 1: where a bound holds a parameter back.
         evaluations: how many parameter sets were simulated.
         converged: whether the search ended by itself.
+        problem: what was solved.
+        derive: works out ``derivatives``.
         known: works out ``uncertainty``.
     """
 
@@ -144,13 +146,29 @@ class Fit:
     starts: tuple[Array, ...]
     residuals: tuple[Array, ...]
     before: tuple[Array, ...]
-    jacobians: tuple[Array, ...]
-    start_jacobians: tuple[Array, ...]
     cost: float
     at_bound: Array
     evaluations: int
     converged: bool
+    problem: Problem
+    derive: Callable[[], Derivatives]
     known: Callable[[], Uncertainty]
+
+    @cached_property
+    def derivatives(self) -> Derivatives:
+        """Where the search ended, worked out when they are first asked for: of most fits nobody does."""
+        with threadpool_limits(limits=1, user_api="blas"):
+            return self.derive()
+
+    @property
+    def jacobians(self) -> list[Array]:
+        """For each segment (m, nj, p) ∂prediction/∂θ."""
+        return self.derivatives[0]
+
+    @property
+    def start_jacobians(self) -> list[Array]:
+        """For each segment (m, nj, s) ∂prediction/∂start, its free numbers."""
+        return self.derivatives[1]
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
@@ -180,15 +198,13 @@ class _Slopes:
     """Derivatives at one point, the starts eliminated.
 
     Attributes:
-        by_theta: for each segment (m, nj, p) ∂prediction/∂θ.
-        by_start: for each segment (m, nj, s) ∂prediction/∂start.
+        derivatives: by θ and by the starts.
         factor: (p, p) R with the columns in units of the parameters' scale.
         target: (p,) c.
         starts: for each segment its (Q, R) of ∂/∂start, the weighted start below the samples.
     """
 
-    by_theta: list[Array]
-    by_start: list[Array]
+    derivatives: Derivatives
     factor: Array
     target: Array
     starts: list[tuple[Array, Array]]
@@ -304,9 +320,9 @@ class Problem:
                 points[i] = replace(points[i], cost=points[i].cost + cost)
         return points
 
-    def slopes(self, point: _Point) -> _Slopes:
-        """Forward differences about a point."""
-        by_theta, by_start = self._derivatives(point)
+    def slopes(self, point: _Point, known: Derivatives | None = None) -> _Slopes:
+        """Forward differences about a point, or what is known of them."""
+        by_theta, by_start = known or self.derivatives(point)
         scale = self.parameters.scale
         p = len(scale)
         rows, starts = [], []
@@ -326,7 +342,20 @@ class Problem:
                 starts.append((np.empty((count, 0)), np.empty((0, 0))))
             rows.append(_triangle(system))
         factor = _triangle(np.vstack(rows))
-        return _Slopes(by_theta, by_start, factor[:p, :p], factor[:p, p], starts)
+        return _Slopes((by_theta, by_start), factor[:p, :p], factor[:p, p], starts)
+
+    def begins_where(self, other: Fit, point: _Point) -> bool:
+        """Whether derivatives at the end of another fit are those at a point, and worth keeping."""
+        own = other.problem
+        return (
+            not self.side_by_side
+            and (self.coarse or self.simulator) is (own.coarse or own.simulator)
+            and self.parameters.names == other.parameters.names
+            and len(self.segments) == len(own.segments)
+            and all(a is b for a, b in zip(self.segments, own.segments, strict=True))
+            and np.array_equal(point.theta, other.theta)
+            and all(np.array_equal(a, b) for a, b in zip(point.starts, other.starts, strict=True))
+        )
 
     def moved_starts(self, point: _Point, slopes: _Slopes, change: Array) -> list[list[Array]]:
         """Starts that go with a change (p,) of θ in units of its scale: the best to first order, a tenth of the way.
@@ -340,7 +369,7 @@ class Problem:
             s = segment.free_start
             if s:
                 basis, upper = slopes.starts[k]
-                left = self.whitened(segment, point.residuals[k] - slopes.by_theta[k] @ (scale * change)).ravel()
+                left = self.whitened(segment, point.residuals[k] - slopes.derivatives[0][k] @ (scale * change)).ravel()
                 target = np.concatenate([left, self._start_residual(segment, start)])
                 start[:s] += solve_triangular(upper, basis.T @ target)
             moved.append(start)
@@ -359,7 +388,8 @@ class Problem:
         s = segment.free_start
         return np.asarray(self._start_weights(segment) * (segment.start[:s] - start[:s]))
 
-    def _derivatives(self, point: _Point) -> tuple[list[Array], list[Array]]:
+    def derivatives(self, point: _Point) -> Derivatives:
+        """Forward differences about a point, by every parameter and free number of a start."""
         scale = self.parameters.scale
         # Steps lead away from the upper bound.
         steps = DIFFERENCE * scale * np.where(point.theta + DIFFERENCE * scale <= self.parameters.high, 1.0, -1.0)
@@ -414,6 +444,7 @@ def fit(
     noise: Noise | None = None,
     begin: Sequence[Begin] = (),
     coarse: Simulator | None = None,
+    earlier: Fit | None = None,
     notify: Callable[[int, float], None] = lambda evaluations, rmse: None,
 ) -> Fit:
     """Least squares over all segments, bounds kept.
@@ -426,6 +457,8 @@ def fit(
         noise: of the joints, by which residuals count; all alike without.
         begin: where the search may begin, the best of them is taken; the model as it came by default.
         coarse: a faster engine for derivatives.
+        earlier: a fit of the same whose end this one may go on from; its derivatives are taken over where simulations
+            are dear.
         notify: called with (parameter sets simulated, best RMSE over all joints [rad]) after each step.
 
     Raises:
@@ -435,10 +468,16 @@ def fit(
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
         problem = Problem(parameters, segments, simulator or simulator_for(parameters.model), noise, coarse)
-        return _fit(problem, settings or FitSettings(), begin, notify)
+        return _fit(problem, settings or FitSettings(), begin, earlier, notify)
 
 
-def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify: Callable[[int, float], None]) -> Fit:
+def _fit(
+    problem: Problem,
+    settings: FitSettings,
+    begin: Sequence[Begin],
+    earlier: Fit | None,
+    notify: Callable[[int, float], None],
+) -> Fit:
     parameters, segments = problem.parameters, problem.segments
     samples = sum(s.measured.size for s in segments)
     p, free_starts = len(parameters.free), sum(s.free_start for s in segments)
@@ -454,11 +493,14 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
     if all(np.all(r[-1] == DIVERGED) for r in point.residuals):
         raise SimulationDiverged(f"{parameters.model.name}: the simulation diverges on every trial as the model came")
     before = point.residuals
-    slopes = problem.slopes(point)
+    slopes = None
+    if earlier is not None and problem.begins_where(earlier, point):
+        slopes = problem.slopes(point, earlier.derivatives)
     weights = np.zeros(p)
     damping, converged = 1e-2, False
     around = DAMPINGS if problem.side_by_side else ONE_BY_ONE
     for _ in range(settings.steps):
+        slopes = slopes or problem.slopes(point)
         weights = np.maximum(weights, np.linalg.norm(slopes.factor, axis=0))
         dampings = np.clip(damping * around, LEAST_DAMPING, MOST_DAMPING)
         changes = [_step(parameters, point.theta, slopes, weights * np.sqrt(d)) for d in dampings]
@@ -472,12 +514,11 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
         best = min(range(len(tried)), key=lambda i: tried[i].cost)
         gain = (point.cost - tried[best].cost) / max(point.cost, 1e-300)
         if gain > 0:
-            point, damping = tried[best], float(dampings[best])
+            point, damping, slopes = tried[best], float(dampings[best]), None
         elif dampings[-1] < MOST_DAMPING and np.abs(changes[-1]).max() > settings.tolerance:
             damping = float(dampings[-1]) * 10
             continue
         notify(problem.evaluations, float(np.sqrt(sum((r**2).sum() for r in point.residuals) / samples)))
-        slopes = problem.slopes(point) if gain > 0 else slopes
         if gain < settings.tolerance:
             converged = True
             break
@@ -486,32 +527,37 @@ def _fit(problem: Problem, settings: FitSettings, begin: Sequence[Begin], notify
         spread = np.minimum(spread, parameters.scale)  # what bounds hold of machines of any size lies far apart
     low, high = point.theta - parameters.low < 1e-6 * spread, parameters.high - point.theta < 1e-6 * spread
 
+    def derive() -> Derivatives:
+        return slopes.derivatives if slopes else problem.derivatives(point)
+
     def known() -> Uncertainty:
+        by_theta, by_start = found.derivatives
         return uncertainty(
-            [problem.whitened(s, j) for s, j in zip(segments, slopes.by_theta, strict=True)],
+            [problem.whitened(s, j) for s, j in zip(segments, by_theta, strict=True)],
             [problem.whitened(s, r) for s, r in zip(segments, point.residuals, strict=True)],
-            [problem.whitened(s, n) for s, n in zip(segments, slopes.by_start, strict=True)],
+            [problem.whitened(s, n) for s, n in zip(segments, by_start, strict=True)],
             parameters.names,
             parameters.scale,
             point.theta,
             settings.confidence,
         )
 
-    return Fit(
+    found = Fit(
         parameters,
         point.theta,
         parameters.model_at(point.theta),
         tuple(point.starts),
         tuple(point.residuals),
         tuple(before),
-        tuple(slopes.by_theta),
-        tuple(slopes.by_start),
         point.cost,
         high.astype(int) - low.astype(int),
         problem.evaluations,
         converged,
+        problem,
+        derive,
         known,
     )
+    return found
 
 
 def _step(parameters: FreeParameters, theta: Array, slopes: _Slopes, damping: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from equimus_ctrl.errors import ModelError
@@ -33,6 +33,33 @@ def _functions(form: Structure, phase: Phase) -> dict[str, ca.Function]:
         "acceleration": ca.Function("acceleration", [m.q, m.v, m.f, m.tau, m.p], [m.acceleration]),
         "rest_torque": ca.Function("rest_torque", [m.q, m.f, m.tau, m.p], [torque, ca.jacobian(torque, m.q)]),
     }
+
+
+NEWTON_STEPS = 8
+"""Towards a pose at rest from one close by: from half a radian away rounding is reached after six or seven."""
+CLOSE_BY = 1.0
+"""A pose farther away than this from the one before was not followed but jumped to [rad]."""
+
+
+@lru_cache(maxsize=32)
+def _followed(form: Structure, phase: Phase, n: int) -> tuple[ca.Function, ca.Function]:
+    """Poses (nj, n), each by Newton's method from the one before, of (pose (nj,), forces (na, n), p).
+
+    The other function tells whether they rest: (poses, forces, p) → torque (nj, n), its slope by the pose and the mass
+    matrix, (nj, n nj) each.
+    """
+    m = build(form, phase)
+    torque = ca.substitute(m.mass @ m.acceleration, m.v, ca.SX.zeros(m.v.shape))
+    torque = ca.substitute(torque, m.tau, ca.SX.zeros(m.tau.shape))
+    slope = ca.jacobian(torque, m.q)
+    step = ca.Function("step", [m.q, m.f, m.p], [m.q - ca.solve(slope, torque)])
+    q, force, p = ca.MX.sym("q", m.q.shape), ca.MX.sym("f", m.f.shape), ca.MX.sym("p", m.p.shape)
+    pose = q
+    for _ in range(NEWTON_STEPS):
+        pose = step(pose, force, p)
+    follow = ca.Function("follow", [q, force, p], [pose])
+    judge = ca.Function("judge", [m.q, m.f, m.p], [torque, slope, m.mass])
+    return follow.mapaccum(n), judge.map(n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +170,52 @@ class Kinematics:
                 gtol=1e-15,
             )
             torque, slope = self._call("rest_torque", found.x, force, zero)
-            # At rest means no torque, and stable means that torque pushes back against any small displacement.
-            stable = np.all(np.linalg.eigvals(np.linalg.solve(self.mass(found.x), np.array(slope))).real < 0)
-            if np.abs(np.array(torque)).max() < 1e-8 and stable:
+            if _at_rest(np.array(torque).T, np.array(slope)[None], self.mass(found.x)[None])[0]:
                 return np.asarray(found.x, dtype=np.float64)
         commands = ", ".join(f"{value / 1e3:g}" for value in np.atleast_1d(np.asarray(pressure, dtype=np.float64)))
         raise ModelError(f"{self.morphology.name}: no pose at rest was found under pressures of {commands} kPa")
+
+    def equilibria(self, pressures: ArrayLike, start: ArrayLike | None = None) -> Array:
+        """(n, nj) poses at rest under pressures that change little by little, each looked for from the one before.
+
+        Args:
+            pressures: (n, na) [Pa].
+            start: (nj,) where the first is looked for from; the middle of the joint ranges by default.
+
+        Raises:
+            ModelError: where one is not found.
+        """
+        given = np.asarray(pressures, dtype=np.float64)
+        poses = [self.equilibrium(given[0], start)]
+        if len(given) > 1 and np.all(np.isfinite(given)):
+            n = len(given) - 1
+            follow, judge = _followed(structure(self.morphology), self.phase, n)
+            forces = self.drive_force(given[1:]).T
+            found = follow(poses[0], forces, self.parameters)
+            torque, slope, mass = (np.array(part) for part in judge(found, forces, self.parameters))
+            nj = len(poses[0])
+            slopes, masses = (part.reshape(nj, n, nj).swapaxes(0, 1) for part in (slope, mass))
+            rows = np.array(found).T
+            steps = np.abs(np.diff(np.vstack([poses[0], rows]), axis=0)).max(axis=1)
+            good = _at_rest(torque.T, slopes, masses) & (steps < CLOSE_BY)
+            poses += list(rows[: n if good.all() else int(np.argmin(good))])
+        for pressure in given[len(poses) :]:
+            poses.append(self.equilibrium(pressure, poses[-1]))
+        return np.array(poses)
+
+
+def _at_rest(torque: Array, slope: Array, mass: Array) -> NDArray[np.bool_]:
+    """(n,) whether poses are at rest and stable.
+
+    At rest means no torque, and stable means that torque pushes back against any small displacement.
+
+    Args:
+        torque: (n, nj) [N·m].
+        slope: (n, nj, nj) by the pose [N·m/rad].
+        mass: (n, nj, nj) [kg·m²].
+    """
+    still = np.abs(torque).max(axis=1) < 1e-8  # false of nan
+    found = np.zeros(len(torque), dtype=bool)
+    rates = np.linalg.eigvals(np.linalg.solve(mass[still], slope[still]))
+    found[still] = np.all(rates.real < 0, axis=1)
+    return found

@@ -470,7 +470,7 @@ def step_quietly(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
         mujoco.mj_step(model, data)
     finally:
         mujoco.set_mju_user_warning(previous)
-    return not any(warning.number for warning in data.warning)
+    return not data.warning.number.any()
 
 
 def _heard(message: str) -> None:

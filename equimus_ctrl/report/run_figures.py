@@ -117,25 +117,18 @@ def _slow_outcome(run: Run, kinematics: Kinematics) -> Array:
     """(n, nj) the pose at rest under the command in force at each instant [rad]."""
     n = len(run.time)
     some = _spread(n, 40)
-    apart = np.abs(_rest_poses(kinematics, run.command[some]) - run.reference[some]).max(axis=1)
+    apart = np.abs(kinematics.equilibria(run.command[some]) - run.reference[some]).max(axis=1)
     if np.median(apart) < SAME_POSE:
         return run.reference
     changes = np.flatnonzero(np.any(np.diff(run.command, axis=0) != 0, axis=1)) + 1
     if len(changes) < MAX_REST_POSES:
-        return np.repeat(_rest_poses(kinematics, run.command[[0, *changes]]), np.diff([0, *changes, n]), axis=0)
+        return np.repeat(kinematics.equilibria(run.command[[0, *changes]]), np.diff([0, *changes, n]), axis=0)
     rows = _spread(n, MAX_REST_POSES)
-    return on_grid(run.time[rows], _rest_poses(kinematics, run.command[rows]), run.time)
+    return on_grid(run.time[rows], kinematics.equilibria(run.command[rows]), run.time)
 
 
 def _spread(n: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
-
-
-def _rest_poses(kinematics: Kinematics, commands: Array) -> Array:
-    poses = [kinematics.equilibrium(commands[0])]
-    for command in commands[1:]:
-        poses.append(kinematics.equilibrium(command, poses[-1]))
-    return np.array(poses)
 
 
 def beside_of(run: Run, scenario: Scenario) -> Beside | None:
