@@ -21,9 +21,11 @@ from scipy.optimize import differential_evolution
 
 from equimus_ctrl.engines.batch import Trial, simulate
 from equimus_ctrl.errors import ModelError
-from equimus_ctrl.identification.fit import FitSettings, Problem, fit, reduced_simulator
+from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.parameters import FreeParameters, free_parameters
+from equimus_ctrl.identification.problem import Problem
 from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.identification.statics import rest_poses
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.models.morphology import BASE

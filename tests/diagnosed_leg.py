@@ -26,10 +26,11 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.engines.batch import Trial, simulate
-from equimus_ctrl.identification.fit import reduced_simulator, residuals_of
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import free_parameters, unit_of
+from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.types import Recording

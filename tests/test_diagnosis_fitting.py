@@ -9,8 +9,8 @@ from equimus_ctrl.diagnosis.fitting import WORSE, Data, Fitted
 from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.effects.valves import Cutoff
 from equimus_ctrl.engines.batch import Trial, simulate
-from equimus_ctrl.identification.fit import reduced_simulator
 from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.types import Array, Recording

@@ -28,9 +28,10 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.motion import Motion, motion
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.identification.fit import Fit, fit, reduced_simulator
+from equimus_ctrl.identification.fit import Fit, fit
 from equimus_ctrl.identification.parameters import free_parameters
 from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model, nominal_model

@@ -19,8 +19,9 @@ from equimus_ctrl.engines.predict import Engine, predict
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
 from equimus_ctrl.identification import statics
 from equimus_ctrl.identification.crosscheck import cross_check
-from equimus_ctrl.identification.fit import Fit, FitSettings, fit, joint_rmse
+from equimus_ctrl.identification.fit import Fit, FitSettings, fit
 from equimus_ctrl.identification.parameters import default_names, free_parameters, unit_of
+from equimus_ctrl.identification.residuals import joint_rmse
 from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.statics import rest_poses, static_names
 from equimus_ctrl.identification.uncertainty import correlation_time, uncertainty

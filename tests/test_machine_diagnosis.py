@@ -40,8 +40,9 @@ from equimus_ctrl.effects import (
 )
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
-from equimus_ctrl.identification.fit import FitSettings, fit, machine_simulator
+from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.simulators import machine_simulator
 from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import Model, machine_model
 from equimus_ctrl.recordings import find_recordings, write

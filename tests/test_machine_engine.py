@@ -49,9 +49,9 @@ from equimus_ctrl.engines.machine import pushes, realise, simulate_machines
 from equimus_ctrl.engines.machine_motion import machine_motion, pushed
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
-from equimus_ctrl.identification.fit import machine_simulator
 from equimus_ctrl.identification.parameters import unit_of
 from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.identification.simulators import machine_simulator
 from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import Model, machine_model
 from equimus_ctrl.report.diagnosis_sentences import SENTENCES, sentence

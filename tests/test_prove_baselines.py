@@ -18,8 +18,8 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.effects import make
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
-from equimus_ctrl.identification.fit import reduced_simulator
 from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof import blind

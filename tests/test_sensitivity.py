@@ -10,9 +10,9 @@ import pytest
 
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
-from equimus_ctrl.identification.fit import STEP
 from equimus_ctrl.identification.parameters import default_bounds
 from equimus_ctrl.identification.sensitivity import SHARES
+from equimus_ctrl.identification.simulators import STEP
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.report.sensitivity_figures import sensitivity_figures

@@ -40,8 +40,9 @@ import numpy as np
 
 from equimus_ctrl import workflow
 from equimus_ctrl.errors import RecordingError
-from equimus_ctrl.identification.fit import joint_rmse, machine_simulator, residuals_of
+from equimus_ctrl.identification.residuals import joint_rmse, residuals_of
 from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.simulators import machine_simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import find_recordings
 from equimus_ctrl.types import Array, Recording

@@ -12,8 +12,8 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.search import Search, Searched
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.where import excess_of
-from equimus_ctrl.identification.fit import residuals_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood, whiten
+from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 

@@ -34,9 +34,9 @@ from equimus_ctrl.diagnosis.search import LONG, Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.weighing import orthonormal, outside, weigh
 from equimus_ctrl.diagnosis.where import excess_of, where_off
-from equimus_ctrl.identification.fit import STEP, Simulator, machine_simulator, reduced_simulator
 from equimus_ctrl.identification.noise import Noise, white_noise
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
+from equimus_ctrl.identification.simulators import STEP, Simulator, machine_simulator, reduced_simulator
 from equimus_ctrl.models.model import machine_of
 
 BLUR = 60.0

@@ -12,9 +12,10 @@ import numpy as np
 from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
-from equimus_ctrl.identification.fit import DIVERGED, Simulator, residuals_of, simulator_for
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
+from equimus_ctrl.identification.residuals import DIVERGED, residuals_of
 from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Recording
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.identification.fit import Fit, FitSettings, Simulator, fit, joint_rmse, residuals_of
+from equimus_ctrl.identification.fit import Fit, FitSettings, fit
 from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.residuals import joint_rmse, residuals_of
 from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.types import Array
 
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.identification.crosscheck import CrossCheck
-from equimus_ctrl.identification.fit import Fit, joint_rmse
+from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.residuals import joint_rmse
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.statics import StaticFit
 from equimus_ctrl.identification.uncertainty import TradeOff, Uncertainty

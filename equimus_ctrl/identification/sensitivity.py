@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
-from equimus_ctrl.identification.fit import Simulator, reduced_simulator
 from equimus_ctrl.identification.parameters import default_bounds, matching, unit_of
 from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.simulators import Simulator, reduced_simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 

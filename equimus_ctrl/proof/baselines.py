@@ -12,7 +12,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.errors import EquimusError
-from equimus_ctrl.identification.fit import residuals_of
+from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.proof.refits import Refits, findings_of
 from equimus_ctrl.proof.sparse import sparse_regression

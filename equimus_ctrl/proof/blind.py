@@ -18,8 +18,8 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.split import Split, split
 from equimus_ctrl.errors import EquimusError
-from equimus_ctrl.identification.fit import reduced_simulator
 from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.baselines import baselines
 from equimus_ctrl.proof.fingerprint import BASELINES, PARTS, fingerprint

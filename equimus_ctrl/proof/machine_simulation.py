@@ -24,8 +24,9 @@ from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.machine import Course, Realised, commands_on, filled, measured_of, quiet, realise, steps_of
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.identification.fit import FitSettings, fit, machine_simulator
+from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import JointNoise
+from equimus_ctrl.identification.simulators import machine_simulator
 from equimus_ctrl.models.machine_parts import harden
 from equimus_ctrl.models.model import machine_model
 from equimus_ctrl.proof.machines import MachineReality, machine_recordings

@@ -10,9 +10,11 @@ from scipy.optimize import lsq_linear
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.identification.fit import FitSettings, fit, reduced_simulator, residuals_of
+from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.parameters import default_names, free_parameters
+from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.realities import Reality
 from equimus_ctrl.types import Array, Recording

@@ -18,7 +18,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis
 from equimus_ctrl.diagnosis.where import commands, speeds
-from equimus_ctrl.identification.fit import DIVERGED
+from equimus_ctrl.identification.residuals import DIVERGED
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.report import diagnosis_text as story
 from equimus_ctrl.report import style

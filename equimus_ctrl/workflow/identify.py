@@ -18,18 +18,13 @@ from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.predict import Engine, behind_sensors, check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.crosscheck import cross_check
-from equimus_ctrl.identification.fit import (
-    FitSettings,
-    Simulator,
-    fit,
-    machine_simulator,
-    reduced_simulator,
-    residuals_of,
-)
+from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged, together
 from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.sensitivity import SHARES, Sensitivity, sensitivity
+from equimus_ctrl.identification.simulators import Simulator, machine_simulator, reduced_simulator
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
 from equimus_ctrl.models.model import Model, machine_of, nominal_model
 from equimus_ctrl.recordings import StaticPoses, read_static_poses

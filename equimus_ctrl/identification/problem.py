@@ -1,0 +1,205 @@
+"""Residuals of simulated trials as a function of parameters and starts, with their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from equimus_ctrl.identification.noise import Noise, whiten
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.residuals import FARTHEST, START_DIFFERENCE, residual_of
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.model import machine_of
+from equimus_ctrl.types import Array
+
+DIFFERENCE = 1e-5
+"""Step of the finite differences, in units of each parameter's scale."""
+
+Derivatives = tuple[list[Array], list[Array]]
+"""For each segment (m, nj, p) ∂prediction/∂θ and (m, nj, s) ∂prediction/∂start."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Derivatives at one point, the starts eliminated.
+
+    Attributes:
+        derivatives: by θ and by the starts.
+        factor: (p, p) R with the columns in units of the parameters' scale.
+        target: (p,) c.
+        starts: for each segment its (Q, R) of ∂/∂start, the weighted start below the samples.
+    """
+
+    derivatives: Derivatives
+    factor: Array
+    target: Array
+    starts: list[tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A parameter set with its starts, residuals, cost and, for each segment, (m, nj) what is predicted."""
+
+    theta: Array
+    starts: list[Array]
+    residuals: list[Array]
+    cost: float
+    predicted: list[Array]
+
+
+class Problem:
+    """Residuals and their derivatives as functions of the free parameters and starts.
+
+    Args:
+        parameters: what is free.
+        segments: what was measured.
+        simulator: the engine.
+        noise: of the joints, whose innovations are what is squared; all residuals count alike without.
+        coarse: a faster engine, whose predictions are compared with its own alone: for derivatives.
+    """
+
+    def __init__(
+        self,
+        parameters: FreeParameters,
+        segments: Sequence[Segment],
+        simulator: Simulator,
+        noise: Noise | None = None,
+        coarse: Simulator | None = None,
+    ) -> None:
+        self.coarse = coarse
+        self.parameters = parameters
+        self.segments = list(segments)
+        self.simulator = simulator
+        self.noise = noise
+        self.evaluations = 0
+        self.side_by_side = machine_of(parameters.model) is None
+
+    def whitened(self, segment: Segment, values: Array) -> Array:
+        """Residuals or derivatives (m, nj, ...) of a segment as they count."""
+        return values if self.noise is None else whiten(self.noise, segment.trial.sample_times, values)
+
+    def points(self, thetas: Sequence[Array], starts: Sequence[Sequence[Sequence[Array]]]) -> list[Point]:
+        """Simulate parameter sets (p,), each with one or more choices of starts, and take the best segment by segment.
+
+        Args:
+            thetas: (p,) each.
+            starts: for each parameter set its choices, for each choice (2 nj,) for every segment.
+        """
+        models = [self.parameters.model_at(theta) for theta in thetas]
+        spread = [(i, choice) for i, choices in enumerate(starts) for choice in choices]
+        self.evaluations += len(spread)
+        rows = [np.array([choice[k] for _, choice in spread]) for k in range(len(self.segments))]
+        found = self.simulator([models[i] for i, _ in spread], self.segments, rows)
+        points = [Point(theta, [], [], 0.0, []) for theta in thetas]
+        for segment, row, predicted in zip(self.segments, rows, found, strict=True):
+            best: dict[int, tuple[float, Array, Array, Array]] = {}
+            residuals = np.stack([residual_of(segment, predicted, place) for place in range(len(spread))], axis=-1)
+            squares = (self.whitened(segment, residuals) ** 2).sum(axis=(0, 1))
+            for place, (i, _) in enumerate(spread):
+                cost = float(squares[place] + (self._start_residual(segment, row[place]) ** 2).sum())
+                if i not in best or cost < best[i][0]:
+                    best[i] = cost, row[place], residuals[:, :, place], predicted.position[place]
+            for i, (cost, start, residual, position) in best.items():
+                points[i].predicted.append(position)
+                points[i].starts.append(start)
+                points[i].residuals.append(residual)
+                points[i] = replace(points[i], cost=points[i].cost + cost)
+        return points
+
+    def slopes(self, point: Point, known: Derivatives | None = None) -> Slopes:
+        """Forward differences about a point, or what is known of them."""
+        by_theta, by_start = known or self.derivatives(point)
+        scale = self.parameters.scale
+        p = len(scale)
+        rows, starts = [], []
+        for segment, j, n, r, x in zip(self.segments, by_theta, by_start, point.residuals, point.starts, strict=True):
+            count, s = j.shape[0] * j.shape[1], segment.free_start
+            columns = self.whitened(segment, np.concatenate([j * scale, r[:, :, None], n], axis=2)).reshape(count, -1)
+            system = columns[:, : p + 1]
+            if s:
+                whole = np.vstack([columns[:, p + 1 :], np.diag(self._start_weights(segment))])
+                own = np.zeros((s, p + 1))
+                own[:, p] = self._start_residual(segment, x)
+                system = np.vstack([system, own])
+                basis, upper = np.linalg.qr(whole, mode="reduced")
+                starts.append((basis, upper))
+                system = system - basis @ (basis.T @ system)
+            else:
+                starts.append((np.empty((count, 0)), np.empty((0, 0))))
+            rows.append(triangle(system))
+        factor = triangle(np.vstack(rows))
+        return Slopes((by_theta, by_start), factor[:p, :p], factor[:p, p], starts)
+
+    def moved_starts(self, point: Point, slopes: Slopes, change: Array) -> list[list[Array]]:
+        """Starts that go with a change (p,) of θ in units of its scale: the best to first order, a tenth of the way.
+
+        The latter is for where the motion depends on its start with a kink, as on a joint's stop.
+        """
+        moved = []
+        scale = self.parameters.scale
+        for k, segment in enumerate(self.segments):
+            start = point.starts[k].copy()
+            s = segment.free_start
+            if s:
+                basis, upper = slopes.starts[k]
+                left = self.whitened(segment, point.residuals[k] - slopes.derivatives[0][k] @ (scale * change)).ravel()
+                target = np.concatenate([left, self._start_residual(segment, start)])
+                start[:s] += solve_triangular(upper, basis.T @ target)
+            moved.append(start)
+        if not any(segment.free_start for segment in self.segments):
+            return [moved]
+        return [moved, [old + 0.1 * (new - old) for old, new in zip(point.starts, moved, strict=True)]]
+
+    def _start_weights(self, segment: Segment) -> Array:
+        if self.noise is None or not segment.free_start:
+            return segment.start_weights
+        nj = segment.measured.shape[1]
+        sigma = np.array([self.noise[k % nj].sigma for k in range(segment.free_start)])
+        return np.asarray(segment.start_weights / sigma)
+
+    def _start_residual(self, segment: Segment, start: Array) -> Array:
+        s = segment.free_start
+        return np.asarray(self._start_weights(segment) * (segment.start[:s] - start[:s]))
+
+    def derivatives(self, point: Point) -> Derivatives:
+        """Forward differences about a point, by every parameter and free number of a start."""
+        scale = self.parameters.scale
+        # Steps lead away from the upper bound.
+        steps = DIFFERENCE * scale * np.where(point.theta + DIFFERENCE * scale <= self.parameters.high, 1.0, -1.0)
+        p, most = len(scale), max(s.free_start for s in self.segments)
+        base = self.parameters.model_at(point.theta)
+        moved = [self.parameters.model_at(point.theta + steps * unit) for unit in np.eye(p)]
+        # Side by side the base costs nothing and has its neighbours' rounding; else it may be known already.
+        first = int(self.side_by_side or self.coarse is not None)
+        models = [*[base] * first, *moved, *([base] * most)]
+        starts = []
+        for segment, start in zip(self.segments, point.starts, strict=True):
+            rows = np.tile(start, (len(models), 1))
+            for k in range(segment.free_start):
+                rows[first + p + k, k] += START_DIFFERENCE
+            starts.append(rows)
+        self.evaluations += len(models)
+        by_theta, by_start = [], []
+        simulated = (self.coarse or self.simulator)(models, self.segments, starts)
+        for segment, found, known, residual in zip(
+            self.segments, simulated, point.predicted, point.residuals, strict=True
+        ):
+            with np.errstate(invalid="ignore", over="ignore"):  # what diverges is dropped below
+                change = found.position[first:] - (found.position[0] if first else known)
+            change[~found.sound[first:]] = 0.0  # a neighbour that diverges tells no slope
+            if first and not found.sound[0]:
+                change[:, found.reached[0] :] = 0.0
+            elif not first:
+                change[:, np.any(np.abs(residual) >= FARTHEST, axis=1)] = 0.0
+            by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
+            by_start.append(np.moveaxis(change[p : p + segment.free_start] / START_DIFFERENCE, 0, -1))
+        return by_theta, by_start
+
+
+def triangle(matrix: Array) -> Array:
+    """R of the QR factorisation."""
+    return np.asarray(np.linalg.qr(matrix, mode="r"), dtype=np.float64)
