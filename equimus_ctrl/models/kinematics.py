@@ -49,9 +49,7 @@ def _followed(form: Structure, phase: Phase, n: int) -> tuple[ca.Function, ca.Fu
     matrix, (nj, n nj) each.
     """
     m = build(form, phase)
-    torque = ca.substitute(m.mass @ m.acceleration, m.v, ca.SX.zeros(m.v.shape))
-    torque = ca.substitute(torque, m.tau, ca.SX.zeros(m.tau.shape))
-    slope = ca.jacobian(torque, m.q)
+    torque, slope = _functions(form, phase)["rest_torque"](m.q, m.f, ca.SX.zeros(m.tau.shape), m.p)
     step = ca.Function("step", [m.q, m.f, m.p], [m.q - ca.solve(slope, torque)])
     q, force, p = ca.MX.sym("q", m.q.shape), ca.MX.sym("f", m.f.shape), ca.MX.sym("p", m.p.shape)
     pose = q
