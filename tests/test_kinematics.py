@@ -138,6 +138,8 @@ def test_poses_along_pressures_stay_on_their_turn_or_are_refused() -> None:
         Kinematics(LEG, "stance").equilibria([[10e3, 12.5e3], [10e3, 12.5e3]])
     with pytest.raises(ModelError, match="expected one finite number of Pa"):
         Kinematics(LEG).equilibria([[10e3, 12e3], [10e3, math.nan]])
+    with pytest.raises(ModelError, match=r"pressures have shape \(0,\), expected \(n, na\), n at least 1"):
+        Kinematics(LEG).equilibria([])
 
 
 @pytest.mark.parametrize("name", ["one_joint", "mono_and_bi", "more_drives_than_joints"])

@@ -130,8 +130,8 @@ class Problem:
                 system = system - basis @ (basis.T @ system)
             else:
                 starts.append((np.empty((count, 0)), np.empty((0, 0))))
-            rows.append(triangle(system))
-        factor = triangle(np.vstack(rows))
+            rows.append(_triangle(system))
+        factor = _triangle(np.vstack(rows))
         return Slopes((by_theta, by_start), factor[:p, :p], factor[:p, p], starts)
 
     def moved_starts(self, point: Point, slopes: Slopes, change: Array) -> list[list[Array]]:
@@ -200,6 +200,6 @@ class Problem:
         return by_theta, by_start
 
 
-def triangle(matrix: Array) -> Array:
+def _triangle(matrix: Array) -> Array:
     """R of the QR factorisation."""
     return np.asarray(np.linalg.qr(matrix, mode="r"), dtype=np.float64)

@@ -36,7 +36,7 @@ def _functions(form: Structure, phase: Phase) -> dict[str, ca.Function]:
 
 
 NEWTON_STEPS = 8
-"""Towards a pose at rest from one close by: from half a radian away rounding is reached after six or seven."""
+"""Towards a pose at rest from one close by; what is not at rest after so many is looked for by itself."""
 CLOSE_BY = 1.0
 """A pose farther away than this from the one before was not followed but jumped to [rad]."""
 
@@ -181,9 +181,13 @@ class Kinematics:
             start: (nj,) where the first is looked for from; the middle of the joint ranges by default.
 
         Raises:
-            ModelError: where one is not found.
+            ModelError: where one is not found, or pressures cannot be.
         """
         given = np.asarray(pressures, dtype=np.float64)
+        if given.ndim != 2 or not len(given):
+            raise ModelError(
+                f"{self.morphology.name}: pressures have shape {given.shape}, expected (n, na), n at least 1"
+            )
         poses = [self.equilibrium(given[0], start)]
         if len(given) > 1 and np.all(np.isfinite(given)):
             n = len(given) - 1
