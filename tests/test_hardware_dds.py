@@ -43,6 +43,7 @@ from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow import load_controller, load_scenario
 
+pytestmark = pytest.mark.real_time
 MODEL = nominal_model()
 SLEW = 1e6
 LOW = np.array([5e3, 3e3])

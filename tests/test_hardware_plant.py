@@ -31,6 +31,7 @@ from equimus_ctrl.scenarios.references import HoldReference
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, Start
 
+pytestmark = pytest.mark.real_time
 MODEL, DT = nominal_model(), 1 / 120
 LOW = np.array([5e3, 3e3])
 

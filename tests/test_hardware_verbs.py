@@ -39,6 +39,7 @@ def own_settings(tmp_path: Path) -> str:
     return str(path)
 
 
+@pytest.mark.real_time
 def test_a_robot_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["hardware", "check", "--hardware", own_settings(tmp_path), "--seconds", "1", "--json"]
     with emulator(tmp_path / "log.json", "--noise", "0.001"):
@@ -52,6 +53,7 @@ def test_a_robot_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert 4e3 < max(seen_by(tmp_path / "log.json")["highest"]) <= 5e3
 
 
+@pytest.mark.real_time
 def test_a_robot_that_does_not_react_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["hardware", "check", "--hardware", own_settings(tmp_path), "--seconds", "0.5", "--arm"]
     with emulator(tmp_path / "log.json", "--noise", "0.001", "--fault", "deaf:0"):
@@ -60,6 +62,7 @@ def test_a_robot_that_does_not_react_is_told(tmp_path: Path, capsys: pytest.Capt
     assert "no joint reacted to 5 kPa in maa: the most was" in said and "in baa" in said
 
 
+@pytest.mark.real_time
 def test_a_robot_that_is_too_slow_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with emulator(tmp_path / "log.json", "--rate", "40"):
         assert main(["hardware", "check", "--hardware", own_settings(tmp_path), "--seconds", "0.5"]) == 3
@@ -67,6 +70,7 @@ def test_a_robot_that_is_too_slow_is_told(tmp_path: Path, capsys: pytest.Capture
     assert said is not None and float(said[1]) == pytest.approx(40.0, abs=2.0)
 
 
+@pytest.mark.real_time
 def test_delays_and_lags_are_found_and_handed_to_controllers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -88,6 +92,7 @@ def test_delays_and_lags_are_found_and_handed_to_controllers(
     assert len(read(tmp_path / "delay_001.csv").time) > 1400
 
 
+@pytest.mark.real_time
 def test_a_delay_needs_an_armed_robot(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hardware", "delay"]) == 2
     assert "give --arm" in capsys.readouterr().err

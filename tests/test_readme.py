@@ -36,26 +36,37 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_readme_commands_run_one_after_the_other(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def tour() -> tuple[list[str], list[str]]:
+    """The README's commands: those before something runs beside them, and the rest, which keep up with a robot's clock."""
     found = commands(README)
-    assert len(found) >= 8
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    beside = []
-    try:
-        for command in found:
-            words = shlex.split(command)[1:]
-            if words[-1] == "&":
-                code = "from equimus_ctrl.cli.main import entry; entry()"
-                beside.append(subprocess.Popen([sys.executable, "-c", code, *words[:-1]]))
-            else:
-                assert main(words) == 0, command
-    finally:
-        for process in beside:
-            process.terminate()
-            process.wait(30)
+    beside = next(k for k, command in enumerate(found) if command.endswith("&"))
+    return found[:beside], found[beside:]
+
+
+def test_readme_commands_run_one_after_the_other(workspace: Path) -> None:
+    found = tour()[0]
+    assert len(found) >= 15
+    for command in found:
+        assert main(shlex.split(command)[1:]) == 0, command
     assert (workspace / "my_pid.toml").is_file()
     assert (workspace / "my_recordings" / "chirp.csv").is_file()
+
+
+@pytest.mark.real_time
+def test_readme_commands_for_hardware_run_beside_the_emulator(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    emulate, *found = tour()[1]
+    assert len(found) >= 3
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    code = "from equimus_ctrl.cli.main import entry; entry()"
+    beside = subprocess.Popen([sys.executable, "-c", code, *shlex.split(emulate)[1:-1]])
+    try:
+        for command in found:
+            assert main(shlex.split(command)[1:]) == 0, command
+    finally:
+        beside.terminate()
+        beside.wait(30)
+    assert (workspace / "real").is_dir()
 
 
 def test_format_commands_run(workspace: Path) -> None:

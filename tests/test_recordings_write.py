@@ -133,6 +133,7 @@ def test_writing_needs_a_folder(tmp_path: Path) -> None:
         write(tmp_path / "nowhere" / "trial.csv", simple())
 
 
+@pytest.mark.real_time
 def test_reading_is_fast(tmp_path: Path) -> None:
     n = 1440
     moving = simple(time=np.arange(n) / 120, command=np.full((n, 2), 1e4 / 3), position=np.full((n, 2), 1 / 3))
