@@ -240,7 +240,10 @@ def test_a_reference_that_leaves_the_joint_range_is_told_before_the_run() -> Non
         build_scenario(build, ScenarioContext(eq.nominal_leg()))
 
 
-def test_the_command_writes_prints_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_prints_and_tells(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "400")  # no line breaks within long paths
     own = tmp_path / "own.py"
     own.write_text("import numpy as np\ndef still(observation, reference):\n    return np.full(2, 1e4)\n")
     arguments = ["compare", "hold", "-c", "pid", "-c", f"{own}:still", "--condition", "nominal", "--json"]
