@@ -5,6 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +64,35 @@ def test_a_robot_that_does_not_react_is_told(tmp_path: Path, capsys: pytest.Capt
         assert main(options) == 3
     said = capsys.readouterr().err
     assert "no joint reacted to 5 kPa in maa: the most was" in said and "in baa" in said
+
+
+@pytest.mark.real_time
+def test_whoever_stops_a_sweep_is_told_that_the_robot_is_vented(tmp_path: Path) -> None:
+    code = "import signal as s; s.signal(s.SIGINT, s.default_int_handler); from equimus_ctrl.cli.main import entry; entry()"
+    words = ["hardware", "delay", "--arm", "--hardware", own_settings(tmp_path), "--record", str(tmp_path / "runs")]
+    with emulator(tmp_path / "log.json"):
+        process = subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True)
+        until = time.monotonic() + 60
+        while not list(tmp_path.glob("runs/*.csv")) and time.monotonic() < until:
+            time.sleep(0.05)
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        out = process.communicate(timeout=20)[1]
+    assert process.returncode == 130 and "the robot is vented" in out and "delay_001.csv" in out, out
+    assert max(seen_by(tmp_path / "log.json")["highest"]) > 0
+    assert read(tmp_path / "runs" / "delay_001.csv").command[-1].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(("arm", "said"), [(True, "was given pressure is vented"), (False, "was only listened to")])
+def test_whoever_stops_a_check_is_told_what_became_of_the_robot(
+    arm: bool, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("equimus_ctrl.workflow.check_hardware", stopped)
+    assert main(["hardware", "check", *(["--arm"] if arm else [])]) == 130
+    assert said in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.real_time

@@ -40,7 +40,8 @@ def check(
     console = people()
     robot = workflow.load_elastic(model)
     wired = workflow.load_hardware(hardware, robot, domain)
-    with stage_bar(console, "check", width=36, bar_width=24) as show:
+    given = "a robot that was given pressure is vented" if arm else "the robot was only listened to"
+    with stage_bar(console, "check", width=36, bar_width=24, stopped=f"stopped by Ctrl-C; {given}") as show:
         found = workflow.check_hardware(
             robot,
             wired,
@@ -98,8 +99,8 @@ def delay(
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.cli.progress import share_bar
-    from equimus_ctrl.cli.run import new_file
-    from equimus_ctrl.errors import ConfigError
+    from equimus_ctrl.cli.run import new_file, tell_stopped
+    from equimus_ctrl.errors import ConfigError, EquimusError
     from equimus_ctrl.recordings import read
 
     console = people()
@@ -109,11 +110,15 @@ def delay(
     robot = workflow.load_elastic(model)
     wired = workflow.load_hardware(hardware, robot, domain)
     path = new_file(record or presets.workspace() / "results" / "hardware", "delay")
-    with share_bar(console, "sweep") as show:
-        workflow.run_scenario(
-            "chirp", "open_loop", model=robot, plant="hardware", options=key_values(option, "--set"), hardware=wired,
-            armed=True, record=path, progress=show,
-        )  # fmt: skip
+    try:
+        with share_bar(console, "sweep") as show:
+            workflow.run_scenario(
+                "chirp", "open_loop", model=robot, plant="hardware", options=key_values(option, "--set"),
+                hardware=wired, armed=True, record=path, progress=show,
+            )  # fmt: skip
+    except (EquimusError, KeyboardInterrupt) as stop:
+        tell_stopped(console, stop, path)
+        raise
     found = workflow.measure_delay([read(path)], robot)
     table: dict[str, Any] = {}
     values = dict(zip(found.fit.parameters.names, found.fit.theta.tolist(), strict=True))

@@ -50,7 +50,9 @@ def share_bar(console: Console, name: str) -> Iterator[Callable[[float], None]]:
 
 
 @contextmanager
-def stage_bar(console: Console, first: str, *, width: int = 0, bar_width: int = 40) -> Iterator[ShowStage]:
+def stage_bar(
+    console: Console, first: str, *, width: int = 0, bar_width: int = 40, stopped: str = "stopped: nothing was written"
+) -> Iterator[ShowStage]:
     """One bar that goes from stage to stage and is gone at the end.
 
     Args:
@@ -58,6 +60,7 @@ def stage_bar(console: Console, first: str, *, width: int = 0, bar_width: int = 
         first: stage.
         width: of the longest stage's name.
         bar_width: of the bar alone.
+        stopped: what is said where Ctrl-C stops it.
 
     Raises:
         typer.Exit: with code 130 where Ctrl-C stops what is done under the bar, having said so.
@@ -81,5 +84,5 @@ def stage_bar(console: Console, first: str, *, width: int = 0, bar_width: int = 
 
             yield show
     except KeyboardInterrupt:
-        console.print("stopped: nothing was written", markup=False)
+        console.print(stopped, markup=False)
         raise typer.Exit(130) from None

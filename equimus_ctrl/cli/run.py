@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,6 +20,9 @@ from equimus_ctrl.cli.common import (
 )
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
 from equimus_ctrl.cli.progress import share_bar
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def run(
@@ -116,10 +119,8 @@ def run(
                 record=streamed,
             )
     except (EquimusError, KeyboardInterrupt) as stop:
-        if isinstance(stop, KeyboardInterrupt) and real and arm:
-            console.print("stopped by Ctrl-C; the robot is vented", markup=False)
-        if streamed is not None and streamed.exists():
-            tell_files(console, [streamed])
+        if streamed is not None:
+            tell_stopped(console, stop, streamed)
         raise
     label = f"{done.scenario.name}, {done.controller}"
     folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
@@ -167,6 +168,14 @@ def new_file(folder: Path, scenario: str) -> Path:
     presets.make_folder(folder)
     stem = _file_name(Path(scenario).stem)
     return next(path for k in range(1, 10**6) if not (path := folder / f"{stem}_{k:03d}.csv").exists())
+
+
+def tell_stopped(console: Console, stop: BaseException, streamed: Path) -> None:
+    """What people have to know of a robot that was driven until something stopped it."""
+    if isinstance(stop, KeyboardInterrupt):
+        console.print("stopped by Ctrl-C; the robot is vented", markup=False)
+    if streamed.exists():
+        tell_files(console, [streamed])
 
 
 def _told(loop: dict[str, Any], armed: bool) -> str:

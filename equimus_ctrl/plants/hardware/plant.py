@@ -232,8 +232,10 @@ class HardwarePlant:
                     for _ in range(VENTS - 1):
                         clock.sleep(self._spec.control_dt)
                         self._transmit(np.zeros(len(self._command)))
-            if self._stream is not None:
-                self._taken()
+            # The last row, of venting, lies before a measurement that is still to come.
+            until = clock.monotonic() + self.settings.safety.stale
+            while self._stream is not None and not self._taken() and self._pending and clock.monotonic() < until:
+                clock.sleep(1e-3)
         finally:
             if self._stream is not None:
                 self._stream.close()
