@@ -98,6 +98,8 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
     machine = changed_bodies(model.effects, given.with_parameters(settings) if settings else given)
     own = machine.mujoco_model(dt)
+    # To look which constraints hang together takes longer than to solve those of a few joints at once.
+    own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in machine.joints}
     pushing = [e for e in model.effects if isinstance(e, ForceEffect)]
     for effect in pushing:
