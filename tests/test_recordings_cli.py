@@ -29,7 +29,7 @@ def test_check(trial: Path) -> None:
     assert result.exit_code == 0
     found = json.loads(result.stdout)
     assert [summary["name"] for summary in found["trials"]] == ["trial [0]"] and found["warnings"] == []
-    assert "1 trials" in result.stderr and "92" in result.stderr
+    assert "1 trials" in result.stderr and "85.9..91.7" in result.stderr
     quiet = CliRunner().invoke(app, ["check", str(trial)])
     assert quiet.stdout == "" and "trial [0]" in quiet.stderr
 
@@ -52,6 +52,21 @@ def test_check_takes_limits(trial: Path) -> None:
     options = ["--command-high", "1e5", "--rotating", "knee"]
     assert CliRunner().invoke(app, ["check", str(trial), *options]).exit_code == 0
     assert CliRunner().invoke(app, ["check", str(trial), *options[:2]]).exit_code != 0
+
+
+def test_check_of_a_machine_reads_its_names_and_units(tmp_path: Path) -> None:
+    robot, path = tmp_path / "robot.xml", tmp_path / "run.csv"
+    robot.write_text(
+        '<mujoco><worldbody><body name="cart"><joint name="rail" type="slide"/><geom size="0.1" mass="1"/></body></worldbody>'
+        '<actuator><motor name="belt" joint="rail"/></actuator></mujoco>'
+    )
+    path.write_text("time,cmd.belt,pos.rail\n" + "".join(f"{0.01 * k:g},{-3 + k},{0.001 * k:g}\n" for k in range(9)))
+    result = CliRunner().invoke(app, ["check", str(path), "--model", str(robot), "--json"])
+    assert json.loads(result.stdout)["trials"][0]["command_pa"] == {"belt": [-3.0, 5.0]}
+    assert "-3.0..5.0" in result.stderr and "mm" in result.stderr and "0.0..8.0" in result.stderr
+    path.write_text(path.read_text().replace("pos.rail", "pos.slide"))
+    result = CliRunner().invoke(app, ["check", str(path), "--model", str(robot)])
+    assert isinstance(result.exception, RecordingError) and "rail" in str(result.exception)
 
 
 def test_import(trial: Path, tmp_path: Path) -> None:

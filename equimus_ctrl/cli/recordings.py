@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
+    from equimus_ctrl.diagnosis.units import Reading
+    from equimus_ctrl.models.model import Model
     from equimus_ctrl.recordings import Summary
 
 app = typer.Typer(help="Import, check and fetch recordings.", no_args_is_help=True, rich_markup_mode="rich")
@@ -82,6 +85,7 @@ def import_bag(
 @app.command()
 def check(
     paths: Annotated[list[Path], typer.Argument(help="Files or folders to read.")],
+    model: ModelFile = None,
     command_low: Low = 0.0,
     command_high: High = 50_000.0,
     rotating: Rotating = None,
@@ -89,52 +93,67 @@ def check(
 ) -> None:
     """Read recordings and say what they hold; the first thing that is wrong ends it, with exit code 2.
 
+    Those of a robot from MuJoCo's XML need --model: its names are the columns, its commands may be anything.
+
     \b
     [bold]Examples[/bold]
     equimus-ctrl recordings check trials
     equimus-ctrl recordings check trials/trial_00.csv trials/trial_01.csv
     equimus-ctrl recordings check other_robot --command-high 200000 --rotating wheel
+    equimus-ctrl recordings check docs/examples/pendulum --model docs/examples/pendulum.xml
     equimus-ctrl recordings check trials --json
     """  # noqa: D301 (the backspace keeps the lines of the examples apart)
     import warnings
 
-    from equimus_ctrl import recordings
+    from equimus_ctrl import recordings, workflow
+    from equimus_ctrl.models.model import machine_of
 
+    robot = workflow.load_model(model)
     limits = recordings.Limits(command_low=command_low, command_high=command_high, rotating=tuple(rotating or ()))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", recordings.RecordingWarning)
-        trials = recordings.read_set(paths, limits=limits)
+        if machine_of(robot) is None:
+            trials = recordings.read_set(paths, limits=limits)
+        else:
+            trials = tuple(workflow.gather(paths, robot))
     doubts = list(dict.fromkeys(str(warning.message) for warning in caught))
     summaries = [recordings.summarise(trial) for trial in trials]
     console = people()
-    console.print(_table(summaries))
+    console.print(_table(summaries, robot))
     for doubt in doubts:
         console.print(f"warning: {doubt}", style="yellow", markup=False, soft_wrap=True)
     if as_json:
         print_json({"trials": [summary.as_json() for summary in summaries], "warnings": doubts})
 
 
-def _table(summaries: Sequence[Summary]) -> Table:
+def _table(summaries: Sequence[Summary], robot: Model) -> Table:
     """One line a trial, in the units people think in."""
-    from math import degrees
-
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
+    from equimus_ctrl.diagnosis import units
+
     table = Table(title=f"{len(summaries)} trials", box=SIMPLE_HEAD, padding=(0, 1), title_justify="left")
     table.add_column("trial", overflow="fold")
-    commands = [f"{name}\nkPa" for name in summaries[0].command_pa]
-    angles = [f"{name}\ndeg" for name in summaries[0].position_rad]
-    for heading in ("time\ns", "rate\nHz", "jitter\nms", *commands, *angles):
+    commands = {name: units.command(robot, name) for name in summaries[0].command_pa}
+    joints = {name: units.position(robot, name) for name in summaries[0].position_rad}
+    named = [f"{name}\n{own.unit}" for name, own in (commands | joints).items()]
+    for heading in ("time\ns", "rate\nHz", "jitter\nms", *named):
         table.add_column(heading, justify="right", no_wrap=True)
+
+    def told(ends: tuple[float, float], own: Reading) -> str:
+        low, high = (own.factor * end for end in ends)
+        figures = max(1 - math.floor(math.log10(high - low)), 0) if high > low else 0
+        return f"{low:.{figures}f}..{high:.{figures}f}"
+
     for s in summaries:
         table.add_row(
             s.name,
             f"{s.duration_s:.1f}",
             f"{s.rate_hz:.1f}",
             f"{s.jitter_s * 1e3:.2f}",
-            *(f"{low / 1e3:.0f}..{high / 1e3:.0f}" for low, high in s.command_pa.values()),
-            *(f"{degrees(low):.0f}..{degrees(high):.0f}" for low, high in s.position_rad.values()),
+            *(told(ends, commands[name]) for name, ends in s.command_pa.items()),
+            *(told(ends, joints[name]) for name, ends in s.position_rad.items()),
         )
     return table
 

@@ -160,14 +160,14 @@ def strength_sheet(score: Score) -> Sheet:
             shares = [table(t)[name] for t in score.tallies.values()]
             if shares[0].of:
                 rows.append((title, name, *map(_short, shares)))
+    others = "; ".join(f"{name}: {title}" for name, title in TITLES.items() if name in score.tallies)
     return Sheet(
         "Right answers by excess",
         ("", "excess", *score.tallies),
         tuple(rows),
         "Excess: mean squared error over the noise's variance when all but the missing physics is fitted; in a pair "
-        "with the weaker one alone missing. Wrong names: given to what is from outside. "
-        + "; ".join(f"{name}: {title}" for name, title in TITLES.items() if name in score.tallies)
-        + ".",
+        "with the weaker one alone missing. Wrong names: given to what is from outside."
+        + (f" {others}." if others else ""),
     )
 
 
