@@ -149,10 +149,24 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Raise ConfigError where a folder is not there and cannot be made because something else is in its place."""
+    """Raise ConfigError where nothing can be put into a folder: a file is in its place, or it may not be written to."""
     there = next((p for p in (path, *path.parents) if p.exists()), None)
     if there is not None and not there.is_dir():
         raise ConfigError(f"{path}: is no folder and cannot become one ({there} is a file)")
+    if there is not None and not os.access(there, os.W_OK | os.X_OK):
+        raise ConfigError(f"{path}: nothing can be written there ({there} may not be written to)")
+
+
+def check_toml(path: Path) -> None:
+    """Raise ConfigError where a TOML file cannot be written, or would take the place of some other kind of file."""
+    try:
+        check_folder(path.parent)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: cannot be written; {error}") from None
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder; a file to write belongs there")
+    if path.suffix.lower() != ".toml":
+        raise ConfigError(f"{path}: what is written there is TOML; expected a name that ends in .toml")
 
 
 def make_folder(path: Path) -> None:

@@ -226,6 +226,8 @@ def test_which_trials_are_held_out() -> None:
         split(model, trials, heldout=["trial_9"])
     with pytest.raises(ConfigError, match="every trial is held out"):
         split(model, trials, heldout=["*"])
+    with pytest.raises(ConfigError, match="fitted is what comes before 100 s, but the last trial ends at "):
+        split(model, trials, until=100.0)
 
 
 def spoilt(change: str) -> list[Recording]:

@@ -261,7 +261,7 @@ CASES: list[tuple[Sequence[object], str]] = [
     (("identify", "other.csv", "--model", "nowhere.toml"), "nowhere.toml: there is no such file"),
     (("identify", "other.csv", "--output", "plain_file"), "plain_file: is no folder and cannot become one"),
     (("identify", "other.csv", "--write-model", "plain_file/m.toml"), "plain_file: is no folder and cannot become one"),
-    (("identify", "other.csv", "--write-model", "trials"), "trials: is a folder; a model file to write belongs there"),
+    (("identify", "other.csv", "--write-model", "trials"), "trials: is a folder; a file to write belongs there"),
     (("identify", "other.csv", "poses.csv", "--free", "*.damping"), "none of the free parameters (hip.damping, "),
     (("identify", "poses.csv", "--heldout", "other.csv"), "other.csv: trials are held out, but only poses at rest are"),
     (("identify", "poses.csv", "--heldout", "few.csv"), "few: every pose held out takes part in the fit too"),

@@ -822,6 +822,15 @@ def test_saving_beside_the_xml_leaves_it_as_it_is(crane_file: Path) -> None:
     np.testing.assert_array_equal(moved(load_model(crane_file.with_suffix(".toml"))), moved(model))
 
 
+def test_an_xml_of_somebody_else_stays(crane_file: Path, tmp_path: Path) -> None:
+    model = machine_model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    (tmp_path / "keep.xml").write_text("<mujoco/>")
+    assert save_model(tmp_path / "keep.toml", model, crane_file)[1].name == "keep_whole.xml"
+    assert (tmp_path / "keep.xml").read_text() == "<mujoco/>"
+    for _ in range(2):  # what was written together is written again
+        assert save_model(tmp_path / "own.toml", model, crane_file)[1].name == "own.xml"
+
+
 def test_a_model_is_its_dictionary() -> None:
     model = machine_model(CRANE.with_parameters({"arm.mass": 3.0}), (TransportDelay("push", 0.05),))
     data = model_to_dict(model)
@@ -1158,9 +1167,12 @@ def written(path: Path, header: str) -> Path:
     ("header", "parts"),
     [
         ("time,cmd.push,cmd.servo,cmd.drive,pos.sholder,pos.reach", ("pos.shoulder", "reach")),
-        ("time,cmd.push,cmd.servo,cmd.drive,pos.hip,pos.knee", ("joint 'shoulder'", "hip, knee")),
+        (
+            "time,cmd.push,cmd.servo,cmd.drive,pos.hip,pos.knee",
+            ("'pos.shoulder' for joint shoulder", "pos.hip, pos.knee"),
+        ),
         ("time,cmd.push,cmd.servo,pos.shoulder,pos.reach", ("cmd.drive", "push and servo and drive")),
-        ("time,cmd.a,cmd.b,cmd.c,pos.shoulder,pos.reach", ("actuator 'push'", "a, b, c")),
+        ("time,cmd.a,cmd.b,cmd.c,pos.shoulder,pos.reach", ("'cmd.push' for actuator push", "cmd.a, cmd.b, cmd.c")),
         ("time,push,servo,drive,pos.shoulder,pos.reach", ("push", "cmd.<actuator>")),
         ("time,pos.shoulder,pos.reach", ("cmd.<actuator>",)),
     ],

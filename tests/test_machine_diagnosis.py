@@ -351,6 +351,24 @@ def files(folder: Path, xml: str, trials: Sequence[Recording]) -> tuple[Path, Pa
     return folder / "robot.xml", folder / "runs"
 
 
+def test_what_makes_an_answer_doubtful_is_told() -> None:
+    """Nothing that judges, and commands that MuJoCo clips."""
+    drive = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-0.3 0.3"/>')
+    real, model = (machine_model(Machine("robot", PENDULUM.format(drive=d))) for d in (MOTOR, drive))
+    trials = recorded(real, count=1, seconds=2.0)
+    found = workflow.diagnose_recordings(trials, model, shoot=2.0, most=1)
+    assert not found.heldout
+    assert any(note.startswith("Nothing was held out") for note in found.notes)
+    assert any("beyond the XML's ctrlrange of -0.3 to 0.3" in note for note in found.notes)
+
+
+def test_a_recording_of_three_rows_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
+    xml, runs = files(tmp_path, machine.xml, recorded(machine_model(machine), count=1, seconds=0.03))
+    assert main(["score", str(runs), "--model", str(xml), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rmse_rad"]["hinge"] < 0.05
+
+
 def test_the_verbs_write_a_model_that_predicts_better(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     machine = Machine("robot", PENDULUM.format(drive=MOTOR))
     xml, runs = files(tmp_path, machine.xml, recorded(machine_model(machine, [CoulombFriction("hinge", 0.08)])))

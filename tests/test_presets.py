@@ -160,6 +160,17 @@ def test_a_place_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
         presets.write_text(tmp_path / "file" / "a.txt", "new")
 
 
+def test_what_is_no_place_for_toml_is_told_before_it_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "folder.toml").mkdir()
+    presets.check_toml(tmp_path / "new" / "a.toml")
+    for name, said in (("robot.xml", "expected a name that ends in .toml"), ("folder.toml", "is a folder")):
+        with pytest.raises(eq.ConfigError, match=said):
+            presets.check_toml(tmp_path / name)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(eq.ConfigError, match="nothing can be written there"):
+        presets.check_toml(tmp_path / "new" / "a.toml")
+
+
 # Users' Python.
 
 

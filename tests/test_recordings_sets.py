@@ -67,8 +67,11 @@ def test_wanted_names_are_picked_in_order(tmp_path: Path) -> None:
     (trial,) = read_set(put(tmp_path / "a.csv"), joints=["knee"], actuators=["baa", "maa"])
     assert trial.position[0].tolist() == [0.1] and trial.command[0].tolist() == [2000, 1000]
     for wanted, sentence in (
-        ({"joints": ["ankle"]}, "a.csv: there is no joint 'ankle' (known: hip, knee)"),
-        ({"actuators": ["mba"]}, "a.csv: there is no actuator 'mba'; did you mean 'maa'? (known: baa, maa)"),
+        ({"joints": ["ankle"]}, "a.csv: there is no column 'pos.ankle' for joint ankle (there: pos.hip, pos.knee)"),
+        (
+            {"actuators": ["mba"]},
+            "a.csv: there is no column 'cmd.mba' for actuator mba; did you mean 'maa'? (there: cmd.maa, cmd.baa)",
+        ),
     ):
         with pytest.raises(RecordingError, match=re.escape(sentence)):
             read_set(tmp_path / "a.csv", **wanted)  # type: ignore[arg-type]

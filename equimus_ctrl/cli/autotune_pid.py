@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Figures, Json, ModelFile, people, print_json, tell_files
+from equimus_ctrl.cli.common import EffectFiles, ElasticFile, Figures, Json, people, print_json, tell_files
 from equimus_ctrl.cli.progress import bars, time_left
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def autotune_pid(
     study: Annotated[Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml by default.")] = None,
-    model: ModelFile = None,
+    model: ElasticFile = None,
     effects: EffectFiles = None,
     scenario: Annotated[
         list[str] | None, typer.Option("--scenario", help="Objective in place of the study's own; may be repeated.")

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, and nothing else there.")]
+ElasticFile = Annotated[
+    Path | None, typer.Option("--model", metavar="FILE", help="Model file (TOML); the nominal leg by default.")
+]
 ModelFile = Annotated[
     Path | None,
     typer.Option("--model", metavar="FILE", help="Model file (TOML), or MuJoCo's XML; the nominal leg by default."),
@@ -114,15 +117,12 @@ def check_model_file(path: Path | None) -> None:
     """Refuse a place where no model file can be written, before anything is computed.
 
     Raises:
-        ConfigError: where it is a folder, or a file stands in the place of its folder.
+        ConfigError: where it is a folder, its name does not end in .toml, or its folder cannot be written to.
     """
     from equimus_ctrl import presets
 
-    if path is None:
-        return
-    presets.check_folder(path.parent)
-    if path.is_dir():
-        raise ConfigError(f"{path}: is a folder; a model file to write belongs there")
+    if path is not None:
+        presets.check_toml(path)
 
 
 def write_results(folder: Path, draw: Callable[[], dict[str, Figure]], record: dict[str, Any]) -> list[Path]:

@@ -9,9 +9,9 @@ import typer
 
 from equimus_ctrl.cli.common import (
     EffectFiles,
+    ElasticFile,
     Figures,
     Json,
-    ModelFile,
     Recordings,
     key_values,
     people,
@@ -39,7 +39,7 @@ def compare(
             help="nominal, noisy, late, unknown_late, perturbed, corrected or uncorrected; repeatable.",
         ),
     ] = None,
-    model: ModelFile = None,
+    model: ElasticFile = None,
     corrected: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="The robot as a diagnosis found it: compares on it too, known and not."),

@@ -124,16 +124,16 @@ def diagnose(
             show("report")
             title = f"Diagnosis of {', '.join(path.name for path in recordings)}"
             text = page(found, title, command_line=shlex.join(["equimus-ctrl", *sys.argv[1:]]))
-            report.mkdir(parents=True, exist_ok=True)
+            presets.make_folder(report)
             files.append(report / "report.html")
             presets.write_text(files[-1], text)
             files.append(report / "record.json")
             presets.write_text(files[-1], presets.json_text(record))
-    if write_model is not None:
-        files += workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem), model)
     from equimus_ctrl.report.diagnosis_text import tell
 
     tell(console, found)
+    if write_model is not None:
+        files += workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem), model)
     tell_files(console, files)
     if as_json:
         print_json(record)

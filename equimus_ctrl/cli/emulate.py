@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json
+from equimus_ctrl.cli.common import EffectFiles, ElasticFile, Json, people, print_json
 
 HardwareFile = Annotated[
     Path | None,
@@ -18,7 +18,7 @@ Domain = Annotated[int | None, typer.Option(help="DDS domain, ROS_DOMAIN_ID, in 
 
 
 def emulate(
-    model: ModelFile = None,
+    model: ElasticFile = None,
     effect: Annotated[
         list[str] | None,
         typer.Option("--effect", metavar="NAME:PLACE:KEY=VALUE", help="Attach an effect to the emulated robot."),

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, check_model_file, key_values, people, print_json, tell_files
+from equimus_ctrl.cli.common import ElasticFile, Json, check_model_file, key_values, people, print_json, tell_files
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
 
 app = typer.Typer(help="Check a real robot, and measure its delay.", no_args_is_help=True, rich_markup_mode="rich")
@@ -18,7 +18,7 @@ Arm = Annotated[bool, typer.Option("--arm", help="Give the robot pressure.")]
 def check(
     hardware: HardwareFile = None,
     domain: Domain = None,
-    model: ModelFile = None,
+    model: ElasticFile = None,
     arm: Arm = False,
     seconds: Annotated[float, typer.Option(help="How long to listen, in s.")] = 3.0,
     pressure: Annotated[float, typer.Option(help="For each actuator in turn, in kPa.")] = 5.0,
@@ -75,7 +75,7 @@ def _lines(found: dict[str, Any], states: str, commands: str) -> list[str]:
 def delay(
     hardware: HardwareFile = None,
     domain: Domain = None,
-    model: ModelFile = None,
+    model: ElasticFile = None,
     arm: Arm = False,
     option: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="An option of the scenario chirp.")

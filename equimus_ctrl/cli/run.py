@@ -9,9 +9,9 @@ import typer
 
 from equimus_ctrl.cli.common import (
     EffectFiles,
+    ElasticFile,
     Figures,
     Json,
-    ModelFile,
     Recordings,
     key_values,
     people,
@@ -34,7 +34,7 @@ def run(
         ),
     ] = None,
     plant: Annotated[str, typer.Option(help="Plant by name (see: list plants).")] = "mujoco",
-    model: ModelFile = None,
+    model: ElasticFile = None,
     effect: Annotated[
         list[str] | None,
         typer.Option("--effect", metavar="NAME:PLACE:KEY=VALUE", help="Attach an effect to the simulated robot."),

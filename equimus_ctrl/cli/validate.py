@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Figures, Json, ModelFile, check_threads, light_table, people, print_json, tell_files
+from equimus_ctrl.cli.common import (
+    ElasticFile,
+    Figures,
+    Json,
+    check_threads,
+    light_table,
+    people,
+    print_json,
+    tell_files,
+)
 from equimus_ctrl.cli.progress import bars, times
 
 if TYPE_CHECKING:
@@ -32,7 +41,7 @@ TITLES = {
 
 
 def validate(
-    model: ModelFile = None,
+    model: ElasticFile = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer runs of everything, no front: half a minute.")] = False,
     seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
     threads: Annotated[int | None, typer.Option(help="At most; all cores by default. Changes no error.")] = None,

@@ -37,7 +37,7 @@ from equimus_ctrl.diagnosis.where import excess_of, where_off
 from equimus_ctrl.identification.noise import Noise, white_noise
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.simulators import STEP, Simulator, machine_simulator, reduced_simulator
-from equimus_ctrl.models.model import machine_of
+from equimus_ctrl.models.model import Model, machine_of
 
 BLUR = 60.0
 """So far the errors of the physics step may take deviances apart."""
@@ -190,7 +190,7 @@ def _diagnose(
         () if findings or rest.leftovers else _detectable(search, found),
         experiment,
         {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
-        (*_notes(found), *([coarse] if coarse else [])),
+        (*_notes(found, split), *_beyond_range(free.model, split), *([coarse] if coarse else [])),
         time.perf_counter() - begun,
     )
 
@@ -398,8 +398,27 @@ def _smallest(screened: Screened, threshold: float) -> float:
     return float(values[seen][np.argmin(strength[seen])])
 
 
-def _notes(found: Searched) -> list[str]:
+def _beyond_range(model: Model, split: Split) -> list[str]:
+    """Where commands leave the range that a machine's XML gives an actuator: MuJoCo clips them, the robot may not."""
+    machine = machine_of(model)
+    if machine is None:
+        return []
+    own, notes = machine.mujoco_model(), []
+    for drive in machine.actuators:
+        commands = np.concatenate([s.trial.commands[:, drive.index] for s in (*split.train, *split.heldout)])
+        low, high = own.actuator_ctrlrange[drive.index]
+        if own.actuator_ctrllimited[drive.index] and (commands.min() < low or commands.max() > high):
+            notes.append(
+                f"Commands of {drive.name} go from {commands.min():.4g} to {commands.max():.4g}, beyond the XML's "
+                f"ctrlrange of {low:.4g} to {high:.4g}: MuJoCo clips them there, which the robot need not do."
+            )
+    return notes
+
+
+def _notes(found: Searched, split: Split) -> list[str]:
     notes = []
+    if not split.heldout:
+        notes.append("Nothing was held out, so nothing judged what was found but the trials that it was fitted to.")
     fit = found.best.fit
     held = [f.name for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
     if held:

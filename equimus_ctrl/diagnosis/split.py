@@ -120,7 +120,8 @@ def split(
         simulator: that follows a machine.
 
     Raises:
-        ConfigError: where recordings cannot be used, a pattern fits none, or nothing is left to fit.
+        ConfigError: where recordings cannot be used, a pattern fits none, ``until`` leaves nothing to judge by, or
+            nothing is left to fit.
     """
     for r in recordings:
         check_columns(model, r)
@@ -138,6 +139,8 @@ def split(
             judging = {len(recordings) - 1}
         else:
             judging = set(range(EVERY - 1, len(recordings), EVERY))
+    elif until is not None and (last := max(float(r.time[-1]) for r in recordings)) <= until:
+        raise ConfigError(f"fitted is what comes before {until:g} s, but the last trial ends at {last:g} s")
     if machine_of(model) is not None and shoot is None:
         shoot = window_length(model, recordings, window, simulator)
     train, unseen = [], []

@@ -35,7 +35,7 @@ def local_motion(recording: Recording, at: float, span: float) -> tuple[Array, A
     """Angles and velocities at an instant, from a parabola through the measurements around it."""
     time = recording.time
     near = np.abs(time - at) <= span
-    while np.count_nonzero(near) < 4:
+    if np.count_nonzero(near) < 4:
         near[np.argsort(np.abs(time - at))[:5]] = True
     basis = np.vander(time[near] - at, 3, increasing=True)
     coefficients = np.linalg.lstsq(basis, recording.position[near], rcond=None)[0]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.errors import RecordingError, unknown_name
+from equimus_ctrl.errors import RecordingError, nearest
 from equimus_ctrl.recordings import checks, csvfile, upstream
 from equimus_ctrl.recordings.checks import LEG, Limits
 from equimus_ctrl.recordings.sheet import PathLike, header_of, open_sheet, reason
@@ -129,10 +129,15 @@ def _unique_names(found: Sequence[tuple[Path, Recording]]) -> list[str]:
 def _arranged(
     path: Path, trial: Recording, name: str, joints: tuple[str, ...], actuators: tuple[str, ...]
 ) -> Recording:
-    for kind, wanted, there in (("joint", joints, trial.joints), ("actuator", actuators, trial.actuators)):
+    kinds = (("joint", "pos", joints, trial.joints), ("actuator", "cmd", actuators, trial.actuators))
+    for kind, prefix, wanted, there in kinds:
         for item in wanted:
             if item not in there:
-                raise RecordingError(unknown_name(kind, item, there, where=str(path)))
+                column, known = f"{prefix}.{item}", [f"{prefix}.{name}" for name in there]
+                raise RecordingError(
+                    f"{path}: there is no column {column!r} for {kind} {item}{nearest(item, there)} (there: "
+                    f"{', '.join(known) or 'none'})"
+                )
     if (name, joints, actuators) == (trial.name, trial.joints, trial.actuators):
         return trial
     j = [trial.joints.index(joint) for joint in joints]

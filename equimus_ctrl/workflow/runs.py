@@ -88,7 +88,8 @@ def save_model(path: Path | str, model: Model, near: Path | None = None) -> list
         found = near if near.suffix.lower() in presets.MJCF else near.parent / machine.source
         data["mjcf"] = presets.relative(found, path.parent)
     whole = path.with_suffix(".xml")
-    if near is not None and whole.resolve() == found.resolve():
+    if (near is not None and whole.resolve() == found.resolve()) or (whole.exists() and not path.exists()):
+        # The robot's own XML, or one that was not written together with this model file.
         whole = path.with_name(f"{path.stem}_whole.xml")
     left = write_corrected(whole, model, None if near is None else found.parent)
     told = f"{whole.name} has all of this in one MuJoCo model"
@@ -476,10 +477,7 @@ def tune_pid(
     root = presets.workspace()
     target = output or root / "controllers" / "pid.toml"
     results = folder or root / "tuning" / "results" / path.stem
-    try:
-        presets.check_folder(target.parent)
-    except ConfigError as error:
-        raise ConfigError(f"{target}: cannot be written; {error}") from None
+    presets.check_toml(target)
     presets.check_folder(results)
     store = presets.JsonLines(
         results / "journal.jsonl",
