@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from equimus_ctrl.report.diagnosis_panels import Scene
 
 # The same examples in every run; `--hypothesis-profile=default` draws new ones.
-hypothesis.settings.register_profile("repeatable", derandomize=True)
+hypothesis.settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("repeatable")
 
 
