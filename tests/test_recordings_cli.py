@@ -64,6 +64,10 @@ def test_check_of_a_machine_reads_its_names_and_units(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["check", str(path), "--model", str(robot), "--json"])
     assert json.loads(result.stdout)["trials"][0]["command_pa"] == {"belt": [-3.0, 5.0]}
     assert "-3.0..5.0" in result.stderr and "mm" in result.stderr and "0.0..8.0" in result.stderr
+    robot.write_text(robot.read_text().replace('"belt"', '"rail"'))  # an actuator may be named as its joint
+    path.write_text(path.read_text().replace("cmd.belt", "cmd.rail"))
+    result = CliRunner().invoke(app, ["check", str(path), "--model", str(robot)])
+    assert result.exit_code == 0 and result.stderr.count("rail") == 2 and "0.0..8.0" in result.stderr
     path.write_text(path.read_text().replace("pos.rail", "pos.slide"))
     result = CliRunner().invoke(app, ["check", str(path), "--model", str(robot)])
     assert isinstance(result.exception, RecordingError) and "rail" in str(result.exception)

@@ -137,7 +137,7 @@ def _table(summaries: Sequence[Summary], robot: Model) -> Table:
     table.add_column("trial", overflow="fold")
     commands = {name: units.command(robot, name) for name in summaries[0].command_pa}
     joints = {name: units.position(robot, name) for name in summaries[0].position_rad}
-    named = [f"{name}\n{own.unit}" for name, own in (commands | joints).items()]
+    named = [f"{name}\n{own.unit}" for columns in (commands, joints) for name, own in columns.items()]
     for heading in ("time\ns", "rate\nHz", "jitter\nms", *named):
         table.add_column(heading, justify="right", no_wrap=True)
 
