@@ -178,13 +178,28 @@ def test_what_no_effect_does_is_left_unexplained() -> None:
     assert found.verdict in ("unexplained", "partly_explained") and found.leftover
 
 
+def stepped(dt: float) -> Machine:
+    """The pendulum with a physics step [s]."""
+    return Machine("robot", PENDULUM.format(drive=MOTOR).replace('timestep="0.002"', f'timestep="{dt}"'))
+
+
 def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
-    xml = PENDULUM.format(drive=MOTOR)
-    fine, coarse = (Machine("robot", xml.replace('timestep="0.002"', f'timestep="{dt}"')) for dt in (0.0025, 0.01))
+    fine, coarse = stepped(0.0025), stepped(0.01)
     found = workflow.diagnose_recordings(recorded(machine_model(fine)), machine_model(coarse), most=1)
     assert found.verdict == "consistent" and not found.findings
     assert any("physics step of the XML, 10 ms, is too long" in note and "2.5 ms" in note for note in found.notes)
     assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
+
+
+def test_what_fits_as_well_is_told_after_a_finer_step_too() -> None:
+    """A tilt and a sensor's offset do the same to a pendulum, whatever step that was found with."""
+    fine, coarse = stepped(0.0025), stepped(0.01)
+    real = machine_model(fine, [GravityTilt("base", 0.05)])
+    found = workflow.diagnose_recordings(recorded(real), machine_model(coarse), most=1)
+    assert any("physics step of the XML, 10 ms, is too long" in note for note in found.notes)
+    (tilt,) = found.findings
+    assert {tilt.named.effect, *(e.effect for e in tilt.equivalent)} == {"gravity_tilt", "sensor_offset"}
+    assert {r.named.effect for r in found.ranking if r.fitted} >= {"gravity_tilt", "sensor_offset"}
 
 
 def test_what_is_far_weaker_than_any_guess_is_looked_for_at_its_own_size() -> None:

@@ -147,7 +147,7 @@ def _diagnose(
         if found.best.hypothesis:
             found = confirmed(search, search.go_on(found, [part.candidate.label for part in dropped]), split)
         rest = remainder(data, found.base, found.best, found.without)
-    coarse = ""
+    coarse, ranking = "", _ranking(search, found)
     if (exact := _finer(search, found, rest, settings)) is not None:
         search, found, rest, coarse = exact
         data = search.data
@@ -186,7 +186,7 @@ def _diagnose(
         findings,
         rest.leftovers,
         doubtful,
-        _ranking(search, found),
+        ranking,
         () if findings or rest.leftovers else _detectable(search, found),
         experiment,
         {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
@@ -256,7 +256,7 @@ def _finer(
     needless = {k for k in doubted if not search.believed(own.settle_finely(found.without[k]), best)}
     if not needless and not rest.leftovers:
         return None
-    other = Search(data, search.pool, search.settings)
+    other = Search(data, search.pool, search.settings, otherwise=search.fitted)
     base = own.settle_finely(found.base)
     kept = tuple(part for k, part in enumerate(best.hypothesis) if k not in needless)
     start = replace(found, base=base)

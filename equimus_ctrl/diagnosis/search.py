@@ -100,6 +100,7 @@ class Search:
         settings: how it goes.
         notify: see ``Notify``.
         elsewhere: hypotheses with these candidates that were fitted to other windows of the same trials, to begin from.
+        otherwise: those that were fitted to the same trials with another engine, which tell what may fit as well.
     """
 
     def __init__(
@@ -109,12 +110,14 @@ class Search:
         settings: SearchSettings | None = None,
         notify: Notify = lambda stage, best: None,
         elsewhere: Sequence[Fitted] = (),
+        otherwise: Sequence[Fitted] = (),
     ) -> None:
         self.data = data
         self.pool = list(pool)
         self.settings = settings or SearchSettings()
         self.notify = notify
         self.elsewhere = sorted(elsewhere, key=self.score)
+        self.otherwise = tuple(otherwise)
         self.fitted: list[Fitted] = []
         self.barred: set[str] = set()
         self._first: tuple[Screened, ...] = ()
@@ -390,7 +393,8 @@ class Search:
             left = [part for part in rival.hypothesis if _kind(part) not in rest]
             if len(left) == 1 and self.score(rival) < near:
                 others[_kind(left[0])] = left[0]
-        for known in self._beside_the_same().values():
+        met = [known for fitted in (self.fitted, self.otherwise) for known in self._beside_the_same(fitted).values()]
+        for known in met:
             for kind, (score, part) in known.items():
                 if own in known and kind not in rest and abs(score - known[own][0]) < margin:
                     others.setdefault(kind, part)
@@ -402,10 +406,10 @@ class Search:
                 continue
         return rivals
 
-    def _beside_the_same(self) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
+    def _beside_the_same(self, fits: Sequence[Fitted]) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
         """For kinds of parts that were fitted together what else was fitted beside them, its best score and itself."""
         found: dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]] = {}
-        for fitted in sorted(self.fitted, key=self.score):
+        for fitted in sorted(fits, key=self.score):
             kinds = [_kind(part) for part in fitted.hypothesis]
             for place, part in enumerate(fitted.hypothesis):
                 rest = tuple(sorted(kinds[:place] + kinds[place + 1 :]))
