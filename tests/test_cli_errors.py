@@ -75,6 +75,11 @@ CASES: list[tuple[Sequence[object], str]] = [
         "--recordings: plain_file is not a folder; a folder of recordi",
     ),
     (("run", "triangle", "--recordings", "recordings"), "recordings/triangle.csv, row 1: there is no column 'a' (know"),
+    (
+        ("run", "hold", "--recordings", "nowhere"),
+        "--recordings: nowhere does not exist; a folder of recordings belongs",
+    ),
+    ((*RUN, "--model", "empty.toml"), "empty.toml: is empty; a model file has a morphology, parameters or effects, or"),
     # score
     (("score", "nowhere.csv"), "nowhere.csv: there is no such file"),
     (

@@ -431,6 +431,22 @@ def test_models_that_cannot_be_are_told_in_a_sentence(
     assert message in said and "Traceback" not in said
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--engine", "foo"], "there is no engine 'foo' (known: mujoco, reduced)"),
+        (["--folds", "-1"], "the cross-check has -1 folds, expected 0 or more"),
+    ],
+)
+def test_identify_refuses_what_it_cannot_do(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    xml = PENDULUM.format(drive=MOTOR)
+    path, runs = files(tmp_path, xml, recorded(machine_model(Machine("robot", xml)), count=2))
+    assert main(["identify", str(runs), "--model", str(path), "-o", str(tmp_path / "out"), *options]) == 2
+    assert message in " ".join(capsys.readouterr().err.split()) and not (tmp_path / "out").exists()
+
+
 def test_a_model_that_diverges_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     unstable = PENDULUM.format(drive='<position name="drive" joint="hinge" kp="1e7"/>')
     real = machine_model(Machine("robot", PENDULUM.format(drive=SERVO)))

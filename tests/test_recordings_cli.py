@@ -73,6 +73,21 @@ def test_check_of_a_machine_reads_its_names_and_units(tmp_path: Path) -> None:
     assert isinstance(result.exception, RecordingError) and "rail" in str(result.exception)
 
 
+def test_check_of_a_machine_doubts_degrees(tmp_path: Path) -> None:
+    robot, path = tmp_path / "robot.xml", tmp_path / "run.csv"
+    robot.write_text(
+        '<mujoco><worldbody><body><joint name="hinge"/><geom size="0.1" pos="1 0 0" mass="1"/></body></worldbody>'
+        '<actuator><motor name="drive" joint="hinge"/></actuator></mujoco>'
+    )
+    path.write_text("time,cmd.drive,pos.hinge\n" + "".join(f"{0.01 * k:g},0,{90 - k}\n" for k in range(9)))
+    result = CliRunner().invoke(app, ["check", str(path), "--model", str(robot)])
+    assert result.exit_code == 0
+    assert "pos.hinge goes to 90 rad, 14 turns; are these degrees where radians belong?" in result.stderr
+    path.write_text(path.read_text().replace(",9", ",1").replace(",8", ",1"))
+    result = CliRunner().invoke(app, ["check", str(path), "--model", str(robot)])
+    assert result.exit_code == 0 and "degrees" not in result.stderr
+
+
 def test_import(trial: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     result = CliRunner().invoke(app, ["import", str(trial), "--output", str(output), "--json"])

@@ -185,6 +185,10 @@ WRONG: dict[str, tuple[Callable[[str], str], str]] = {
         replaced("# before.cmd.baa = 500\n", ""),
         ": note 'before.cmd.baa' is missing, though 'before.cmd.maa' is there; state it for all actuators or none",
     ),
+    "neither settled nor not": (
+        replaced("# source", "# settled = maybe\n# source"),
+        "row 1: note 'settled' is 'maybe', expected yes or no",
+    ),
     "note twice": (replaced("# source", "# source = x\n# source"), "row 2: note 'source' is there more than once"),
     "before twice": (
         replaced("# before.cmd.baa", "# before.cmd.maa"),

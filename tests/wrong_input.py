@@ -99,6 +99,7 @@ FILES = {
     "fast.toml": '[parameters]\n"thigh.mass" = 1e-9\n"maa.stiffness" = 1e9\n',
     "header.csv": "a,b\n1,2\n",
     "empty.csv": "",
+    "empty.toml": "# nothing yet\n",
     "gap.csv": "time,cmd.maa,cmd.baa,pos.hip,pos.knee\n0,0,0,1.5,0\n0.1,0,0,nan,0\n",
     "back.csv": "time,cmd.maa,cmd.baa,pos.hip,pos.knee\n0,0,0,1.5,0\n-0.1,0,0,1.5,0\n",
     "degrees.csv": "time,cmd.maa,cmd.baa,pos.hip,pos.knee\n0,0,0,90,0\n0.1,0,0,90,0\n",

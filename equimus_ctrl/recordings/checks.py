@@ -11,7 +11,10 @@ import numpy as np
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.recordings.sheet import Sheet, number
-from equimus_ctrl.types import Array
+from equimus_ctrl.types import Array, Recording
+
+MANY_TURNS = 4.0
+"""Of a hinge about zero; it may turn without end, but most that is said to go farther is in degrees."""
 
 
 class RecordingWarning(UserWarning):
@@ -29,6 +32,7 @@ class Limits:
             degrees; the hip of a leg hanging down is at some 90 of them. A file whose joints all stay within ±6.9°
             cannot be told from radians by its size and passes.
         rotating: joints that may turn without end; their angles are not judged.
+        doubted: of them those whose angles raise a doubt beyond ``MANY_TURNS``.
         max_interval: largest median time between rows [s]; milliseconds in the place of seconds exceed it.
         joints: names that belong together: a file with one of them must have all of them.
         actuators: the same for actuators.
@@ -38,6 +42,7 @@ class Limits:
     command_high: float = 50_000.0
     max_angle: float = 1.1 * 2.0 * math.pi
     rotating: tuple[str, ...] = ()
+    doubted: tuple[str, ...] = ()
     max_interval: float = 0.5
     joints: tuple[str, ...] = ("hip", "knee")
     actuators: tuple[str, ...] = ("maa", "baa")
@@ -58,10 +63,10 @@ class Limits:
         return math.isfinite(self.command_high)
 
     @classmethod
-    def of_machine(cls, joints: Sequence[str], actuators: Sequence[str]) -> Limits:
-        """Of a robot whose commands may be anything, and whose joints may turn without end."""
+    def of_machine(cls, joints: Sequence[str], actuators: Sequence[str], hinges: Sequence[str] = ()) -> Limits:
+        """Of a robot whose commands may be anything, and whose joints, of which some are hinges, may go without end."""
         both = tuple(joints), tuple(actuators)
-        return cls(-math.inf, math.inf, math.inf, both[0], joints=both[0], actuators=both[1])
+        return cls(-math.inf, math.inf, math.inf, both[0], tuple(hinges), joints=both[0], actuators=both[1])
 
 
 LEG = Limits()
@@ -145,20 +150,29 @@ def check_degrees(sheet: Sheet, columns: Sequence[str], position: Array) -> None
         )
 
 
-def doubts(name: str, command: Array, before: Array | None, limits: Limits) -> list[str]:
+def doubts(name: str, recording: Recording, limits: Limits) -> list[str]:
     """One sentence for each thing that looks like a slip but can be meant.
 
     Commands in kPa where Pa belong cannot be told from tiny ones with certainty, so that is a doubt and no error: it is
     raised where the largest command, the one before the first row included, is above zero and yet not above 0.12 % of
     the range (60 Pa of 50 kPa, which is also 20 % above the range read as kPa). All-zero commands raise none.
     """
+    found = []
+    command, before = recording.command, recording.before
     largest = max(float(command.max(initial=0.0)), float(before.max(initial=0.0)) if before is not None else 0.0)
     if 0.0 < largest <= 1.2 * limits.command_high / 1e3 and math.isfinite(limits.command_high):
-        return [
+        found.append(
             f"{name}: no command is above {number(largest)} Pa, in a range up to {number(limits.command_high)} Pa; are "
             "these kPa where Pa belong?"
-        ]
-    return []
+        )
+    for joint, angle in zip(recording.joints, np.abs(recording.position).max(axis=0).tolist(), strict=True):
+        turns = angle / (2.0 * math.pi)
+        if joint in limits.doubted and turns > MANY_TURNS:
+            found.append(
+                f"{name}: pos.{joint} goes to {number(angle)} rad, {turns:.0f} turns; are these degrees where radians "
+                "belong?"
+            )
+    return found
 
 
 def warn(sentences: Sequence[str]) -> None:

@@ -27,12 +27,13 @@ from equimus_ctrl.types import Array, Recording
 PREFIXES = {"cmd": "actuator", "pos": "joint", "vel": "joint", "meas": "actuator"}
 BEFORE = "before.cmd."
 COMMENT = "comment"
+SETTLED = "settled"
 
 
 def read(path: PathLike, *, limits: Limits = LEG) -> Recording:
     """Read one trial; its name is the file's stem.
 
-    Warns with a RecordingWarning where commands look like kPa.
+    Warns with a RecordingWarning where commands look like kPa, or a hinge's angles like degrees.
 
     Args:
         path: a CSV file in the project's format.
@@ -48,7 +49,7 @@ def read(path: PathLike, *, limits: Limits = LEG) -> Recording:
             f"these are the columns of the leg's {kind} format; `equimus-ctrl recordings import` converts it"
         )
     recording = from_sheet(sheet, limits)
-    checks.warn(checks.doubts(recording.name, recording.command, recording.before, limits))
+    checks.warn(checks.doubts(recording.name, recording, limits))
     return recording
 
 
@@ -158,6 +159,8 @@ def _notes(sheet: Sheet, actuators: tuple[str, ...], limits: Limits) -> tuple[di
             if not key.startswith(BEFORE) or actuator not in actuators:
                 raise RecordingError(unknown_name("note", key, [BEFORE + name for name in actuators], where=place))
             before[actuator] = _before_value(place, key, value, limits)
+        elif key == SETTLED and value not in ("yes", "no"):
+            raise RecordingError(f"{place}: note '{SETTLED}' is {shorten(value)}, expected yes or no")
         else:
             notes[key] = value
     if not before:

@@ -124,13 +124,14 @@ def identify_recordings(
     Raises:
         EquimusError: where something given cannot be used.
     """
+    if folds < 0:
+        raise ConfigError(f"the cross-check has {folds} folds, expected 0 or more")
     model = model or nominal_model()
+    simulator = simulator_of(engine, dt, threads)
     trials = choose(gather(recordings, model), select)
     others = [] if heldout is None else _unseen(gather(heldout, model), trials)
     parameters = free_parameters(model, free, bounds, fix)
-    if machine_of(model) is None:
-        simulator = simulator_of(engine, dt, threads)
-    else:
+    if machine_of(model) is not None:
         engine, simulator = "mujoco", machine_simulator(dt, threads)
         shoot = shoot or window_length(model, trials, window, simulator) or math.inf
     segments = cut(model, trials, window=window, shoot=shoot, fit_start=fit_start)

@@ -44,7 +44,8 @@ def read_machine_set(files: Sequence[Path], machine: Machine) -> tuple[Recording
         RecordingError: where a file cannot be read or lacks one of them.
     """
     joints, actuators = machine.joint_names, machine.actuator_names
-    return read_set(files, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators))
+    hinges = [joint.name for joint in machine.joints if not joint.slides]
+    return read_set(files, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators, hinges))
 
 
 @dataclass(frozen=True)

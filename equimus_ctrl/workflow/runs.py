@@ -43,8 +43,10 @@ def load_model(path: Path | str | None = None) -> Model:
         return nominal_model()
     if Path(path).suffix.lower() in presets.MJCF:
         return machine_model(load_machine(Path(path)))
-    folder = Path(path).parent
-    return model_from_dict(presets.read_toml(Path(path)), str(path), lambda name: load_machine(folder / name, name))
+    folder, data = Path(path).parent, presets.read_toml(Path(path))
+    if not data:
+        raise ConfigError(f"{path}: is empty; a model file has a morphology, parameters or effects, or names an mjcf")
+    return model_from_dict(data, str(path), lambda name: load_machine(folder / name, name))
 
 
 def load_elastic(path: Path | str | None = None) -> Model:
@@ -56,8 +58,8 @@ def load_elastic(path: Path | str | None = None) -> Model:
     model = load_model(path)
     if machine_of(model) is not None:
         raise ConfigError(
-            f"{path}: is a robot of MuJoCo's XML, which this is not for; identify, diagnose, score, sensitivity and "
-            "list parameters take it"
+            f"{path}: is a robot of MuJoCo's XML, which this is not for; identify, diagnose, prove, score, "
+            "sensitivity, list parameters and recordings check take it"
         )
     return model
 
@@ -99,7 +101,13 @@ def save_model(path: Path | str, model: Model, near: Path | None = None) -> list
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
-    """What scenarios ask for recordings: file kind → trials, empty where there are none."""
+    """What scenarios ask for recordings: file kind → trials, empty where there are none.
+
+    Raises:
+        RecordingError: where the folder that is given is none.
+    """
+    if folder is not None:
+        locate.find_recordings(folder)
 
     def find(kind: str) -> tuple[Recording, ...]:
         path = locate.leg_file(kind, folder)  # type: ignore[arg-type]
