@@ -32,11 +32,19 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import LONG, Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import Split
-from equimus_ctrl.diagnosis.weighing import orthonormal, outside, weigh
 from equimus_ctrl.diagnosis.where import excess_of, where_off
 from equimus_ctrl.identification.noise import Noise, white_noise
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
-from equimus_ctrl.identification.simulators import STEP, Simulator, machine_simulator, reduced_simulator
+from equimus_ctrl.identification.simulators import (
+    STEP,
+    STEPS_FINER,
+    Simulator,
+    extrapolated,
+    machine_simulator,
+    reduced_simulator,
+)
+from equimus_ctrl.identification.step_error import with_step_error
+from equimus_ctrl.identification.weighing import orthonormal, outside, weigh
 from equimus_ctrl.models.model import Model, machine_of
 
 BLUR = 60.0
@@ -47,9 +55,9 @@ COARSE = 2 * STEP
 """Physics step of the reduced engine where candidates are screened [s], where the robot allows it."""
 MACHINES_COARSE = 2.0
 """The same for machines, in units of the MuJoCo model's own."""
-STEPS_FINER, NO_MATTER, MAY_DO = 4, 1e-3, 4.0
-"""Where something of a machine is missing, so many steps in the place of one are tried, unless they change less than
-this share of the noise's variance; what gains more than so many times what they change is none of their error."""
+NO_MATTER, MAY_DO = 1e-3, 4.0
+"""Where something of a machine is missing, shorter steps are tried too, unless they change less than this share of the
+noise's variance; what gains more than so many times what they change is none of their error."""
 PATIENCE, VALLEYS = 1, 20.0
 """With machines, whose pushes do much alike and rub: see ``SearchSettings``."""
 FINE = STEP / 3
@@ -152,6 +160,8 @@ def _diagnose(
         search, found, rest, coarse = exact
         data = search.data
     progress("evidence", 0.94, found.best.label)
+    if not coarse:
+        found = _step_counted(data, found, settings)
     judge = Judge(data, split, found)
     finely = cache(data.settle_finely)
     parts = range(len(found.best.hypothesis))
@@ -238,7 +248,7 @@ def _less(search: Search, found: Searched, places: Sequence[int]) -> Searched:
 def _finer(
     search: Search, found: Searched, rest: Remainder, settings: DiagnosisSettings
 ) -> tuple[Search, Searched, Remainder, str] | None:
-    """The search's end at a finer physics step of a machine, where less is missing then, and a sentence that says so.
+    """The search's end without the error of a machine's physics step, where less is missing then, and a sentence of it.
 
     The XML's step belongs to the simulation that is being corrected; but what its own error leaves is no physics.
     """
@@ -246,7 +256,8 @@ def _finer(
     if machine is None or not (best.hypothesis or rest.leftovers):
         return None
     step = machine.timestep / STEPS_FINER
-    data = replace(search.data, simulator=machine_simulator(step, settings.threads), coarse=None)
+    finer = extrapolated(machine_simulator(step, settings.threads), search.data.simulator, STEPS_FINER)
+    data = replace(search.data, simulator=finer, coarse=None)
     left_by_best, error = _step_error(search.data, data.simulator, best, best.noise)
     others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
     doubted = [k for k, (left, own_error) in enumerate(others) if left - left_by_best < MAY_DO * own_error]
@@ -270,9 +281,25 @@ def _finer(
         left,
         (
             f"The physics step of the XML, {1e3 * machine.timestep:g} ms, is too long for these recordings: its error "
-            f"would be taken for missing physics. All of this was worked out with {1e3 * step:g} ms."
+            f"would be taken for missing physics. All of this was worked out with what it and {1e3 * step:g} ms tell "
+            "of none (Richardson's extrapolation)."
         ),
     )
+
+
+def _step_counted(data: Data, found: Searched, settings: DiagnosisSettings) -> Searched:
+    """The end with intervals that the error of a machine's physics step is counted in."""
+    machine = machine_of(data.free.model)
+    if machine is None:
+        return found
+    other = machine_simulator(machine.timestep / STEPS_FINER, settings.threads)
+
+    def counted(fitted: Fitted) -> Fitted:
+        fit = with_step_error(fitted.fit, data.segments, data.simulator, other, 1 / STEPS_FINER, fitted.noise)
+        return replace(fitted, fit=fit)
+
+    best = counted(found.best)
+    return replace(found, best=best, base=best if found.base is found.best else counted(found.base))
 
 
 def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> tuple[float, float]:

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Hypothesis, parameters_of, refined
-from equimus_ctrl.diagnosis.weighing import weigh
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
 from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, rough_noise, white_noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.identification.weighing import weigh
 from equimus_ctrl.types import Array
 
 ROUNDS = 4

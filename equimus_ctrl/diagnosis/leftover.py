@@ -12,12 +12,12 @@ from equimus_ctrl.diagnosis.explained import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group, groups, harmonics, responses
 from equimus_ctrl.diagnosis.response import Linearised, linearise
-from equimus_ctrl.diagnosis.weighing import Weighing, weigh
 from equimus_ctrl.engines.machine_motion import Pushed, pushed
 from equimus_ctrl.engines.motion import Motion, motion
 from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.weighing import Weighing, weigh
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 

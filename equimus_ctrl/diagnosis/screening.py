@@ -10,10 +10,10 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Hypothesis, Part, model_of, with_part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.weighing import Weighing, orthonormal, outside, weigh
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.weighing import Weighing, orthonormal, outside, weigh
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.engines.batch import Predicted, simulate
 from equimus_ctrl.engines.machine import simulate_machines
@@ -16,6 +18,9 @@ from equimus_ctrl.types import Array
 STEP = 3e-3
 """Physics step of the reduced engine in fits [s], where the robot allows it: an error of 1e-5 rad, or 3e-5 rad with
 static friction, a hundredth of what sensors' noise is."""
+
+STEPS_FINER = 4
+"""So many of a machine's physics steps take the place of one where its error is looked at."""
 
 Simulator = Callable[[Sequence[Model], Sequence[Segment], Sequence[Array]], list[Predicted]]
 """(models, segments, starts (k, 2 nj) for each segment as the sensors show them) → predictions."""
@@ -55,6 +60,25 @@ def machine_simulator(dt: float | None = None, threads: int | None = None) -> Si
     def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
         true = [behind_sensors(models, rows) for rows in starts]
         return simulate_machines(models, [s.trial for s in segments], starts=true, dt=dt, threads=threads)
+
+    return run
+
+
+def extrapolated(fine: Simulator, coarse: Simulator, ratio: float) -> Simulator:
+    """What two physics steps say of none: the error of their first order goes (Richardson, 1911).
+
+    Args:
+        fine: the engine with the shorter step.
+        coarse: the same with one ``ratio`` times as long.
+        ratio: above 1.
+    """
+
+    def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
+        pairs = zip(*(engine(models, segments, starts) for engine in (fine, coarse)), strict=True)
+        return [
+            Predicted(a.position + (a.position - b.position) / (ratio - 1.0), np.minimum(a.reached, b.reached))
+            for a, b in pairs
+        ]
 
     return run
 

@@ -1,4 +1,4 @@
-"""Concealed realities of machines in MuJoCo, at a fine step, by other code than the diagnosis uses.
+"""Concealed realities of machines in MuJoCo, without the error of a step, by other code than the diagnosis uses.
 
 MuJoCo is stepped from Python. All that pushes is a CasADi function, evaluated in the middle of each step, that is at
 coordinates and rates carried on from its start; the diagnosis gives MuJoCo's fields what they can hold and evaluates
@@ -26,16 +26,16 @@ from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import JointNoise
-from equimus_ctrl.identification.simulators import machine_simulator
+from equimus_ctrl.identification.simulators import STEPS_FINER, extrapolated, machine_simulator
 from equimus_ctrl.models.machine_parts import harden
-from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.models.model import Model, machine_model
 from equimus_ctrl.proof.machines import MachineReality, machine_recordings
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import Excess, rounded
 from equimus_ctrl.types import Array, Recording
 
-FINER = 4
-"""Physics steps for each of the nominal model's."""
+FINER = 16
+"""Physics steps for each of the nominal model's; half as many are simulated too, and what both tell of none is real."""
 SEARCH = FitSettings(tolerance=1e-3, steps=30)
 """Of the refit that says how strong a case is; it begins at the truth."""
 
@@ -46,18 +46,22 @@ def simulate_machine(reality: MachineReality) -> list[Array]:
     Raises:
         SimulationDiverged: where the machine's numbers are none.
     """
-    dt = reality.machine.timestep / FINER
     bodies = machine_model(reality.machine, [e for e in reality.effects if not isinstance(e, ForceEffect)])
     push = _push(reality)
     found = []
     for trial in trials_of(reality):
-        own = realise(bodies, trial, dt)
-        with quiet():
-            course = _follow(own, trial, push)
-        if course.sound < len(course.q):
-            raise SimulationDiverged(f"case {reality.case} of seed {reality.seed}: the simulation diverged")
-        found.append(measured_of(own, course, trial.sample_times)[0])
+        fine, coarse = (_measured(reality, bodies, trial, push, steps) for steps in (FINER, FINER // 2))
+        found.append(2.0 * fine - coarse)  # the error of a step is of first order (Richardson, 1911)
     return found
+
+
+def _measured(reality: MachineReality, bodies: Model, trial: Trial, push: _Push | None, steps: int) -> Array:
+    own = realise(bodies, trial, reality.machine.timestep / steps)
+    with quiet():
+        course = _follow(own, trial, push)
+    if course.sound < len(course.q):
+        raise SimulationDiverged(f"case {reality.case} of seed {reality.seed}: the simulation diverged")
+    return measured_of(own, course, trial.sample_times)[0]
 
 
 def trials_of(reality: MachineReality) -> list[Trial]:
@@ -169,13 +173,16 @@ def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
 def machine_excess(reality: MachineReality, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
     """What is left when a machine with ``effects`` alone is fitted to a reality, see ``strength.excess``.
 
-    It is fitted as a diagnosis would be: in the same windows, their starts and the default numbers free.
+    It is fitted as a diagnosis would be: in the same windows, their starts and the default numbers free; but the error
+    of the physics step is none of it.
     """
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         model = machine_model(reality.machine, effects)
         silent = machine_recordings(reality, clean, [np.zeros_like(c) for c in clean])
         segments = split(model, silent).train
         free, noise = uncertain(model), tuple(JointNoise(sigma) for sigma in reality.noise)
-        found = fit(free, segments, simulator=machine_simulator(threads=1), settings=SEARCH, noise=noise)
+        own, finer = (machine_simulator(reality.machine.timestep / steps, threads=1) for steps in (1, STEPS_FINER))
+        simulator = extrapolated(finer, own, STEPS_FINER)
+        found = fit(free, segments, simulator=simulator, settings=SEARCH, noise=noise)
         joints = ((np.concatenate(found.residuals) / np.array(reality.noise)) ** 2).mean(axis=0)
         return rounded(joints, dict(zip(free.names, found.theta.tolist(), strict=True)))

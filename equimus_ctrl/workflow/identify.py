@@ -24,8 +24,9 @@ from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged, together
 from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.sensitivity import SHARES, Sensitivity, sensitivity
-from equimus_ctrl.identification.simulators import Simulator, machine_simulator, reduced_simulator
+from equimus_ctrl.identification.simulators import STEPS_FINER, Simulator, machine_simulator, reduced_simulator
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
+from equimus_ctrl.identification.step_error import with_step_error
 from equimus_ctrl.models.model import Model, machine_of, nominal_model
 from equimus_ctrl.recordings import StaticPoses, read_static_poses
 from equimus_ctrl.recordings.sheet import header_of
@@ -158,6 +159,9 @@ def identify_recordings(
         settings,
         lambda done: progress("cross-check", share.of_folds(done), best),
     )
+    if (machine := machine_of(model)) is not None:
+        other = machine_simulator((dt or machine.timestep) / STEPS_FINER, threads)
+        found = with_step_error(found, segments, simulator, other, 1 / STEPS_FINER)
     checked = time.perf_counter()
     pairs = zip(
         judged, residuals_of(model, judged, simulator), residuals_of(found.model, judged, simulator), strict=True

@@ -1,0 +1,68 @@
+"""What the error of the physics step does to a fit's parameters, counted into their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.fit import Fit
+from equimus_ctrl.identification.noise import JointNoise, Noise
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.identification.uncertainty import UNSEEN
+from equimus_ctrl.identification.weighing import weigh
+from equimus_ctrl.types import Array
+
+
+def with_step_error(
+    fit: Fit,
+    segments: Sequence[Segment],
+    own: Simulator,
+    other: Simulator,
+    ratio: float,
+    noise: Noise | None = None,
+) -> Fit:
+    """The fit with intervals as wide as noise and the step's error together can move its parameters.
+
+    The error of a step h is C·h (MuJoCo's Euler and implicit integrators; of a higher order it is less), so predictions
+    with a step of ``ratio``·h differ by C·h·(ratio − 1), and what parameters would make good of C·h is known from one
+    simulation (Richardson, 1911). The robot itself has no step.
+
+    Args:
+        fit: of the segments, by ``own``.
+        segments: what was fitted.
+        own: the engine.
+        other: the same with another step.
+        ratio: of that step over its own.
+        noise: that the fit was weighed by; none weighs all angles alike.
+    """
+    moved = _moved(fit, segments, own, other, noise)
+    if moved is None:
+        return fit
+    more = np.abs(moved) / abs(ratio - 1.0)
+    return replace(
+        fit,
+        derive=lambda: fit.derivatives,
+        known=lambda: replace(fit.uncertainty, half_width=fit.uncertainty.half_width + more),
+    )
+
+
+def _moved(
+    fit: Fit, segments: Sequence[Segment], own: Simulator, other: Simulator, noise: Noise | None
+) -> Array | None:
+    """(p,) what parameters can do of the change from one engine to another; None where one of them diverges."""
+    starts = [start[None] for start in fit.starts]
+    try:
+        before, after = (engine([fit.model], segments, starts) for engine in (own, other))
+    except SimulationDiverged:
+        return None
+    changes = [np.moveaxis(b.position - a.position, 0, -1) for a, b in zip(before, after, strict=True)]
+    if not all(np.isfinite(change).all() for change in changes):
+        return None
+    times = [s.trial.sample_times for s in segments]
+    weighing = weigh(times, fit, noise or tuple(JointNoise(1.0) for _ in fit.model.morphology.joint_names))
+    column = weighing.columns(times, changes)[:, 0]
+    return np.asarray(np.linalg.lstsq(weighing.slopes, column, rcond=UNSEEN)[0] * fit.parameters.scale)
