@@ -34,7 +34,7 @@ from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import Excess, rounded
 from equimus_ctrl.types import Array, Recording
 
-FINER = 16
+FINER = 8
 """Physics steps for each of the nominal model's; half as many are simulated too, and what both tell of none is real."""
 SEARCH = FitSettings(tolerance=1e-3, steps=30)
 """Of the refit that says how strong a case is; it begins at the truth."""
