@@ -23,7 +23,8 @@ from equimus_ctrl.proof.machines import Experiment, MachineReality, draw_machine
 from equimus_ctrl.proof.outside import OUTSIDE
 from equimus_ctrl.proof.simulation import noise
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.runs import gather, load_model
+from equimus_ctrl.workflow.models import load_model
+from equimus_ctrl.workflow.scores import gather
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
 TWO = Path(__file__).resolve().parents[1] / "benchmarks" / "real_machines" / "double_pendulum_c1.xml"

@@ -147,7 +147,8 @@ def _experiment(
     if not recordings:
         raise ConfigError(f"{model}: a machine is driven as in recordings of it; give their folder or files too")
     from equimus_ctrl.proof.machines import Experiment, require_bare_machine
-    from equimus_ctrl.workflow.runs import gather, load_model
+    from equimus_ctrl.workflow.models import load_model
+    from equimus_ctrl.workflow.scores import gather
 
     own = load_model(model)
     require_bare_machine(own)  # before its recordings are taken for a leg's

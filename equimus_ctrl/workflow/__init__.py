@@ -13,25 +13,19 @@ from equimus_ctrl.workflow.identify import (
     simulator_of,
 )
 from equimus_ctrl.workflow.machines import FreeNumbers, load_machine, offer, parameter_rows, read_free
+from equimus_ctrl.workflow.models import load_elastic, load_model, renamed, save_model
 from equimus_ctrl.workflow.plugins import load_effects
 from equimus_ctrl.workflow.prove import Proof, put_to_proof
 from equimus_ctrl.workflow.runs import (
-    RecordingsScore,
     ScenarioRun,
-    TrialScore,
     TunedPid,
-    gather,
     load_controller,
-    load_elastic,
-    load_model,
     load_scenario,
     recordings_of,
-    renamed,
     run_scenario,
-    save_model,
-    score_recordings,
     tune_pid,
 )
+from equimus_ctrl.workflow.scores import RecordingsScore, TrialScore, gather, score_recordings
 
 __all__ = [
     "CONTROLLERS",

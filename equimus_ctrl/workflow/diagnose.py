@@ -19,7 +19,8 @@ from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, machine_of, nominal_model
 from equimus_ctrl.workflow.identify import Some, choose
 from equimus_ctrl.workflow.machines import read_free
-from equimus_ctrl.workflow.runs import gather, load_scenario
+from equimus_ctrl.workflow.runs import load_scenario
+from equimus_ctrl.workflow.scores import gather
 
 SWEEPS = {"mean": (10.0, 15.0, 20.0), "amplitude": (4.0, 9.0), "high": (0.5, 2.0, 6.0)}
 """Settings of the scenario ``chirp`` among which an experiment is chosen [kPa, kPa, Hz]."""

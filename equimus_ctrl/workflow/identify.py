@@ -33,7 +33,7 @@ from equimus_ctrl.recordings.sheet import header_of
 from equimus_ctrl.recordings.upstream import STATIC_POSES, kind
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.machines import read_free
-from equimus_ctrl.workflow.runs import gather
+from equimus_ctrl.workflow.scores import gather
 
 TRIALS_ONLY = {"window": None, "shoot": None, "fit_start": False, "engine": "reduced", "dt": None}
 """What poses at rest have no use for, and the value that asks for nothing."""

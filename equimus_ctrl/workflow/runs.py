@@ -1,22 +1,19 @@
-"""Models and scenarios by name, runs, scores and tuning."""
+"""Scenarios and controllers by name, runs and tuning."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from equimus_ctrl import presets
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.engines.predict import Engine, check_columns, predict
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
-from equimus_ctrl.models.model import Model, machine_model, machine_of, model_from_dict, model_to_dict, nominal_model
+from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.plants.hardware.plant import HardwarePlant, LoopCounts
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
@@ -24,80 +21,9 @@ from equimus_ctrl.plants.registry import PlantRequest, make_plant
 from equimus_ctrl.plants.replay import ReplayPlant
 from equimus_ctrl.recordings import locate, read_set
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario
-from equimus_ctrl.scenarios.scoring import Score, on_grid, score_run
+from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Array, Controller, Plant, Recording, Run
-from equimus_ctrl.workflow.machines import load_machine, read_machine_set, write_corrected
-
-MOST_RATE = 1e5
-"""Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""
-
-
-def load_model(path: Path | str | None = None) -> Model:
-    """The model in a model file or of MuJoCo's XML; the nominal leg where ``path`` is None.
-
-    Raises:
-        ConfigError, ModelError: where the file cannot be read or describes no model.
-    """
-    if path is None:
-        return nominal_model()
-    if Path(path).suffix.lower() in presets.MJCF:
-        return machine_model(load_machine(Path(path)))
-    folder, data = Path(path).parent, presets.read_toml(Path(path))
-    if not data:
-        raise ConfigError(f"{path}: is empty; a model file has a morphology, parameters or effects, or names an mjcf")
-    return model_from_dict(data, str(path), lambda name: load_machine(folder / name, name))
-
-
-def load_elastic(path: Path | str | None = None) -> Model:
-    """The same, but of a robot with elastic actuators alone.
-
-    Raises:
-        ConfigError, ModelError: see ``load_model``; also for a robot of MuJoCo's XML.
-    """
-    model = load_model(path)
-    if machine_of(model) is not None:
-        raise ConfigError(
-            f"{path}: is a robot of MuJoCo's XML, which this is not for; identify, diagnose, prove, score, "
-            "sensitivity, list parameters and recordings check take it"
-        )
-    return model
-
-
-def renamed(model: Model, name: str) -> Model:
-    """The model under another name, such as its file's, so that a table shows which one it is of."""
-    return replace(model, morphology=replace(model.morphology, name=name))
-
-
-def save_model(path: Path | str, model: Model, near: Path | None = None) -> list[Path]:
-    """Write a model file, whole or not at all; of a robot of MuJoCo's XML also the XML with all that it has fields for.
-
-    Args:
-        path: of the model file.
-        model: what is written.
-        near: file that the model was read from, by which its XML is found again.
-
-    Returns:
-        The files written.
-    """
-    path = Path(path)
-    machine = machine_of(model)
-    if machine is None:
-        presets.write_text(path, presets.toml_text(model_to_dict(model)))
-        return [path]
-    data = model_to_dict(model)
-    if near is not None:
-        found = near if near.suffix.lower() in presets.MJCF else near.parent / machine.source
-        data["mjcf"] = presets.relative(found, path.parent)
-    whole = path.with_suffix(".xml")
-    if (near is not None and whole.resolve() == found.resolve()) or (whole.exists() and not path.exists()):
-        # The robot's own XML, or one that was not written together with this model file.
-        whole = path.with_name(f"{path.stem}_whole.xml")
-    left = write_corrected(whole, model, None if near is None else found.parent)
-    told = f"{whole.name} has all of this in one MuJoCo model"
-    told += f", but for {', '.join(left)}." if left else "."
-    presets.write_text(path, presets.toml_text(data, told))
-    return [path, whole]
+from equimus_ctrl.types import Controller, Plant, Recording, Run
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -277,132 +203,6 @@ def run_scenario(
         machine.close()
     counts = machine.counts if isinstance(machine, HardwarePlant) else None
     return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name, counts)
-
-
-@dataclass(frozen=True, eq=False)
-class TrialScore:
-    """How far a model's prediction lies from one trial.
-
-    Attributes:
-        recording: the trial.
-        predicted: (n, nj) at the trial's times [rad].
-        rmse: (nj,) over the scored samples [rad].
-        squares: (nj,) sum of squared errors over them [rad²].
-        samples: how many.
-    """
-
-    recording: Recording
-    predicted: Array
-    rmse: Array
-    squares: Array
-    samples: int
-
-
-@dataclass(frozen=True, eq=False)
-class RecordingsScore:
-    """A model against recordings.
-
-    Attributes:
-        model: the model.
-        trials: one score each.
-        rmse: (nj,) over all samples of all trials [rad].
-    """
-
-    model: Model
-    trials: tuple[TrialScore, ...]
-    rmse: Array
-
-    def to_dict(self) -> dict[str, Any]:
-        """What ``score --json`` prints."""
-        joints = self.model.morphology.joint_names
-
-        def table(values: Array) -> dict[str, float]:
-            return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
-
-        return {
-            "model": self.model.name,
-            "rmse_rad": table(self.rmse),
-            "trials": [{"name": t.recording.name, "rmse_rad": table(t.rmse)} for t in self.trials],
-        }
-
-
-def gather(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording], model: Model | None = None
-) -> list[Recording]:
-    """The trials that files, folders or trials themselves mean.
-
-    Args:
-        recordings: they.
-        model: of what; its joints and actuators are those wanted.
-
-    Raises:
-        RecordingError: where one cannot be read.
-    """
-    given = [recordings] if isinstance(recordings, Path | str) else list(recordings)
-    files = [Path(item) for item in given if isinstance(item, Path | str)]
-    trials = [item for item in given if isinstance(item, Recording)]
-    if files or not trials:
-        machine = None if model is None else machine_of(model)
-        trials += read_set(files) if machine is None else read_machine_set(files, machine)
-    return trials
-
-
-def score_recordings(
-    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
-    model: Model | None = None,
-    *,
-    engine: Engine = "reduced",
-    window: tuple[float, float] | None = None,
-    rate: float | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> RecordingsScore:
-    """Open-loop prediction error of a model, each trial from its own measured start.
-
-    Args:
-        recordings: files, folders or trials.
-        model: the nominal leg by default.
-        engine: ``"reduced"`` or ``"mujoco"``.
-        window: (from, to) [s] of each trial that counts; all of it by default.
-        rate: of a grid to compare on [Hz]; the recording's own rows by default.
-        progress: called with the share done.
-
-    Raises:
-        EquimusError: where a recording or the model cannot be used, or a window holds no samples.
-    """
-    model = model or nominal_model()
-    if rate is not None and not 0 < rate <= MOST_RATE:
-        raise ConfigError(f"the rate of the grid is {rate:g} Hz, expected more than 0 and at most {MOST_RATE:g}")
-    trials = gather(recordings, model)
-    for trial in trials:
-        check_columns(model, trial)
-    scores = []
-    for k, trial in enumerate(trials):
-        predicted = predict(model, trial, engine=engine)
-        error = _scored_error(trial, predicted, window, rate)
-        squares = (error**2).sum(axis=0)
-        scores.append(TrialScore(trial, predicted, np.sqrt(squares / len(error)), squares, len(error)))
-        if progress is not None:
-            progress((k + 1) / len(trials))
-    total = sum(s.samples for s in scores)
-    rmse = np.sqrt(np.sum([s.squares for s in scores], axis=0) / total)
-    return RecordingsScore(model, tuple(scores), rmse)
-
-
-def _scored_error(trial: Recording, predicted: Array, window: tuple[float, float] | None, rate: float | None) -> Array:
-    low, high = window or (float(trial.time[0]), float(trial.time[-1]))
-    if rate is None:
-        inside = (trial.time >= low) & (trial.time <= high)
-        error = predicted[inside] - trial.position[inside]
-    else:
-        low, high = max(low, float(trial.time[0])), min(high, float(trial.time[-1]))
-        grid = low + np.arange(max(int(np.floor((high - low) * rate + 1e-9)) + 1, 0)) / rate
-        error = on_grid(trial.time, predicted, grid) - on_grid(trial.time, trial.position, grid)
-    if len(error) == 0:
-        raise ConfigError(
-            f"{trial.name}: has no samples between {low:g} and {high:g} s; it lasts from {trial.time[0]:g} to "
-            f"{trial.time[-1]:g} s"
-        )
-    return np.asarray(error, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

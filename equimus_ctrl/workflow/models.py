@@ -1,0 +1,78 @@
+"""Model files and MuJoCo's XML as models, and models as files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from equimus_ctrl import presets
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model, machine_model, machine_of, model_from_dict, model_to_dict, nominal_model
+from equimus_ctrl.workflow.machines import load_machine, write_corrected
+
+
+def load_model(path: Path | str | None = None) -> Model:
+    """The model in a model file or of MuJoCo's XML; the nominal leg where ``path`` is None.
+
+    Raises:
+        ConfigError, ModelError: where the file cannot be read or describes no model.
+    """
+    if path is None:
+        return nominal_model()
+    if Path(path).suffix.lower() in presets.MJCF:
+        return machine_model(load_machine(Path(path)))
+    folder, data = Path(path).parent, presets.read_toml(Path(path))
+    if not data:
+        raise ConfigError(f"{path}: is empty; a model file has a morphology, parameters or effects, or names an mjcf")
+    return model_from_dict(data, str(path), lambda name: load_machine(folder / name, name))
+
+
+def load_elastic(path: Path | str | None = None) -> Model:
+    """The same, but of a robot with elastic actuators alone.
+
+    Raises:
+        ConfigError, ModelError: see ``load_model``; also for a robot of MuJoCo's XML.
+    """
+    model = load_model(path)
+    if machine_of(model) is not None:
+        raise ConfigError(
+            f"{path}: is a robot of MuJoCo's XML, which this is not for; identify, diagnose, prove, score, "
+            "sensitivity, list parameters and recordings check take it"
+        )
+    return model
+
+
+def renamed(model: Model, name: str) -> Model:
+    """The model under another name, such as its file's, so that a table shows which one it is of."""
+    return replace(model, morphology=replace(model.morphology, name=name))
+
+
+def save_model(path: Path | str, model: Model, near: Path | None = None) -> list[Path]:
+    """Write a model file, whole or not at all; of a robot of MuJoCo's XML also the XML with all that it has fields for.
+
+    Args:
+        path: of the model file.
+        model: what is written.
+        near: file that the model was read from, by which its XML is found again.
+
+    Returns:
+        The files written.
+    """
+    path = Path(path)
+    machine = machine_of(model)
+    if machine is None:
+        presets.write_text(path, presets.toml_text(model_to_dict(model)))
+        return [path]
+    data = model_to_dict(model)
+    if near is not None:
+        found = near if near.suffix.lower() in presets.MJCF else near.parent / machine.source
+        data["mjcf"] = presets.relative(found, path.parent)
+    whole = path.with_suffix(".xml")
+    if (near is not None and whole.resolve() == found.resolve()) or (whole.exists() and not path.exists()):
+        # The robot's own XML, or one that was not written together with this model file.
+        whole = path.with_name(f"{path.stem}_whole.xml")
+    left = write_corrected(whole, model, None if near is None else found.parent)
+    told = f"{whole.name} has all of this in one MuJoCo model"
+    told += f", but for {', '.join(left)}." if left else "."
+    presets.write_text(path, presets.toml_text(data, told))
+    return [path, whole]

@@ -1,0 +1,147 @@
+"""Models against recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl.engines.predict import Engine, check_columns, predict
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model, machine_of, nominal_model
+from equimus_ctrl.recordings import read_set
+from equimus_ctrl.scenarios.scoring import on_grid
+from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.workflow.machines import read_machine_set
+
+MOST_RATE = 1e5
+"""Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrialScore:
+    """How far a model's prediction lies from one trial.
+
+    Attributes:
+        recording: the trial.
+        predicted: (n, nj) at the trial's times [rad].
+        rmse: (nj,) over the scored samples [rad].
+        squares: (nj,) sum of squared errors over them [rad²].
+        samples: how many.
+    """
+
+    recording: Recording
+    predicted: Array
+    rmse: Array
+    squares: Array
+    samples: int
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingsScore:
+    """A model against recordings.
+
+    Attributes:
+        model: the model.
+        trials: one score each.
+        rmse: (nj,) over all samples of all trials [rad].
+    """
+
+    model: Model
+    trials: tuple[TrialScore, ...]
+    rmse: Array
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``score --json`` prints."""
+        joints = self.model.morphology.joint_names
+
+        def table(values: Array) -> dict[str, float]:
+            return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
+
+        return {
+            "model": self.model.name,
+            "rmse_rad": table(self.rmse),
+            "trials": [{"name": t.recording.name, "rmse_rad": table(t.rmse)} for t in self.trials],
+        }
+
+
+def gather(
+    recordings: Path | str | Iterable[Path | str] | Sequence[Recording], model: Model | None = None
+) -> list[Recording]:
+    """The trials that files, folders or trials themselves mean.
+
+    Args:
+        recordings: they.
+        model: of what; its joints and actuators are those wanted.
+
+    Raises:
+        RecordingError: where one cannot be read.
+    """
+    given = [recordings] if isinstance(recordings, Path | str) else list(recordings)
+    files = [Path(item) for item in given if isinstance(item, Path | str)]
+    trials = [item for item in given if isinstance(item, Recording)]
+    if files or not trials:
+        machine = None if model is None else machine_of(model)
+        trials += read_set(files) if machine is None else read_machine_set(files, machine)
+    return trials
+
+
+def score_recordings(
+    recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
+    model: Model | None = None,
+    *,
+    engine: Engine = "reduced",
+    window: tuple[float, float] | None = None,
+    rate: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> RecordingsScore:
+    """Open-loop prediction error of a model, each trial from its own measured start.
+
+    Args:
+        recordings: files, folders or trials.
+        model: the nominal leg by default.
+        engine: ``"reduced"`` or ``"mujoco"``.
+        window: (from, to) [s] of each trial that counts; all of it by default.
+        rate: of a grid to compare on [Hz]; the recording's own rows by default.
+        progress: called with the share done.
+
+    Raises:
+        EquimusError: where a recording or the model cannot be used, or a window holds no samples.
+    """
+    model = model or nominal_model()
+    if rate is not None and not 0 < rate <= MOST_RATE:
+        raise ConfigError(f"the rate of the grid is {rate:g} Hz, expected more than 0 and at most {MOST_RATE:g}")
+    trials = gather(recordings, model)
+    for trial in trials:
+        check_columns(model, trial)
+    scores = []
+    for k, trial in enumerate(trials):
+        predicted = predict(model, trial, engine=engine)
+        error = _scored_error(trial, predicted, window, rate)
+        squares = (error**2).sum(axis=0)
+        scores.append(TrialScore(trial, predicted, np.sqrt(squares / len(error)), squares, len(error)))
+        if progress is not None:
+            progress((k + 1) / len(trials))
+    total = sum(s.samples for s in scores)
+    rmse = np.sqrt(np.sum([s.squares for s in scores], axis=0) / total)
+    return RecordingsScore(model, tuple(scores), rmse)
+
+
+def _scored_error(trial: Recording, predicted: Array, window: tuple[float, float] | None, rate: float | None) -> Array:
+    low, high = window or (float(trial.time[0]), float(trial.time[-1]))
+    if rate is None:
+        inside = (trial.time >= low) & (trial.time <= high)
+        error = predicted[inside] - trial.position[inside]
+    else:
+        low, high = max(low, float(trial.time[0])), min(high, float(trial.time[-1]))
+        grid = low + np.arange(max(int(np.floor((high - low) * rate + 1e-9)) + 1, 0)) / rate
+        error = on_grid(trial.time, predicted, grid) - on_grid(trial.time, trial.position, grid)
+    if len(error) == 0:
+        raise ConfigError(
+            f"{trial.name}: has no samples between {low:g} and {high:g} s; it lasts from {trial.time[0]:g} to "
+            f"{trial.time[-1]:g} s"
+        )
+    return np.asarray(error, dtype=np.float64)
