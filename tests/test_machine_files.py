@@ -1,0 +1,426 @@
+"""Files of robots of MuJoCo's XML: what is saved comes back, what is written moves alike, and what may be freed."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from machine_models import ARM, CRANE, PENDULUM, pendulum, refusal
+
+from equimus_ctrl.effects import (
+    ActuatorGain,
+    Backlash,
+    ConstantForce,
+    CoulombFriction,
+    DriveCompliance,
+    Effect,
+    FirstOrderLag,
+    GravityTilt,
+    PayloadMass,
+    QuadraticDamping,
+    SensorOffset,
+    TorqueSaturation,
+    TransportDelay,
+    ViscousFriction,
+)
+from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.identification.parameters import default_names, free_parameters
+from equimus_ctrl.models.leg import nominal_leg
+from equimus_ctrl.models.machine import Machine
+from equimus_ctrl.models.model import FORMAT, Model, machine_model, machine_of, model_from_dict, model_to_dict
+from equimus_ctrl.types import Array
+from equimus_ctrl.workflow import load_machine, load_model, offer, read_free, save_model
+from equimus_ctrl.workflow.machines import corrected_xml, write_corrected
+
+# --- model files ------------------------------------------------------------------------------------------------
+
+
+def driven(machine: Machine, until: float = 1.0) -> Trial:
+    """Commands that jump on the physics' grid, and a start away from rest."""
+    times = np.arange(0.0, until - 0.05, 0.125)
+    k, i = np.meshgrid(np.arange(len(times)), np.arange(len(machine.actuators)), indexing="ij")
+    commands = np.round(1.5 * np.sin(1.7 * k + i), 3) / (1 + 2 * i)
+    start = np.linspace(0.4, 0.1, len(machine.joints))
+    return Trial("t", times, commands, commands[0], 0.0, start, np.arange(0.0, until + 1e-9, 0.025))
+
+
+def moved(model: Model, trial: Trial | None = None) -> Array:
+    machine = machine_of(model)
+    assert machine is not None
+    found = simulate_machines([model], [trial or driven(machine)], threads=1)[0]
+    assert found.sound.all()
+    return found.position[0]
+
+
+def stepped(model: Any, machine: Machine, trial: Trial) -> Array:
+    """The same trial, by MuJoCo alone."""
+    data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in machine.joint_names]
+    for joint, q in zip(joints, trial.position, strict=True):
+        data.qpos[joint.qposadr[0]] = q
+        if any(model.joint(k).name == f"{joint.name} drive" for k in range(model.njnt)):
+            data.qpos[model.joint(f"{joint.name} drive").qposadr[0]] = q
+    order = [model.actuator(name).id for name in machine.actuator_names]
+    out = [[data.qpos[joint.qposadr[0]] for joint in joints]]
+    every = round((trial.sample_times[1] - trial.sample_times[0]) / model.opt.timestep)
+    for k in range((len(trial.sample_times) - 1) * every):
+        row = np.searchsorted(trial.times, (k + 0.5) * model.opt.timestep, side="right") - 1
+        data.ctrl[order] = trial.commands[row]
+        mujoco.mj_step(model, data)
+        if (k + 1) % every == 0:
+            out.append([data.qpos[joint.qposadr[0]] for joint in joints])
+    return np.array(out)
+
+
+@pytest.fixture
+def crane_file(tmp_path: Path) -> Path:
+    path = tmp_path / "robots" / "robot.xml"
+    path.parent.mkdir()
+    path.write_text(ARM)
+    return path
+
+
+HELD: dict[str, tuple[Effect, ...]] = {
+    "nothing": (),
+    "viscous_friction": (ViscousFriction("shoulder", 0.8),),
+    "quadratic_damping": (QuadraticDamping("reach", 20.0),),
+    "coulomb_friction": (CoulombFriction("reach", 0.6),),
+    "payload_mass": (PayloadMass("tip", 0.7), PayloadMass("arm", 0.4)),
+    "actuator_gain": (ActuatorGain("servo", 0.6), ActuatorGain("drive", 1.5)),
+    "torque_saturation": (TorqueSaturation("servo", 1.5),),
+    "joint_compliance": (DriveCompliance("shoulder", 60.0, 0.3),),
+    "gravity_tilt": (GravityTilt("base", 0.3),),
+}
+HELD["all of them"] = tuple(effect for effects in HELD.values() for effect in effects)
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_file: Path, tmp_path: Path) -> None:
+    machine = load_machine(crane_file).with_parameters({"arm.mass": 2.25, "reach.damping": 2.0, "tilt": 0.05})
+    model = machine_model(machine, HELD[name])
+    path = tmp_path / "found" / "deep" / "model.toml"
+    assert save_model(path, model, crane_file) == [path, path.with_suffix(".xml")]
+    back = load_model(path)
+    assert back.parameters() == model.parameters() and back.effects == model.effects and back.name == "crane"
+    np.testing.assert_array_equal(moved(back), moved(model))
+    text = path.read_text()
+    assert 'mjcf = "../../robots/robot.xml"' in text and "model.xml has all of this in one MuJoCo model." in text
+    written = mujoco.MjModel.from_xml_path(str(path.with_suffix(".xml")))
+    trial = driven(machine)
+    own = stepped(written, machine, trial)
+    plain = moved(machine_model(machine))
+    # Six digits are written of each number.
+    np.testing.assert_allclose(own, moved(model), rtol=0, atol=2e-5)
+    assert name == "nothing" or np.abs(own - plain).max() > 2e-3
+
+
+def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: Path) -> None:
+    """To the six digits that are written; what gravity leans by is in its direction."""
+    machine = load_machine(crane_file)
+    changed = {name: 1.2345 * value + 0.0123 for name, value in machine.parameters().items() if name != "tilt"}
+    model = machine_model(machine.with_parameters(changed))
+    save_model(tmp_path / "found.toml", model, crane_file)
+    again = load_machine(tmp_path / "found.xml").parameters()
+    assert again == {name: pytest.approx(value, rel=1e-5) for name, value in (changed | {"tilt": 0.0}).items()}
+    np.testing.assert_array_equal(moved(load_model(tmp_path / "found.toml")), moved(model))
+
+
+def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> None:
+    effects = (
+        ViscousFriction("reach", 1.0), ConstantForce("reach", 1.0), TransportDelay("push", 0.1),
+        FirstOrderLag("servo", 0.1), SensorOffset("shoulder", 0.1), Backlash("reach", 0.01),
+    )  # fmt: skip
+    model = machine_model(load_machine(crane_file), effects)
+    told = [f"{e.name} at {e.location}" for e in effects[1:]]
+    xml, left = corrected_xml(model)
+    assert list(left) == told and f"<!-- Not in here: {', '.join(told)}. -->" in xml
+    mujoco.MjModel.from_xml_string(xml)
+    save_model(tmp_path / "m.toml", model, crane_file)
+    assert f"m.xml has all of this in one MuJoCo model, but for {', '.join(told)}." in (tmp_path / "m.toml").read_text()
+    assert write_corrected(tmp_path / "again.xml", model) == left
+    assert load_model(tmp_path / "m.toml").effects == effects
+
+
+def test_the_xml_is_found_beside_the_model_file_from_anywhere(
+    crane_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beside = crane_file.parent / "model.toml"
+    beside.write_text('mjcf = "robot.xml"\nname = "left crane"\n[parameters]\n"arm.mass" = 3\n')
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    model = load_model(os.path.relpath(beside))
+    assert model.name == "left crane" and model.parameters()["arm.mass"] == 3
+    assert model.parameters()["rod.mass"] == 0.5
+    beside.write_text(f'mjcf = "{crane_file}"\n')
+    assert load_model(beside).name == "crane"
+
+
+def test_a_model_that_is_saved_again_still_finds_its_xml(crane_file: Path, tmp_path: Path) -> None:
+    model = machine_model(load_machine(crane_file), (ViscousFriction("reach", 1.0),))
+    first, second = tmp_path / "a" / "one.toml", tmp_path / "b" / "c" / "two.toml"
+    save_model(first, model, crane_file)
+    save_model(second, load_model(first), first)
+    assert load_model(second).parameters() == model.parameters()
+
+
+def test_saving_beside_the_xml_leaves_it_as_it_is(crane_file: Path) -> None:
+    """The corrected XML must not take the place of the one that the model file changes."""
+    model = machine_model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    save_model(crane_file.with_suffix(".toml"), model, crane_file)
+    assert crane_file.read_text() == ARM
+    np.testing.assert_array_equal(moved(load_model(crane_file.with_suffix(".toml"))), moved(model))
+
+
+def test_an_xml_of_somebody_else_stays(crane_file: Path, tmp_path: Path) -> None:
+    model = machine_model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    (tmp_path / "keep.xml").write_text("<mujoco/>")
+    assert save_model(tmp_path / "keep.toml", model, crane_file)[1].name == "keep_whole.xml"
+    assert (tmp_path / "keep.xml").read_text() == "<mujoco/>"
+    for _ in range(2):  # what was written together is written again
+        assert save_model(tmp_path / "own.toml", model, crane_file)[1].name == "own.xml"
+
+
+def test_a_model_is_its_dictionary() -> None:
+    model = machine_model(CRANE.with_parameters({"arm.mass": 3.0}), (TransportDelay("push", 0.05),))
+    data = model_to_dict(model)
+    assert data == {
+        "format": FORMAT,
+        "name": "crane",
+        "mjcf": "crane.xml",
+        "parameters": {"arm.mass": 3.0},
+        "effects": [{"effect": "transport_delay", "location": "push", "delay": 0.05}],
+    }
+    asked: list[str] = []
+
+    def read(name: str) -> Machine:
+        asked.append(name)
+        return CRANE
+
+    back = model_from_dict(data, "m.toml", read)
+    assert asked == ["crane.xml"]
+    assert back.parameters() == model.parameters() and back.effects == model.effects
+
+
+WRONG_FILES: dict[str, tuple[str, str]] = {
+    'mjcf = "robto.xml"': ("there is no such file", "robto.xml"),
+    "mjcf = 3": ("mjcf is 3, expected the name of a file of MuJoCo's XML", ""),
+    'mjcf = "robot.xml"\nmorphology = "nominal_leg"': ("there is no key 'morphology'", "known: effects, format, mjcf"),
+    'mjcf = "robot.xml"\nphase = "stance"': ("there is no key 'phase'", ""),
+    'mjcf = "robot.xml"\nformat = "x"': (f"format is 'x', expected {FORMAT!r}", ""),
+    'mjcf = "robot.xml"\nname = 3': ("name is 3, expected a text", ""),
+    'mjcf = "robot.xml"\n[parameters]\n"arm.mas" = 1': ("no parameter 'arm.mas'; did you mean 'arm.mass'?", ""),
+    'mjcf = "robot.xml"\n[parameters]\n"arm.mass" = "x"': ("parameters: arm.mass is 'x', expected a number", ""),
+    'mjcf = "robot.xml"\n[parameters]\n"arm.mass" = -1': ("arm.mass is -1, expected a finite number of at least 0", ""),
+    'mjcf = "robot.xml"\n[parameters]\narm.mass = 1': ("'arm' is a table; put a dotted name in quotes", ""),
+    'mjcf = "robot.xml"\n[[effects]]\neffect = "creep"\nlocation = "push"\nstiffness = 1\ntime_constant = 1': (
+        "a robot from MuJoCo's XML cannot have effect creep", "",
+    ),
+    'mjcf = "robot.xml"\n[[effects]]\neffect = "viscous_friction"\nlocation = "elbow"\ndamping = 1': (
+        "effect viscous_friction: there is no joint 'elbow'", "known: reach, shoulder",
+    ),
+    'mjcf = "robot.xml"\n[[effects]]\neffect = "viscous_friction"\nlocation = "reach"\ndampng = 1': (
+        "there is no parameter 'dampng'; did you mean 'damping'?", "",
+    ),
+    'mjcf = "robot.xml"\n[[effects]]\neffect = "viscous_friction"\nlocation = "reach"\ndamping = -1': (
+        "damping is -1 N·m·s/rad, expected 0 to", "",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", WRONG_FILES, ids=lambda text: re.sub(r"\W+", " ", text)[:60])
+def test_what_is_wrong_in_a_model_file_is_said_with_its_name(text: str, crane_file: Path) -> None:
+    path = crane_file.parent / "model.toml"
+    path.write_text(text)
+    told = refusal(lambda: load_model(path))
+    assert told.startswith(f"{path}: ")
+    assert all(part in told for part in WRONG_FILES[text])
+
+
+def test_without_a_file_to_read_from_an_xml_cannot_be_named() -> None:
+    assert "mjcf is 'robot.xml', expected" in refusal(lambda: model_from_dict({"mjcf": "robot.xml"}, "m"))
+
+
+def test_an_xml_is_a_model_by_itself(crane_file: Path) -> None:
+    model = load_model(crane_file)
+    machine = machine_of(model)
+    assert machine is not None and machine.source == "robot.xml"
+    assert model.effects == () and model.parameters() == CRANE.parameters()
+    assert load_model(str(crane_file)).name == "crane"
+
+
+def test_a_robot_without_a_name_is_called_after_its_file(tmp_path: Path) -> None:
+    (tmp_path / "gripper.xml").write_text(pendulum().replace(' model="pendulum"', ""))
+    assert load_model(tmp_path / "gripper.xml").name == "gripper"
+
+
+def test_numbers_come_out_of_a_file_with_all_their_digits(tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(pendulum(inertial='mass="0.123456789" pos="0 0 -0.3" diaginertia="1 1 1"'))
+    assert load_machine(tmp_path / "p.xml").parameters()["arm.mass"] == pytest.approx(0.123456789, rel=1e-12)
+
+
+def test_included_files_are_read_into_one(tmp_path: Path) -> None:
+    drive = '<actuator><motor name="motor" joint="pivot"/></actuator>'
+    (tmp_path / "drive.xml").write_text(f"<mujocoinclude>{drive}</mujocoinclude>")
+    (tmp_path / "p.xml").write_text(pendulum().replace(drive, '<include file="drive.xml"/>'))
+    machine = load_machine(tmp_path / "p.xml")
+    (tmp_path / "drive.xml").unlink()
+    assert machine.actuator_names == ("motor",)
+    assert replace(machine, name="copy").parameters() == PENDULUM.parameters()
+
+
+SHAPE = "v 0 0 0\nv .2 0 0\nv 0 .2 0\nv 0 0 .2\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MESHED = """<mujoco model="meshed"><compiler meshdir="parts"/><asset><mesh name="shape" file="shape.obj"/></asset>
+  <worldbody><body name="arm"><joint name="pivot" axis="0 1 0" armature="0.01"/><geom type="mesh" mesh="shape"/></body>
+  </worldbody><actuator><motor name="motor" joint="pivot"/></actuator></mujoco>"""
+
+
+def test_meshes_are_kept_with_the_machine_and_found_from_what_is_saved(tmp_path: Path) -> None:
+    (tmp_path / "robot" / "parts").mkdir(parents=True)
+    (tmp_path / "robot" / "parts" / "shape.obj").write_text(SHAPE)
+    (tmp_path / "robot" / "meshed.xml").write_text(MESHED)
+    model = load_model(tmp_path / "robot" / "meshed.xml")
+    assert model.parameters()["arm.mass"] == pytest.approx(1000 * 0.2**3 / 6, rel=1e-5)
+    softer = machine_model(model.morphology, (DriveCompliance("pivot", 5.0, 0.1),))  # type: ignore[arg-type]
+    assert np.abs(moved(softer) - moved(model)).max() > 1e-3
+    save_model(tmp_path / "found" / "new.toml", softer, tmp_path / "robot" / "meshed.xml")
+    np.testing.assert_array_equal(moved(load_model(tmp_path / "found" / "new.toml")), moved(softer))
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "found" / "new.xml"))
+    assert written.body("arm").mass[0] == pytest.approx(model.parameters()["arm.mass"], rel=1e-5)
+
+
+def test_machines_that_differ_in_a_mesh_alone_are_two() -> None:
+    small, large = (
+        Machine("meshed", MESHED, {"shape.obj": SHAPE.replace(".2", size).encode()}) for size in (".2", ".4")
+    )
+    assert large.parameters()["arm.mass"] == pytest.approx(8 * small.parameters()["arm.mass"], rel=1e-5)
+
+
+NAMELESS = '<body pos="0 0 -0.6"><inertial mass="0.3" pos="0 0 0" diaginertia="0.01 0.01 0.01"/></body>'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pendulum(body=NAMELESS),
+        pendulum(tail='<tendon><fixed stiffness="3"><joint joint="pivot" coef="1"/></fixed></tendon>'),
+        pendulum()
+        .replace('angle="radian"', 'angle="degree"')
+        .replace("armature", 'springref="20" stiffness="3" armature'),
+        pendulum(head='<default><joint damping="0.4" stiffness="2"/></default>'),
+        pendulum(head='<default><geom mass="2"/></default>', body='<geom size="0.1"/>'),
+        pendulum(head='<compiler inertiafromgeom="true"/>', body='<geom size="0.1" pos="0 0 -0.4"/>'),
+        pendulum(tail='<keyframe><key name="home" qpos="0.1"/></keyframe>'),
+    ],
+    ids=[
+        "nameless body",
+        "nameless tendon",
+        "degrees",
+        "defaults",
+        "geoms",
+        "geoms' inertia",
+        "keyframe",
+    ],
+)
+@pytest.mark.parametrize("effect", [PayloadMass("tip", 0.5), DriveCompliance("pivot", 20.0, 0.1)], ids=lambda e: e.name)
+def test_any_machine_can_be_written(text: str, effect: Effect) -> None:
+    model = machine_model(Machine("p", text), (effect,))
+    machine = machine_of(model)
+    assert machine is not None
+    xml, left = corrected_xml(model)
+    assert left == ()
+    trial = driven(machine)
+    own = stepped(mujoco.MjModel.from_xml_string(xml), machine, trial)
+    np.testing.assert_allclose(own, moved(model, trial), rtol=0, atol=2e-5)
+    assert np.abs(own - moved(machine_model(machine), trial)).max() > 1e-3
+
+
+def test_elastic_robots_are_not_written_as_machines(tmp_path: Path) -> None:
+    assert "is no robot of MuJoCo's XML" in refusal(lambda: write_corrected(tmp_path / "leg.xml", Model(nominal_leg())))
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- files of free parameters -----------------------------------------------------------------------------------
+
+
+def test_a_file_of_free_parameters_offers_what_is_free_by_default(tmp_path: Path) -> None:
+    model = machine_model(CRANE, (CoulombFriction("reach", 0.3),))
+    path = tmp_path / "free.toml"
+    offer(path, model)
+    text = path.read_text()
+    assert all(f'"{name}" = ' in text or f"{name} = " in text for name in model.parameters())
+    given = read_free(path, model)
+    chosen = free_parameters(model, given.names, given.bounds)
+    usual = free_parameters(model)
+    assert set(chosen.names) == set(default_names(model))
+    assert {f.name: (f.low, f.high) for f in chosen.free} == {f.name: (f.low, f.high) for f in usual.free}
+
+
+def free_of(tmp_path: Path, text: str, model: Model) -> Any:
+    path = tmp_path / "free.toml"
+    path.write_text(text)
+    return read_free(path, model)
+
+
+def test_numbers_are_freed_between_bounds_of_ones_own_or_of_their_kind(tmp_path: Path) -> None:
+    model = machine_model(CRANE)
+    given = free_of(tmp_path, '[free]\n"arm.mass" = [1, 3]\n"*.damping" = true\n"rod.mass" = false\n', model)
+    assert set(given.names) == {"arm.mass", "shoulder.damping", "reach.damping"}
+    assert given.bounds == {"arm.mass": (1.0, 3.0)}
+    both = given.with_more(["tilt"], {"arm.mass": (1.5, 2.5)})
+    assert both == ([*given.names, "tilt"], {"arm.mass": (1.5, 2.5)})
+
+
+def test_a_pattern_frees_nothing_that_is_said_to_stay(tmp_path: Path) -> None:
+    given = free_of(tmp_path, '[free]\n"*.damping" = true\n"reach.damping" = false\n', machine_model(CRANE))
+    assert given.names == ("shoulder.damping",)
+
+
+WRONG_FREE: dict[str, str] = {
+    '[fre]\n"arm.mass" = true': "there is no key 'fre'; did you mean 'free'? (known: format, free)",
+    'format = "x"\n[free]\n"arm.mass" = true': "format is 'x', expected 'equimus-ctrl/parameters/1'",
+    "free = 3": "there is no [free] table of names",
+    "[free]": "there is no [free] table of names",
+    "[free]\narm.mass = true": "free: put a dotted name in quotes",
+    '[free]\n"arm.mas" = true': "free: crane: there is no parameter 'arm.mas'; did you mean 'arm.mass'?",
+    '[free]\n"*.mas" = true': "free: crane: there is no parameter '*.mas'",
+    '[free]\n"arm.mass" = [1]': "free: arm.mass is [1], expected true, false or [low, high]",
+    '[free]\n"arm.mass" = [1, 2, 3]': "free: arm.mass is [1, 2, 3], expected true, false or [low, high]",
+    '[free]\n"arm.mass" = 3': "free: arm.mass is 3, expected true, false or [low, high]",
+    '[free]\n"arm.mass" = "free"': "free: arm.mass is 'free', expected true, false or [low, high]",
+    '[free]\n"arm.mass" = [true, 2]': "free: arm.mass is [True, 2], expected true, false or [low, high]",
+    '[free]\n"arm.mass" = false': "free: everything is false, so nothing is free",
+    "free = [": "is not valid TOML",
+}
+
+
+@pytest.mark.parametrize("text", WRONG_FREE, ids=lambda text: re.sub(r"\W+", " ", text)[:60])
+def test_what_is_wrong_in_a_file_of_free_parameters_is_said_with_its_name(text: str, tmp_path: Path) -> None:
+    told = refusal(lambda: free_of(tmp_path, text, machine_model(CRANE)))
+    assert told.startswith(f"{tmp_path / 'free.toml'}: ") and WRONG_FREE[text] in told
+
+
+@pytest.mark.parametrize(
+    ("pair", "message"),
+    [
+        ("[3, 1]", "bounds of arm.mass are 3 to 1, expected the lower one first"),
+        ("[nan, 3]", "bounds of arm.mass are nan to 3, expected finite numbers"),
+        ("[3, 4]", "arm.mass is 2 kg in the model, outside its bounds 3 to 4"),
+        ("[-1, 3]", "arm.mass"),
+    ],
+)
+def test_bounds_that_cannot_be_are_refused_before_anything_is_fitted(pair: str, message: str, tmp_path: Path) -> None:
+    model = machine_model(CRANE)
+
+    def chosen() -> None:
+        given = free_of(tmp_path, f'[free]\n"arm.mass" = {pair}', model)
+        free_parameters(model, given.names, given.bounds)
+
+    assert message in refusal(chosen)

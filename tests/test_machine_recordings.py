@@ -1,0 +1,147 @@
+"""Recordings of robots of MuJoCo's XML: numbers in their notes, and their columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machine_models import CRANE, PENDULUM, refusal
+
+from equimus_ctrl.diagnosis.split import check_settings, split
+from equimus_ctrl.effects import ViscousFriction
+from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.predict import predict
+from equimus_ctrl.errors import RecordingError
+from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.models.leg import nominal_leg
+from equimus_ctrl.models.machine import Machine
+from equimus_ctrl.models.model import Model, machine_model
+from equimus_ctrl.types import Recording
+from equimus_ctrl.workflow.machines import read_machine_set
+
+
+def recording(notes: Mapping[str, str] | None = None, name: str = "trial", machine: Machine = PENDULUM) -> Recording:
+    """Two seconds of a swinging pendulum."""
+    time = np.arange(0, 2.001, 0.01)
+    na, nj = len(machine.actuators), len(machine.joints)
+    position = np.tile(0.3 * np.cos(4 * time)[:, None], (1, nj))
+    return Recording(
+        name, time, np.zeros((len(time), na)), position, machine.actuator_names, machine.joint_names, notes=notes or {}
+    )
+
+
+NOTED = [
+    ({"set.arm.mass": "1.7"}, {"arm.mass": 1.7}),
+    ({"times.arm.mass": "1.7"}, {"arm.mass": 1.7}),
+    ({"set.arm.mass": "1.7", "times.arm.com_z": "0.5", "rig": "A"}, {"arm.mass": 1.7, "arm.com_z": -0.15}),
+    ({"set.tilt": "-0.2"}, {"tilt": -0.2}),
+    ({"times.arm.com_z": "-1"}, {"arm.com_z": 0.3}),
+]
+
+
+@pytest.mark.parametrize(("notes", "values"), NOTED)
+def test_numbers_in_notes_reach_the_simulation(notes: dict[str, str], values: dict[str, float]) -> None:
+    """The factors count from what the model has, whatever that is."""
+    model = machine_model(PENDULUM, (ViscousFriction("pivot", 0.1),))
+    (segment,) = cut(model, [recording(notes)])
+    (plain,) = cut(model.with_parameters(values), [recording()])
+    found, expected, unchanged = (
+        simulate_machines([m], [s.trial], starts=[s.start[None, :]], threads=1)[0].position
+        for m, s in ((model, segment), (model.with_parameters(values), plain), (model, plain))
+    )
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    assert np.abs(found - unchanged).max() > 1e-2
+    np.testing.assert_allclose(predict(model, recording(notes)), predict(model.with_parameters(values), recording()))
+
+
+def test_windows_of_one_recording_have_its_notes() -> None:
+    segments = cut(machine_model(PENDULUM), [recording({"set.arm.mass": "1.7"}), recording()], shoot=0.5)
+    assert [dict(s.trial.settings) for s in segments] == [{"arm.mass": 1.7}] * 4 + [{}] * 4
+
+
+WRONG_NOTES = [
+    ({"set.arm.mas": "1"}, "note set.arm.mas: there is no parameter 'arm.mas'; did you mean 'arm.mass'?"),
+    ({"times.arm.mas": "1"}, "note times.arm.mas: there is no parameter 'arm.mas'; did you mean 'arm.mass'?"),
+    ({"set.arm.mass": "heavy"}, "note set.arm.mass is 'heavy', expected a number"),
+    ({"times.arm.mass": ""}, "note times.arm.mass is '', expected a factor"),
+    ({"set.arm.mass": "-1"}, "arm.mass is -1, expected a finite number of at least 0"),
+    ({"set.arm.mass": "nan"}, "arm.mass is nan, expected a finite number of at least 0"),
+    ({"times.arm.mass": "inf"}, "arm.mass is inf, expected a finite number of at least 0"),
+]
+
+
+@pytest.mark.parametrize(("notes", "message"), WRONG_NOTES, ids=[str(notes) for notes, _ in WRONG_NOTES])
+def test_notes_that_say_nothing_usable_are_told_with_the_recordings_name(notes: dict[str, str], message: str) -> None:
+    told = refusal(lambda: cut(machine_model(PENDULUM), [recording(notes, "third trial")]))
+    assert message in told
+    assert told.startswith("third trial: ")
+
+
+def test_notes_of_numbers_are_for_machines_alone() -> None:
+    leg = Model(nominal_leg())
+    time = np.arange(0, 2.001, 0.01)
+    rest = Recording(
+        "leg", time, np.zeros((len(time), 2)), np.tile([1.2, 0.8], (len(time), 1)), leg.morphology.actuator_names,
+        leg.morphology.joint_names, notes={"set.hip.damping": "1"},
+    )  # fmt: skip
+    assert "is for robots from MuJoCo's XML alone" in refusal(lambda: cut(leg, [rest], shoot=0.5))
+
+
+def test_a_number_that_every_recording_gives_cannot_be_free() -> None:
+    model = machine_model(PENDULUM)
+    free = free_parameters(model, ["arm.mass", "arm.inertia"])
+    noted = [recording({"set.arm.mass": "1.2"}, f"trial {k}") for k in range(3)]
+    told = refusal(lambda: check_settings(free, split(model, noted, shoot=1.0)))
+    assert told.startswith("arm.mass is free, but the notes of every recording set it (set.arm.mass)")
+    mixed = [*noted[:2], recording(name="without")]
+    check_settings(free, split(model, mixed, shoot=1.0))
+    check_settings(free_parameters(model, ["arm.inertia"]), split(model, noted, shoot=1.0))
+    factors = [recording({"times.arm.mass": "1.2"}, f"trial {k}") for k in range(3)]
+    check_settings(free, split(model, factors, shoot=1.0))
+
+
+def test_recordings_with_other_names_are_told_with_the_right_ones() -> None:
+    told = refusal(lambda: cut(machine_model(CRANE), [recording(machine=PENDULUM)]))
+    assert all(name in told for name in (*CRANE.joint_names, *CRANE.actuator_names, "pivot", "motor"))
+
+
+def written(path: Path, header: str) -> Path:
+    rows = [f"{k * 0.01:.2f}" + ",0" * header.count(",") for k in range(50)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "parts"),
+    [
+        ("time,cmd.push,cmd.servo,cmd.drive,pos.sholder,pos.reach", ("pos.shoulder", "reach")),
+        (
+            "time,cmd.push,cmd.servo,cmd.drive,pos.hip,pos.knee",
+            ("'pos.shoulder' for joint shoulder", "pos.hip, pos.knee"),
+        ),
+        ("time,cmd.push,cmd.servo,pos.shoulder,pos.reach", ("cmd.drive", "push and servo and drive")),
+        ("time,cmd.a,cmd.b,cmd.c,pos.shoulder,pos.reach", ("'cmd.push' for actuator push", "cmd.a, cmd.b, cmd.c")),
+        ("time,push,servo,drive,pos.shoulder,pos.reach", ("push", "cmd.<actuator>")),
+        ("time,pos.shoulder,pos.reach", ("cmd.<actuator>",)),
+    ],
+)
+def test_wrong_columns_are_told_with_the_right_ones(header: str, parts: tuple[str, ...], tmp_path: Path) -> None:
+    path = written(tmp_path / "trial.csv", header)
+    told = refusal(lambda: read_machine_set([path], CRANE))
+    assert told.startswith(str(path)) and all(part in told for part in parts)
+    with pytest.raises(RecordingError):
+        read_machine_set([path], CRANE)
+
+
+def test_columns_come_in_the_machines_order_whatever_the_files(tmp_path: Path) -> None:
+    header = "time,pos.reach,pos.shoulder,cmd.drive,cmd.servo,cmd.push"
+    path = tmp_path / "trial.csv"
+    rows = [f"{k * 0.01:.2f},{100 * k},{-0.1 * k:g},3,-2,1e6" for k in range(50)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    (found,) = read_machine_set([path], CRANE)
+    assert (found.joints, found.actuators) == (CRANE.joint_names, CRANE.actuator_names)
+    np.testing.assert_array_equal(found.command[0], [1e6, -2, 3])
+    np.testing.assert_array_equal(found.position[2], [-0.2, 200])
