@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
-import mujoco
 import numpy as np
 from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
@@ -31,21 +30,18 @@ from equimus_ctrl.diagnosis.results import (
     Verdict,
 )
 from equimus_ctrl.diagnosis.screening import Screened
-from equimus_ctrl.diagnosis.search import LONG, Search, Searched, SearchSettings
+from equimus_ctrl.diagnosis.search import LONG, Search, Searched, SearchSettings, less
 from equimus_ctrl.diagnosis.split import Split
+from equimus_ctrl.diagnosis.step import step_counted, without_step_error
 from equimus_ctrl.diagnosis.where import excess_of, where_off
-from equimus_ctrl.identification.noise import Noise, white_noise
+from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.simulators import (
     STEP,
-    STEPS_FINER,
     Simulator,
-    extrapolated,
     machine_simulator,
     reduced_simulator,
 )
-from equimus_ctrl.identification.step_error import with_step_error
-from equimus_ctrl.identification.weighing import orthonormal, outside, weigh
 from equimus_ctrl.models.model import Model, machine_of
 
 BLUR = 60.0
@@ -56,9 +52,6 @@ COARSE = 2 * STEP
 """Physics step of the reduced engine where candidates are screened [s], where the robot allows it."""
 MACHINES_COARSE = 2.0
 """The same for machines, in units of the MuJoCo model's own."""
-NO_MATTER, MAY_DO = 1e-3, 4.0
-"""Where something of a machine is missing, shorter steps are tried too, unless they change less than this share of the
-noise's variance; what gains more than so many times what they change is none of their error."""
 PATIENCE, VALLEYS = 1, 20.0
 """With machines, whose pushes do much alike and rub: see ``SearchSettings``."""
 FINE = STEP / 3
@@ -96,7 +89,8 @@ def diagnose(
         free: the model, and what may be wrong about its numbers.
         split: trials to fit and trials to judge by.
         settings: how it goes.
-        simulator: the engine; the reduced one by default, MuJoCo for machines.
+        simulator: the engine; the reduced one by default, MuJoCo with the XML's step for machines, whose own has to
+            have that step too.
         designs: experiments to choose from where something cannot be told apart.
         progress: see ``Progress``.
 
@@ -152,17 +146,17 @@ def _diagnose(
     while rest.superfluous:
         dropped = [found.best.hypothesis[k] for k in rest.superfluous]
         doubtful += tuple(_named(part) for part in dropped)
-        found = _less(search, found, rest.superfluous)
+        found = less(search, found, rest.superfluous)
         if found.best.hypothesis:
             found = confirmed(search, search.go_on(found, [part.candidate.label for part in dropped]), split)
         rest = remainder(data, found.base, found.best, found.without)
     coarse, ranking = "", _ranking(search, found)
-    if (exact := _finer(search, found, rest, settings)) is not None:
+    if (exact := without_step_error(search, found, rest, settings.threads)) is not None:
         search, found, rest, coarse = exact
         data = search.data
     progress("evidence", 0.94, found.best.label)
     if not coarse:
-        found = _step_counted(data, found, settings)
+        found = step_counted(data, found, settings.threads)
     judge = Judge(data, split, found)
     finely = cache(data.settle_finely)
     parts = range(len(found.best.hypothesis))
@@ -234,85 +228,6 @@ def _verdict(findings: Sequence[Finding], rest: Remainder) -> Verdict:
     if rest.leftovers:
         return "partly_explained" if findings else "unexplained"
     return "explained" if findings else "consistent"
-
-
-def _less(search: Search, found: Searched, places: Sequence[int]) -> Searched:
-    """The search's end without some parts, and without those that are believed no more then."""
-    while places:
-        kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)
-        found = search.moved(found, search.refit(found.best, kept) if kept else found.base)
-        pairs = enumerate(found.without)
-        places = [k for k, without in pairs if not search.believed(without, found.best)][:1]
-    return found
-
-
-def _finer(
-    search: Search, found: Searched, rest: Remainder, settings: DiagnosisSettings
-) -> tuple[Search, Searched, Remainder, str] | None:
-    """The search's end without the error of a machine's physics step, where less is missing then, and a sentence of it.
-
-    The XML's step belongs to the simulation that is being corrected; but what its own error leaves is no physics.
-    """
-    machine, best = machine_of(search.data.free.model), found.best
-    if machine is None or not (best.hypothesis or rest.leftovers):
-        return None
-    step = machine.timestep / STEPS_FINER
-    finer = extrapolated(machine_simulator(step, settings.threads), search.data.simulator, STEPS_FINER)
-    data = replace(search.data, simulator=finer, coarse=None)
-    left_by_best, error = _step_error(search.data, data.simulator, best, best.noise)
-    others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
-    doubted = [k for k, (left, own_error) in enumerate(others) if left - left_by_best < MAY_DO * own_error]
-    if not doubted and error < NO_MATTER * data.n:
-        return None
-    own = replace(data, fine=data.simulator)
-    needless = {k for k in doubted if not search.believed(own.settle_finely(found.without[k]), best)}
-    if not needless and not rest.leftovers:
-        return None
-    other = Search(data, search.pool, search.settings, otherwise=search.fitted)
-    base = own.settle_finely(found.base)
-    kept = tuple(part for k, part in enumerate(best.hypothesis) if k not in needless)
-    start = replace(found, base=base)
-    exact = other.moved(start, (other.refit(best, kept) if needless else own.settle_finely(best)) if kept else base)
-    left = remainder(data, base, exact.best, exact.without)
-    if not needless and left.leftovers:
-        return None
-    accurate = machine.mujoco_model().opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-    advice = "" if accurate else ' With integrator="RK4" the XML would have far less of that error at the same step.'
-    return (
-        other,
-        exact,
-        left,
-        (
-            f"The physics step of the XML, {1e3 * machine.timestep:g} ms, is too long for these recordings: its error "
-            f"would be taken for missing physics. All of this was worked out with what it and {1e3 * step:g} ms tell "
-            "of none (Richardson's extrapolation)." + advice
-        ),
-    )
-
-
-def _step_counted(data: Data, found: Searched, settings: DiagnosisSettings) -> Searched:
-    """The end with intervals that the error of a machine's physics step is counted in."""
-    machine = machine_of(data.free.model)
-    if machine is None:
-        return found
-    other = machine_simulator(machine.timestep / STEPS_FINER, settings.threads)
-
-    def counted(fitted: Fitted) -> Fitted:
-        fit = with_step_error(fitted.fit, data.segments, data.simulator, other, 1 / STEPS_FINER, fitted.noise)
-        return replace(fitted, fit=fit)
-
-    best = counted(found.best)
-    return replace(found, best=best, base=best if found.base is found.best else counted(found.base))
-
-
-def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> tuple[float, float]:
-    """χ² that a hypothesis leaves, and χ² of what a finer step changes and no other numbers or starts would undo."""
-    model, starts = fitted.fit.model, [start[None] for start in fitted.fit.starts]
-    before, after = (simulator([model], data.segments, starts) for simulator in (data.simulator, finer))
-    moved = [np.moveaxis(a.position - b.position, 0, -1) for a, b in zip(after, before, strict=True)]
-    weighing = weigh(data.times, fitted.fit, noise)
-    column = weighing.columns(data.times, moved)[:, 0]
-    return float((weighing.residual**2).sum()), outside(column, orthonormal(weighing.slopes))
 
 
 def _finding(search: Search, found: Searched, judge: Judge, k: int, left: bool, finely: Finely) -> Finding:

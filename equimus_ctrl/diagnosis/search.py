@@ -448,6 +448,16 @@ class Search:
         return found
 
 
+def less(search: Search, found: Searched, places: Sequence[int]) -> Searched:
+    """The search's end without some parts, and without those that are believed no more then."""
+    while places:
+        kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)
+        found = search.moved(found, search.refit(found.best, kept) if kept else found.base)
+        pairs = enumerate(found.without)
+        places = [k for k, without in pairs if not search.believed(without, found.best)][:1]
+    return found
+
+
 def _kind(part: Part) -> Kind:
     effect = part.candidate.effect
     return effect.exclusive or effect.name, part.candidate.locations

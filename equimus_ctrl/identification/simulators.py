@@ -75,10 +75,11 @@ def extrapolated(fine: Simulator, coarse: Simulator, ratio: float) -> Simulator:
 
     def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
         pairs = zip(*(engine(models, segments, starts) for engine in (fine, coarse)), strict=True)
-        return [
-            Predicted(a.position + (a.position - b.position) / (ratio - 1.0), np.minimum(a.reached, b.reached))
-            for a, b in pairs
-        ]
+        with np.errstate(all="ignore"):  # numbers after a divergence mean nothing
+            return [
+                Predicted(a.position + (a.position - b.position) / (ratio - 1.0), np.minimum(a.reached, b.reached))
+                for a, b in pairs
+            ]
 
     return run
 

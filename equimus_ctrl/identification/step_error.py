@@ -39,9 +39,14 @@ def with_step_error(
         ratio: of that step over its own.
         noise: that the fit was weighed by; none weighs all angles alike.
     """
-    moved = _moved(fit, segments, own, other, noise)
-    if moved is None:
+    try:
+        changes = changes_between(own, other, fit, segments)
+    except SimulationDiverged:
         return fit
+    times = [s.trial.sample_times for s in segments]
+    weighing = weigh(times, fit, noise or tuple(JointNoise(1.0) for _ in fit.model.morphology.joint_names))
+    column = weighing.columns(times, changes)[:, 0]
+    moved = np.linalg.lstsq(weighing.slopes, column, rcond=UNSEEN)[0] * fit.parameters.scale
     more = np.abs(moved) / abs(ratio - 1.0)
     return replace(
         fit,
@@ -50,19 +55,14 @@ def with_step_error(
     )
 
 
-def _moved(
-    fit: Fit, segments: Sequence[Segment], own: Simulator, other: Simulator, noise: Noise | None
-) -> Array | None:
-    """(p,) what parameters can do of the change from one engine to another; None where one of them diverges."""
+def changes_between(own: Simulator, other: Simulator, fit: Fit, segments: Sequence[Segment]) -> list[Array]:
+    """For each segment (m, nj, 1) by how much a fit's predictions change from one engine to another.
+
+    Raises:
+        SimulationDiverged: where one of them diverges.
+    """
     starts = [start[None] for start in fit.starts]
-    try:
-        before, after = (engine([fit.model], segments, starts) for engine in (own, other))
-    except SimulationDiverged:
-        return None
-    changes = [np.moveaxis(b.position - a.position, 0, -1) for a, b in zip(before, after, strict=True)]
-    if not all(np.isfinite(change).all() for change in changes):
-        return None
-    times = [s.trial.sample_times for s in segments]
-    weighing = weigh(times, fit, noise or tuple(JointNoise(1.0) for _ in fit.model.morphology.joint_names))
-    column = weighing.columns(times, changes)[:, 0]
-    return np.asarray(np.linalg.lstsq(weighing.slopes, column, rcond=UNSEEN)[0] * fit.parameters.scale)
+    before, after = (engine([fit.model], segments, starts) for engine in (own, other))
+    if not all(p.sound.all() for p in (*before, *after)):
+        raise SimulationDiverged("the simulation diverged with another physics step")
+    return [np.moveaxis(b.position - a.position, 0, -1) for a, b in zip(before, after, strict=True)]

@@ -156,6 +156,7 @@ def doubts(name: str, recording: Recording, limits: Limits) -> list[str]:
     Commands in kPa where Pa belong cannot be told from tiny ones with certainty, so that is a doubt and no error: it is
     raised where the largest command, the one before the first row included, is above zero and yet not above 0.12 % of
     the range (60 Pa of 50 kPa, which is also 20 % above the range read as kPa). All-zero commands raise none.
+    A hinge that goes farther than ``MANY_TURNS`` may be in degrees, or turn without end.
     """
     found = []
     command, before = recording.command, recording.before

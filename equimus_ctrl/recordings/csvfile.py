@@ -251,6 +251,8 @@ def _check_writable(path: Path, recording: Recording) -> None:
         _check_text(path, "note", key, forbidden="=")
         if key.startswith("before"):
             raise RecordingError(f"{path}: note {key!r} cannot be written; names that start with 'before' are reserved")
+        if key == SETTLED and value not in ("yes", "no"):
+            raise RecordingError(f"{path}: note '{SETTLED}' is {shorten(value)}, expected yes or no")
         if value:
             _check_text(path, f"text of note {key!r}", value)
 

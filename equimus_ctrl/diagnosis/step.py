@@ -1,0 +1,93 @@
+"""A diagnosis without the error of the physics step of a machine: that is no physics, and counts in intervals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.remainder import Remainder, remainder
+from equimus_ctrl.diagnosis.search import Search, Searched, less
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.simulators import STEPS_FINER, Simulator, extrapolated, machine_simulator
+from equimus_ctrl.identification.step_error import changes_between, with_step_error
+from equimus_ctrl.identification.weighing import orthonormal, outside, weigh
+from equimus_ctrl.models.model import machine_of
+
+NO_MATTER, MAY_DO = 1e-3, 4.0
+"""Where something of a machine is missing, shorter steps are tried too, unless they change less than this share of the
+noise's variance; what gains more than so many times what they change is none of their error."""
+
+
+def without_step_error(
+    search: Search, found: Searched, rest: Remainder, threads: int | None
+) -> tuple[Search, Searched, Remainder, str] | None:
+    """The search's end without the error of a machine's physics step, where less is missing then, and a sentence of it.
+
+    The XML's step belongs to the simulation that is being corrected; but what its own error leaves is no physics.
+    """
+    machine, best = machine_of(search.data.free.model), found.best
+    if machine is None or not (best.hypothesis or rest.leftovers):
+        return None
+    step = machine.timestep / STEPS_FINER
+    finer, worked_out = machine_simulator(step, threads), f"{1e3 * step:g} ms"
+    if machine.mujoco_model().opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:  # whose error is not of first order
+        finer = extrapolated(finer, search.data.simulator, STEPS_FINER)
+        worked_out = f"what it and {worked_out} tell of none (Richardson's extrapolation)"
+    data = replace(search.data, simulator=finer, coarse=None)
+    try:
+        left_by_best, error = _step_error(search.data, data.simulator, best, best.noise)
+        others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
+    except SimulationDiverged:
+        return None
+    doubted = [k for k, (left, own_error) in enumerate(others) if left - left_by_best < MAY_DO * own_error]
+    if not doubted and error < NO_MATTER * data.n:
+        return None
+    own = replace(data, fine=data.simulator)
+    exact_best = own.settle_finely(best)
+    needless = [k for k in doubted if not search.believed(own.settle_finely(found.without[k]), exact_best)]
+    if not needless and not rest.leftovers:
+        return None
+    other = Search(data, search.pool, search.settings, otherwise=search.fitted)
+    base = own.settle_finely(found.base)
+    # Rivals were fitted with the XML's step, so their likelihoods are not to be compared with what follows.
+    start = replace(found, base=base, rivals=tuple(() for _ in best.hypothesis))
+    exact = other.moved(start, exact_best if best.hypothesis else base)
+    exact = less(other, exact, needless[:1])
+    left = remainder(data, base, exact.best, exact.without)
+    if not needless and left.leftovers:
+        return None
+    return (
+        other,
+        exact,
+        left,
+        (
+            f"The physics step of the XML, {1e3 * machine.timestep:g} ms, is too long for these recordings: its error "
+            f"would be taken for missing physics. All of this but the ranking was worked out with {worked_out}."
+        ),
+    )
+
+
+def step_counted(data: Data, found: Searched, threads: int | None) -> Searched:
+    """The end with intervals that the error of a machine's physics step is counted in."""
+    machine = machine_of(data.free.model)
+    if machine is None:
+        return found
+    other = machine_simulator(machine.timestep / STEPS_FINER, threads)
+
+    def counted(fitted: Fitted) -> Fitted:
+        fit = with_step_error(fitted.fit, data.segments, data.simulator, other, 1 / STEPS_FINER, fitted.noise)
+        return replace(fitted, fit=fit)
+
+    best = counted(found.best)
+    return replace(found, best=best, base=best if found.base is found.best else counted(found.base))
+
+
+def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> tuple[float, float]:
+    """χ² that a hypothesis leaves, and χ² of what a finer step changes and no other numbers or starts would undo."""
+    moved = changes_between(data.simulator, finer, fitted.fit, data.segments)
+    weighing = weigh(data.times, fitted.fit, noise)
+    column = weighing.columns(data.times, moved)[:, 0]
+    return float((weighing.residual**2).sum()), outside(column, orthonormal(weighing.slopes))
