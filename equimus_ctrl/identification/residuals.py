@@ -61,9 +61,15 @@ def _better_starts(
     found = simulator([model] * (n + 1), segments, rows)
     tried = []
     for start, residual, f in zip(starts, residuals, found, strict=True):
+        slopes: Array = np.zeros((*residual.shape, n))
+        reached = int(f.reached.min())  # numbers after a divergence mean nothing
         with np.errstate(invalid="ignore", over="ignore"):
-            slopes = np.moveaxis(f.position[1:] - f.position[0], 0, -1).reshape(residual.size, n) / START_DIFFERENCE
-        step = np.linalg.lstsq(slopes, residual.ravel(), rcond=1e-9)[0] if np.all(np.isfinite(slopes)) else np.zeros(n)
+            slopes[:reached] = np.moveaxis(f.position[1:, :reached] - f.position[0, :reached], 0, -1) / START_DIFFERENCE
+            step: Array = np.zeros(n)
+            if np.all(np.isfinite(slopes)):
+                step = np.linalg.lstsq(slopes.reshape(residual.size, n), residual.ravel(), rcond=1e-9)[0]
+        if not np.all(np.isfinite(step)):
+            step = np.zeros(n)
         tried.append(np.array([start + share * step for share in (1.0, 0.3)]))
     found = simulator([model] * 2, segments, tried)
     moved, left = [], []
