@@ -67,7 +67,7 @@ def _better_starts(
             slopes[:reached] = np.moveaxis(f.position[1:, :reached] - f.position[0, :reached], 0, -1) / START_DIFFERENCE
             step: Array = np.zeros(n)
             if np.all(np.isfinite(slopes)):
-                step = np.linalg.lstsq(slopes.reshape(residual.size, n), residual.ravel(), rcond=1e-9)[0]
+                step[:] = np.linalg.lstsq(slopes.reshape(residual.size, n), residual.ravel(), rcond=1e-9)[0]
         if not np.all(np.isfinite(step)):
             step = np.zeros(n)
         tried.append(np.array([start + share * step for share in (1.0, 0.3)]))
