@@ -36,12 +36,7 @@ from equimus_ctrl.diagnosis.step import step_counted, without_step_error
 from equimus_ctrl.diagnosis.where import excess_of, where_off
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
-from equimus_ctrl.identification.simulators import (
-    STEP,
-    Simulator,
-    machine_simulator,
-    reduced_simulator,
-)
+from equimus_ctrl.identification.simulators import STEP, Simulator, machine_simulator, reduced_simulator
 from equimus_ctrl.models.model import Model, machine_of
 
 BLUR = 60.0

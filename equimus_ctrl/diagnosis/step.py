@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import mujoco
-
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.remainder import Remainder, remainder
 from equimus_ctrl.diagnosis.search import Search, Searched, less
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
-from equimus_ctrl.identification.simulators import STEPS_FINER, Simulator, extrapolated, machine_simulator
+from equimus_ctrl.identification.simulators import STEPS_FINER, Simulator, machine_simulator, stepless_simulator
 from equimus_ctrl.identification.step_error import changes_between, with_step_error
 from equimus_ctrl.identification.weighing import orthonormal, outside, weigh
 from equimus_ctrl.models.model import machine_of
@@ -32,11 +30,7 @@ def without_step_error(
     if machine is None or not (best.hypothesis or rest.leftovers):
         return None
     step = machine.timestep / STEPS_FINER
-    finer, worked_out = machine_simulator(step, threads), f"{1e3 * step:g} ms"
-    if machine.mujoco_model().opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:  # whose error is not of first order
-        finer = extrapolated(finer, search.data.simulator, STEPS_FINER)
-        worked_out = f"what it and {worked_out} tell of none (Richardson's extrapolation)"
-    data = replace(search.data, simulator=finer, coarse=None)
+    data = replace(search.data, simulator=stepless_simulator(machine, threads), coarse=None)
     try:
         left_by_best, error = _step_error(search.data, data.simulator, best, best.noise)
         others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
@@ -65,7 +59,8 @@ def without_step_error(
         left,
         (
             f"The physics step of the XML, {1e3 * machine.timestep:g} ms, is too long for these recordings: its error "
-            f"would be taken for missing physics. All of this but the ranking was worked out with {worked_out}."
+            "would be taken for missing physics. All of this but the ranking was worked out without that error, from "
+            f"simulations with {1e3 * step:g} ms too."
         ),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import mujoco
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
@@ -12,6 +13,7 @@ from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.types import Array
 
@@ -64,20 +66,25 @@ def machine_simulator(dt: float | None = None, threads: int | None = None) -> Si
     return run
 
 
-def extrapolated(fine: Simulator, coarse: Simulator, ratio: float) -> Simulator:
-    """What two physics steps say of none: the error of their first order goes (Richardson, 1911).
+def stepless_simulator(machine: Machine, threads: int | None = None) -> Simulator:
+    """MuJoCo without the error of a machine's physics step, as far as the step and a part of it tell.
+
+    The error of first order goes (Richardson, 1911); that of Runge and Kutta's method is small at a part of the step.
 
     Args:
-        fine: the engine with the shorter step.
-        coarse: the same with one ``ratio`` times as long.
-        ratio: above 1.
+        machine: with the step and the integrator of all that is simulated.
+        threads: as many as there are cores by default.
     """
+    fine = machine_simulator(machine.timestep / STEPS_FINER, threads)
+    if machine.mujoco_model().opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        return fine
+    coarse = machine_simulator(threads=threads)
 
     def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
         pairs = zip(*(engine(models, segments, starts) for engine in (fine, coarse)), strict=True)
         with np.errstate(all="ignore"):  # numbers after a divergence mean nothing
             return [
-                Predicted(a.position + (a.position - b.position) / (ratio - 1.0), np.minimum(a.reached, b.reached))
+                Predicted(a.position + (a.position - b.position) / (STEPS_FINER - 1), np.minimum(a.reached, b.reached))
                 for a, b in pairs
             ]
 

@@ -26,7 +26,7 @@ from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import JointNoise
-from equimus_ctrl.identification.simulators import STEPS_FINER, extrapolated, machine_simulator
+from equimus_ctrl.identification.simulators import stepless_simulator
 from equimus_ctrl.models.machine_parts import harden
 from equimus_ctrl.models.model import Model, machine_model
 from equimus_ctrl.proof.machines import MachineReality, machine_recordings
@@ -181,8 +181,7 @@ def machine_excess(reality: MachineReality, clean: Sequence[Array], effects: Seq
         silent = machine_recordings(reality, clean, [np.zeros_like(c) for c in clean])
         segments = split(model, silent).train
         free, noise = uncertain(model), tuple(JointNoise(sigma) for sigma in reality.noise)
-        own, finer = (machine_simulator(reality.machine.timestep / steps, threads=1) for steps in (1, STEPS_FINER))
-        simulator = extrapolated(finer, own, STEPS_FINER)
+        simulator = stepless_simulator(reality.machine, threads=1)
         found = fit(free, segments, simulator=simulator, settings=SEARCH, noise=noise)
         joints = ((np.concatenate(found.residuals) / np.array(reality.noise)) ** 2).mean(axis=0)
         return rounded(joints, dict(zip(free.names, found.theta.tolist(), strict=True)))
