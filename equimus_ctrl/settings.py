@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, ClassVar, Self, TypeVar, get_type_hints
 
 from equimus_ctrl.errors import ConfigError, unknown_name
 
@@ -67,3 +67,26 @@ def table_of(settings: Any, form: str | None = None) -> dict[str, Any]:
     values = {f.name: getattr(settings, f.name) for f in fields(settings)}
     table = {key: table_of(value) if is_dataclass(value) else value for key, value in values.items()}
     return {"format": form, **table} if form is not None else table
+
+
+class FileSettings:
+    """Settings that a TOML file holds; for dataclasses.
+
+    Attributes:
+        form: what the file's ``format`` says.
+    """
+
+    form: ClassVar[str]
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], where: str = "settings") -> Self:
+        """From what a TOML file holds.
+
+        Raises:
+            ConfigError: for a key that there is not, or a value that does not fit, in a sentence with ``where``.
+        """
+        return settings_from(cls, data, where, cls.form)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a TOML file of these settings holds."""
+        return table_of(self, self.form)

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState
 from equimus_ctrl.models.linear import linearise, valve_lag
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.settings import settings_from, table_of
+from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 FORMAT = "equimus-ctrl/lqr/1"
@@ -39,7 +39,7 @@ MISSED = 1.0
 
 
 @dataclass(frozen=True)
-class LqrSettings:
+class LqrSettings(FileSettings):
     """Settings of the regulator. An error as large as its allowance costs as much as an effort as large as its own.
 
     Attributes:
@@ -59,6 +59,8 @@ class LqrSettings:
         ConfigError: for numbers that are none of these.
     """
 
+    form: ClassVar[str] = FORMAT
+
     angle: float = 0.03
     rate: float = 1.0
     pressure: float = 1e3
@@ -77,19 +79,6 @@ class LqrSettings:
             value = getattr(self, key)
             if not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"{key} is {value:g}, expected at least 0")
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], where: str = "LQR settings") -> LqrSettings:
-        """From what a TOML file holds.
-
-        Raises:
-            ConfigError: for a key that there is not, or a value that does not fit.
-        """
-        return settings_from(cls, data, where, FORMAT)
-
-    def to_dict(self) -> dict[str, Any]:
-        """What a TOML file of these settings holds."""
-        return table_of(self, FORMAT)
 
 
 @dataclass(frozen=True, eq=False)

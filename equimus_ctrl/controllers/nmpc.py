@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS
-from equimus_ctrl.settings import settings_from, table_of
+from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference
 
 FORMAT = "equimus-ctrl/nmpc/1"
@@ -33,7 +33,7 @@ FOLLOWED = 2.0
 
 
 @dataclass(frozen=True)
-class NmpcSettings(HorizonSettings):
+class NmpcSettings(HorizonSettings, FileSettings):
     """Settings of the predictive controller, beside what a ``HorizonSettings`` allows.
 
     Attributes:
@@ -47,6 +47,8 @@ class NmpcSettings(HorizonSettings):
     Raises:
         ConfigError: for numbers that make no sense.
     """
+
+    form: ClassVar[str] = FORMAT
 
     nodes: int = 25
     stride: int = 2
@@ -62,19 +64,6 @@ class NmpcSettings(HorizonSettings):
         self._require(("tolerance",), above=0.0)
         if self.solver not in SOLVERS:
             raise ConfigError(f"solver is {self.solver!r}, expected one of {', '.join(SOLVERS)}")
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], where: str = "NMPC settings") -> NmpcSettings:
-        """From what a TOML file holds.
-
-        Raises:
-            ConfigError: for a key that there is not, or a value that does not fit.
-        """
-        return settings_from(cls, data, where, FORMAT)
-
-    def to_dict(self) -> dict[str, Any]:
-        """What a TOML file of these settings holds."""
-        return table_of(self, FORMAT)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ always tried; the generator's numbers follow from the seed and the instant, so t
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from equimus_ctrl.predictive.costs import Wanted, costs
 from equimus_ctrl.predictive.rollouts import ENGINES, Rollouts, make_rollouts, members_of
 from equimus_ctrl.predictive.sampling import METHODS, Memory, Method, Spread
 from equimus_ctrl.predictive.splines import Spline
-from equimus_ctrl.settings import settings_from, table_of
+from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 FORMAT = "equimus-ctrl/sampling/1"
@@ -30,7 +30,7 @@ Penalty = Callable[[Array, Array, Array, Wanted], Array]
 
 
 @dataclass(frozen=True)
-class SamplingSettings(HorizonSettings):
+class SamplingSettings(HorizonSettings, FileSettings):
     """Settings of the sampling controller, beside what a ``HorizonSettings`` allows.
 
     Attributes:
@@ -55,6 +55,8 @@ class SamplingSettings(HorizonSettings):
     Raises:
         ConfigError: for numbers that make no sense.
     """
+
+    form: ClassVar[str] = FORMAT
 
     method: str = "cem"
     samples: int = 32
@@ -91,19 +93,6 @@ class SamplingSettings(HorizonSettings):
             if getattr(self, key) > top:
                 raise ConfigError(f"{key} is {getattr(self, key):g}, expected at most {top:g}")
         Spline(self.spline, self.knots, 1.0)
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], where: str = "settings of the sampling controller") -> SamplingSettings:
-        """From what a TOML file holds.
-
-        Raises:
-            ConfigError: for a key that there is not, or a value that does not fit.
-        """
-        return settings_from(cls, data, where, FORMAT)
-
-    def to_dict(self) -> dict[str, Any]:
-        """What a TOML file of these settings holds."""
-        return table_of(self, FORMAT)
 
 
 @dataclass(frozen=True, eq=False)
