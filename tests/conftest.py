@@ -15,9 +15,11 @@ from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.workflow import plugins
 
 if TYPE_CHECKING:
+    from hardware_rig import MemoryWire
     from wrong_input import Ran
 
     from equimus_ctrl.diagnosis.results import Diagnosis
+    from equimus_ctrl.plants.hardware.transport import Sample
     from equimus_ctrl.plants.mujoco_plant import MujocoPlant
     from equimus_ctrl.report.diagnosis_panels import Scene
 
@@ -144,3 +146,19 @@ def plant() -> MujocoPlant:
     from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 
     return MujocoPlant(nominal_model())
+
+
+@pytest.fixture
+def wires() -> Iterator[Callable[..., MemoryWire]]:
+    """Makes robots in memory; what they began ends with the test."""
+    from hardware_rig import MemoryWire
+
+    made: list[MemoryWire] = []
+
+    def make(measure: Callable[[int, float], Sequence[Sample]] | None = None) -> MemoryWire:
+        made.append(MemoryWire(measure))
+        return made[-1]
+
+    yield make
+    for wire in made:
+        wire.close()

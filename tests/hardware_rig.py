@@ -17,8 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.errors import HardwareFault
+from equimus_ctrl.models.model import nominal_model
+from equimus_ctrl.plants.hardware.plant import HardwarePlant
 from equimus_ctrl.plants.hardware.settings import HardwareSettings, Safety, Wire
 from equimus_ctrl.plants.hardware.transport import Sample
+from equimus_ctrl.types import Array, Observation, PlantSpec, Reference
 
 LOOPBACK = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
@@ -32,6 +36,8 @@ DOMAIN = SHARED + 1
 """Of one emulator that many tests use, and of those that have their own."""
 REST = (1.305, 1.04)
 HIGHEST = 50e3
+MODEL, DT = nominal_model(), 1 / 120
+LOW = np.array([5e3, 3e3])
 
 
 class MemoryWire:
@@ -91,6 +97,43 @@ def still(now: float, angles: Sequence[float] = REST, *, stamp: float | None = N
 def quick(domain: int = DOMAIN, **safety: Any) -> HardwareSettings:
     """Settings that do not wait for long."""
     return HardwareSettings(patience=10.0, settle=0.3, wire=Wire(domain=domain), safety=Safety(**safety))
+
+
+def plant_on(wire: MemoryWire, settings: HardwareSettings | None = None, **given: object) -> HardwarePlant:
+    return HardwarePlant(MODEL, settings or quick(), **{"armed": True, "transport": wire, **given})  # type: ignore[arg-type]
+
+
+def driven(wire: MemoryWire, command: Array, steps: int, settings: HardwareSettings | None = None) -> str:
+    """Steps until it faults; why."""
+    plant = plant_on(wire, settings)
+    try:
+        plant.reset()
+        for _ in range(steps):
+            plant.step(command)
+    except HardwareFault as fault:
+        return str(fault)
+    finally:
+        plant.close()
+    return ""
+
+
+def after(wire: MemoryWire, fault_at: float) -> Array:
+    """Commands sent from a time on."""
+    return np.array([values for at, values in wire.sent if at >= fault_at])
+
+
+class Controller:
+    """Holds, and once does something else."""
+
+    def __init__(self, act: Callable[[int], object]) -> None:
+        self._act = act
+
+    def init(self, spec: PlantSpec, observation: Observation) -> int:
+        return 0
+
+    def step(self, observation: Observation, reference: Reference, state: int) -> tuple[object, int]:
+        found = self._act(state)
+        return LOW if found is None else found, state + 1
 
 
 @contextmanager
