@@ -68,6 +68,12 @@ def stepped(model: Any, machine: Machine, trial: Trial) -> Array:
         if any(model.joint(k).name == f"{joint.name} drive" for k in range(model.njnt)):
             data.qpos[model.joint(f"{joint.name} drive").qposadr[0]] = q
     order = [model.actuator(name).id for name in machine.actuator_names]
+    for i, before in zip(order, trial.before, strict=True):
+        if model.actuator_actadr[i] >= 0:
+            data.act[model.actuator_actadr[i]] = before
+        if n := model.actuator_history[i, 0]:
+            past = np.arange(-n, 0) * model.opt.timestep
+            mujoco.mj_initCtrlHistory(model, data, i, past, np.full((n, 1), before))
     out = [[data.qpos[joint.qposadr[0]] for joint in joints]]
     every = round((trial.sample_times[1] - trial.sample_times[0]) / model.opt.timestep)
     for k in range((len(trial.sample_times) - 1) * every):
@@ -97,6 +103,7 @@ HELD: dict[str, tuple[Effect, ...]] = {
     "torque_saturation": (TorqueSaturation("servo", 1.5),),
     "joint_compliance": (DriveCompliance("shoulder", 60.0, 0.3),),
     "gravity_tilt": (GravityTilt("base", 0.3),),
+    "transport_delay": (TransportDelay("servo", 0.05), TransportDelay("drive", 0.0333)),
 }
 HELD["all of them"] = tuple(effect for effects in HELD.values() for effect in effects)
 
@@ -132,13 +139,30 @@ def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: 
     np.testing.assert_array_equal(moved(load_model(tmp_path / "found.toml")), moved(model))
 
 
+@pytest.mark.parametrize("late", [(), (TransportDelay("servo", 0.02),)], ids=["prompt", "late"])
+def test_a_lag_is_a_filter_of_the_actuator(late: tuple[Effect, ...], crane_file: Path) -> None:
+    """MuJoCo's begins half a step later than the mean over a step does."""
+    machine = load_machine(crane_file)
+    lag = FirstOrderLag("servo", 0.08)
+    xml, left = corrected_xml(machine_model(machine, (lag, *late)))
+    assert left == ()
+    trial = replace(driven(machine), before=np.zeros(len(machine.actuators)))
+    own = stepped(mujoco.MjModel.from_xml_string(xml), machine, trial)
+    off = np.abs(own - moved(machine_model(machine, (lag, *late)), trial)).max()
+    changed = np.abs(own - moved(machine_model(machine, late), trial)).max()
+    assert off < 0.02 * changed
+    again = Machine("again", xml)
+    assert again.parameters()["servo.time_constant"] == pytest.approx(0.08)
+    np.testing.assert_allclose(moved(machine_model(again), trial), own, rtol=0, atol=2e-5)
+
+
 def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> None:
     effects = (
-        ViscousFriction("reach", 1.0), ConstantForce("reach", 1.0), TransportDelay("push", 0.1),
-        FirstOrderLag("servo", 0.1), SensorOffset("shoulder", 0.1), Backlash("reach", 0.01),
+        ViscousFriction("reach", 1.0), FirstOrderLag("servo", 0.1), ConstantForce("reach", 1.0),
+        TransportDelay("drive", 1e-5), SensorOffset("shoulder", 0.1), Backlash("reach", 0.01),
     )  # fmt: skip
     model = machine_model(load_machine(crane_file), effects)
-    told = [f"{e.name} at {e.location}" for e in effects[1:]]
+    told = [f"{e.name} at {e.location}" for e in effects[2:]]
     xml, left = corrected_xml(model)
     assert list(left) == told and f"<!-- Not in here: {', '.join(told)}. -->" in xml
     mujoco.MjModel.from_xml_string(xml)

@@ -1,4 +1,4 @@
-"""Actuators of MuJoCo's XML that follow their commands through a first-order filter."""
+"""Actuators of MuJoCo's XML that follow their commands through a first-order filter, or late."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from equimus_ctrl.engines.machine import filled, pushes, realise, simulate_machi
 from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import machine_model
 from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.workflow.machines import corrected_xml
 
 MASS, TAU, DT = 2.0, 0.08, 1e-3
 FORCE = f'<general name="motor" joint="way" dyntype="filterexact" dynprm="{TAU}"/>'
 EULER = FORCE.replace("filterexact", "filter")
 SERVO = f'<position name="motor" joint="way" kp="200" kv="30" timeconst="{TAU}"/>'
+PLAIN, DELAY = '<motor name="motor" joint="way"/>', 0.03
+LATE = f'<motor name="motor" joint="way" nsample="{round(DELAY / DT)}" delay="{DELAY}"/>'
 
 
 def cart(drive: str = FORCE) -> Machine:
@@ -111,3 +114,38 @@ def test_a_lag_beside_the_filter_is_found() -> None:
     )
     names = {f.named.effect for f in found.findings} | {e.effect for f in found.findings for e in f.equivalent}
     assert found.verdict == "explained" and "first_order_lag" in names
+
+
+# --- delays -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("start", [0.0, 0.4])
+def test_a_delay_of_the_xml_is_the_one_that_effects_know(start: float) -> None:
+    trial = square(before=1.0)
+    trial = replace(trial, start=start, sample_times=trial.times[trial.times >= start])
+    late = moved(cart(LATE), trial)
+    np.testing.assert_array_equal(late, moved(cart(PLAIN), trial, TransportDelay("motor", DELAY)))
+    assert np.abs(late - moved(cart(PLAIN), trial)).max() > 0.05 * np.ptp(late)
+    # Another on top of it.
+    more = moved(cart(LATE), trial, TransportDelay("motor", 0.02))
+    np.testing.assert_array_equal(more, moved(cart(PLAIN), trial, TransportDelay("motor", DELAY + 0.02)))
+
+
+def test_a_delay_of_the_xml_is_a_number_that_can_be_found() -> None:
+    """Beyond what its buffer holds too."""
+    machine = cart(LATE)
+    assert machine.parameters()["motor.delay"] == DELAY and machine.unit("motor.delay") == "s"
+    real = recorded(machine.with_parameters({"motor.delay": 0.07}))
+    found = workflow.identify_recordings(
+        real, machine_model(machine), free=["motor.delay", "box.mass"], folds=0, fit_start=True
+    )
+    assert found.fit.model.parameters()["motor.delay"] == pytest.approx(0.07, abs=1e-3)
+
+
+def test_a_delay_of_the_xml_stays_one_where_it_is_written() -> None:
+    machine = cart(LATE).with_parameters({"motor.delay": 0.0475})
+    xml, left = corrected_xml(machine_model(machine, [TransportDelay("motor", 0.02)]))
+    written = mujoco.MjModel.from_xml_string(xml)
+    assert left == () and written.actuator_delay[0] == pytest.approx(0.0675) and written.actuator_history[0, 0] == 68
+    trial = square()
+    np.testing.assert_array_equal(moved(Machine("c", xml), trial), moved(machine, trial, TransportDelay("motor", 0.02)))

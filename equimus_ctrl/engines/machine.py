@@ -22,7 +22,7 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.sensors import LATE, sample, sensor_settings
-from equimus_ctrl.effects.valves import FILL, VENT, shaped_commands, valve_settings
+from equimus_ctrl.effects.valves import DELAY, FILL, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -110,6 +110,10 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
             getattr(own, field)[place if entry is None else (place, entry)] += value
         if effect.rubs or effect.loads:
             harden(own, dofs[effect.location])
+    valve = valve_settings(model.effects, machine.actuator_names)
+    # The XML's own delays are exact with any step, as those of effects are, and know the command before a recording.
+    valve[:, DELAY] += own.actuator_delay
+    own.actuator_delay[:] = 0.0
     names = machine.joint_names
     turning = [(own.joint(rotor_of(c.joint)), names.index(c.joint)) for c in machine.compliances]
     rotors = [(int(rotor.qposadr[0]), int(rotor.dofadr[0]), j) for rotor, j in turning]
@@ -123,7 +127,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         np.array(rotors, dtype=np.int64).reshape(-1, 3),
         _laws(pushing, names),
         np.array([own.dof_frictionloss[dofs[name]] for name in names]),
-        valve_settings(model.effects, machine.actuator_names),
+        valve,
         sensor_settings(model.effects, names),
     )
 
@@ -163,6 +167,13 @@ def quiet() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
+SIZES = (
+    "nbuffer", "narena", "nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nsite", "ncam", "nlight", "neq", "ntendon",
+    "nwrap", "nsensordata", "nuserdata", "nmocap", "nhistory", "npluginstate", "nflexvert", "nM",
+)  # fmt: skip
+"""Of a model, on which the layout of its ``MjData`` depends: MuJoCo would write beyond the ends of another's."""
+
+
 class _Scratch(local):
     """One ``MjData`` for each size of model and thread: to make one takes as long as hundreds of steps."""
 
@@ -170,8 +181,7 @@ class _Scratch(local):
         self.known: dict[tuple[int, ...], Any] = {}
 
     def data(self, model: Any) -> Any:
-        sizes = model.nq, model.nv, model.nu, model.na, model.nbody, model.ntendon, model.ngeom, model.nsite
-        key = (*sizes, hash(model.names))
+        key = (*(getattr(model, size) for size in SIZES), hash(model.names))
         if key not in self.known:
             self.known[key] = mujoco.MjData(model)
         data = self.known[key]
@@ -332,14 +342,14 @@ def simulate_machines(
     assert first is not None
     nj, k = len(first.joints), len(models)
     results = [Predicted(np.empty((k, len(t.sample_times), nj)), np.zeros(k, dtype=np.int64)) for t in trials]
-    histories: dict[tuple[int, tuple[Effect, ...], float], Array] = {}
+    histories: dict[tuple[int, tuple[Effect, ...], bytes, float], Array] = {}
     count = max(threads or processors(), 1)
     parts = max(math.ceil(count / k), 1)
     chunks = [list(range(len(trials)))[p::parts] for p in range(min(parts, len(trials)))]
 
     def command(i: int, own: Realised) -> Array:
         shaping = tuple(e for e in own.effects if e.side == "command")
-        key = (i, shaping, float(own.mujoco.opt.timestep))
+        key = (i, shaping, own.valve.tobytes(), float(own.mujoco.opt.timestep))
         if key not in histories:
             histories[key] = commands_on(own, trials[i])
         return histories[key]

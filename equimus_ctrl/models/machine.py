@@ -37,7 +37,7 @@ INDEPENDENT = 1e-6
 _FACTOR = {
     "mass": 3.0, "inertia": 3.0, "kp": 3.0, "kv": 10.0, "gain": 2.0, "gravity": 1.02, "stiffness": 10.0,
     "damping": 10.0, "quadratic_damping": 10.0, "armature": 10.0, "frictionloss": 10.0, "force_limit": 3.0,
-    "time_constant": 10.0,
+    "time_constant": 10.0, "delay": 3.0,
 }  # fmt: skip
 _AWAY = {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0}
 QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
@@ -315,6 +315,11 @@ class Machine:
             a = model.actuator(actuator.name).id
             actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
             actuator.dynprm = model.actuator_dynprm[a]
+            actuator.dyntype, actuator.delay = model.actuator_dyntype[a], model.actuator_delay[a]
+            if model.actuator_delay[a]:
+                # Between samples: the mean over a step of a command that held until it was changed.
+                actuator.nsample = max(actuator.nsample, math.ceil(model.actuator_delay[a] / model.opt.timestep - 1e-9))
+                actuator.interp = 1
             actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
         for tendon in spec.tendons:
             t = tendon.id

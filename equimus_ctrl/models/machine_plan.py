@@ -353,6 +353,9 @@ def _drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
         if drive.state is not None:
             write = _setter("actuator", drive.name, "actuator_dynprm", 0)
             found.append(Number(f"{drive.name}.time_constant", float(base.actuator_dynprm[i, 0]), "s", write))
+        if base.actuator_delay[i] > 0:
+            write = _setter("actuator", drive.name, "actuator_delay")
+            found.append(Number(f"{drive.name}.delay", float(base.actuator_delay[i]), "s", write))
         if base.actuator_forcelimited[i] and math.isclose(*np.abs(base.actuator_forcerange[i])):
 
             def limit(model: Any, value: float, name: str = drive.name) -> None:

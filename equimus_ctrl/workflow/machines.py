@@ -7,9 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from equimus_ctrl import presets
 from equimus_ctrl.effects.force import CoulombFriction, ForceEffect
-from equimus_ctrl.engines.machine import realise
+from equimus_ctrl.effects.valves import DELAY, FirstOrderLag, TransportDelay
+from equimus_ctrl.engines.machine import Realised, realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.machine import Machine
@@ -160,9 +163,25 @@ def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]
     for effect in model.effects:
         if isinstance(effect, CoulombFriction):
             own.mujoco.dof_frictionloss[own.mujoco.joint(effect.location).dofadr[0]] += effect.friction
+        elif isinstance(effect, FirstOrderLag) and not own.mujoco.actuator(effect.location).dyntype.item():
+            # The same law as that of the effect, but for a command that is cut to its range before it is followed.
+            actuator = own.mujoco.actuator(effect.location).id
+            own.mujoco.actuator_dyntype[actuator] = mujoco.mjtDyn.mjDYN_FILTEREXACT
+            own.mujoco.actuator_dynprm[actuator, 0] = effect.time_constant
+        elif isinstance(effect, TransportDelay) and _late(own, effect.location) >= own.mujoco.opt.timestep:
+            continue
         elif (isinstance(effect, ForceEffect) and effect.mujoco_field is None) or effect.side in (
             "command",
             "measurement",
         ):
             left.append(f"{effect.name} at {effect.location}")
+    for drive in own.machine.actuators:
+        late = _late(own, drive.name)
+        # MuJoCo reads what it has written a step before at the earliest.
+        own.mujoco.actuator_delay[drive.index] = late if late >= own.mujoco.opt.timestep else 0.0
     return own.machine.exported(own.mujoco, left, folder), tuple(left)
+
+
+def _late(own: Realised, actuator: str) -> float:
+    """How late commands arrive at an actuator, by the XML and by effects together [s]."""
+    return float(own.valve[own.machine.actuator_names.index(actuator), DELAY])
