@@ -82,6 +82,7 @@ from .scenarios.references import (
     foot_path as foot_path,
     minimum_jerk as minimum_jerk,
     pose_of_foot as pose_of_foot,
+    poses_of_foot as poses_of_foot,
 )
 from .scenarios.scenario import (
     CommandProfile as CommandProfile,

@@ -22,15 +22,13 @@ def build(
     context.require(("hip", "knee"), ("maa", "baa"), "foot_circle")
     kinematics = context.kinematics
     pose = np.radians([hip, knee])
-    centre, times, poses = kinematics.foot(pose), np.arange(0.0, duration + period, 1 / 120), []
-    for time in times:
-        turn, grown = 2 * math.pi * time / period, radius * float(eq.minimum_jerk(2 * time / period))
-        pose = eq.pose_of_foot(kinematics, centre + grown * np.array([math.cos(turn), math.sin(turn)]), near=pose)
-        poses.append(pose)
+    times = np.arange(0.0, duration + period, 1 / 120)
+    turn, grown = 2 * math.pi * times / period, radius * eq.minimum_jerk(2 * times / period)
+    feet = kinematics.foot(pose) + (grown * [np.cos(turn), np.sin(turn)]).T
     return eq.Scenario(
         name="foot_circle",
         summary=f"the foot goes round a circle of {100 * radius:g} cm in {period:g} s",
         duration=duration,
-        reference=eq.SampledReference(times, np.array(poses)),
+        reference=eq.SampledReference(times, eq.poses_of_foot(kinematics, feet, near=pose)),
         score_window=(period, duration),
     )

@@ -122,6 +122,27 @@ def test_a_foot_out_of_reach_is_a_sentence(kinematics: eq.Kinematics) -> None:
         eq.pose_of_foot(kinematics, foot(0.3, 0.3), [0.6, 0.2])  # takes a hip below its stop, or the other knee
 
 
+def test_poses_one_after_the_other_are_those_one_by_one(kinematics: eq.Kinematics) -> None:
+    turn = np.linspace(0, 2 * np.pi, 60)
+    feet = foot(1.45, 0.9) + 0.03 * np.array([np.cos(turn), np.sin(turn)]).T
+    near, one = [1.4, 0.8], []
+    for place in feet:
+        one.append(eq.pose_of_foot(kinematics, place, one[-1] if one else near))
+    found = eq.poses_of_foot(kinematics, feet, near)
+    np.testing.assert_allclose(found, one, atol=1e-7)
+    np.testing.assert_allclose([foot(*pose) for pose in found], feet, atol=1e-11)
+
+
+def test_poses_go_on_behind_one_that_newton_does_not_find(kinematics: eq.Kinematics) -> None:
+    """A way from the edge of the joint ranges to a place far away at once."""
+    edge = float(kinematics.morphology.joint_range[1][1])
+    poses = np.array([[1.4, edge - 1e-9], [1.4, edge - 0.1], [1.9, 0.5], [1.9, 0.6]])
+    found = eq.poses_of_foot(kinematics, [foot(*pose) for pose in poses], [1.4, edge - 0.01])
+    np.testing.assert_allclose(found, poses, atol=1e-5)
+    with pytest.raises(eq.ConfigError, match="cannot reach"):
+        eq.poses_of_foot(kinematics, [foot(1.4, 0.6), [0.0, 0.6]], [1.4, 0.6])
+
+
 def test_the_path_is_straight_and_at_minimum_jerk(path: eq.SampledReference) -> None:
     corners = [foot(*pose) for pose in CORNERS]
     for time in np.linspace(0.0, 7.0, 211):

@@ -60,6 +60,22 @@ def _followed(form: Structure, phase: Phase, n: int) -> tuple[ca.Function, ca.Fu
     return follow.mapaccum(n), judge.map(n)
 
 
+@lru_cache(maxsize=32)
+def _foot_followed(form: Structure, phase: Phase, n: int) -> ca.Function:
+    """(pose, feet (2, n), p) → poses (nj, n), each by Newton's method from the one before, with the least steps there are."""
+    m = build(form, phase)
+    slope, foot = ca.jacobian(m.foot, m.q), ca.SX.sym("foot", 2)
+    step = slope.T @ ca.solve(slope @ slope.T, foot - m.foot) if slope.shape[1] > 1 else ca.SX.nan(1)
+    newton = ca.Function("newton", [m.q, foot, m.p], [m.q + step])
+    q, target, p = ca.MX.sym("q", m.q.shape), ca.MX.sym("foot", 2), ca.MX.sym("p", m.p.shape)
+    pose = q
+    for _ in range(NEWTON_STEPS):
+        pose = newton(pose, target, p)
+    found = ca.Function("follow", [q, target, p], [pose]).mapaccum(n)
+    assert isinstance(found, ca.Function)
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Kinematics:
     """Lengths, positions and rest states of one morphology.
@@ -91,6 +107,21 @@ class Kinematics:
     def foot(self, q: ArrayLike) -> Array:
         """(2,) the foot relative to the base: x to the right, y down [m]."""
         return np.array(self._call("foot", q)).ravel()
+
+    def feet(self, q: ArrayLike) -> Array:
+        """(n, 2) the foot at poses (n, nj), see ``foot`` [m]."""
+        poses = np.asarray(q, dtype=np.float64)
+        function = _functions(structure(self.morphology), self.phase)["foot"].map(len(poses))
+        return np.array(function(poses.T, self.parameters)).T
+
+    def follow_foot(self, feet: ArrayLike, near: ArrayLike) -> Array:
+        """(n, nj) poses by a few steps of Newton's method, each from the one before, towards feet (n, 2) [m].
+
+        Whether they are there, and within the joint ranges, is for the caller to look.
+        """
+        wanted = np.asarray(feet, dtype=np.float64)
+        follow = _foot_followed(structure(self.morphology), self.phase, len(wanted))
+        return np.array(follow(np.asarray(near, dtype=np.float64), wanted.T, self.parameters)).T
 
     def foot_jacobian(self, q: ArrayLike) -> Array:
         """(2, nj) ∂foot/∂q [m]."""

@@ -88,6 +88,10 @@ def minimum_jerk(share: ArrayLike) -> Array:
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
+THERE, CLOSE_BY = 1e-11, 0.3
+"""Of poses that followed one another: by what the foot may be off [m], and what may lie between two of them [rad]."""
+
+
 def pose_of_foot(kinematics: Kinematics, foot: ArrayLike, near: ArrayLike) -> Array:
     """(nj,) the pose closest to ``near`` [rad] that puts the foot at ``foot`` (2,) [m], within the joint ranges.
 
@@ -121,6 +125,24 @@ def pose_of_foot(kinematics: Kinematics, foot: ArrayLike, near: ArrayLike) -> Ar
     return np.asarray(found.x, dtype=np.float64)
 
 
+def poses_of_foot(kinematics: Kinematics, feet: ArrayLike, near: ArrayLike) -> Array:
+    """(n, nj) poses that put the foot at ``feet`` (n, 2) [m], one close to the other, the first to ``near`` [rad].
+
+    Raises:
+        ConfigError: where no pose in the joint ranges reaches one of them to a micrometre.
+    """
+    targets, first = np.asarray(feet, dtype=np.float64), np.asarray(near, dtype=np.float64)
+    low, high = kinematics.morphology.joint_range
+    found = kinematics.follow_foot(targets, first)
+    steps = np.abs(np.diff(np.vstack([first, found]), axis=0)).max(axis=1)
+    there = np.linalg.norm(kinematics.feet(found) - targets, axis=1) <= THERE
+    good = there & (steps < CLOSE_BY) & np.all((found > low) & (found < high), axis=1)
+    poses = list(found[: len(good) if good.all() else int(np.argmin(good))])
+    for target in targets[len(poses) :]:
+        poses.append(pose_of_foot(kinematics, target, poses[-1] if poses else first))
+    return np.array(poses)
+
+
 def foot_path(
     kinematics: Kinematics, corners: ArrayLike, leg_time: float, duration: float, rate: float = 120.0
 ) -> SampledReference:
@@ -137,12 +159,9 @@ def foot_path(
     feet = np.array([kinematics.foot(pose) for pose in poses])
     period = leg_time * len(poses)
     per_leg = max(round(rate * leg_time), 2)
-    cycle = [poses[0]]
-    for k in range(len(poses)):
-        a, b = feet[k], feet[(k + 1) % len(poses)]
-        for share in minimum_jerk(np.arange(1, per_leg + 1) / per_leg):
-            cycle.append(pose_of_foot(kinematics, a + share * (b - a), cycle[-1]))
-    one = np.array(cycle[:-1])
+    shares = minimum_jerk(np.arange(1, per_leg + 1) / per_leg)[:, None]
+    way = [a + shares * (b - a) for a, b in zip(feet, np.roll(feet, -1, axis=0), strict=True)]
+    one = np.vstack([poses[:1], poses_of_foot(kinematics, np.concatenate(way), poses[0])[:-1]])
     repeats = int(np.ceil(duration / period)) + 1
     values = np.concatenate([one] * repeats)
     return SampledReference(np.arange(len(values)) * leg_time / per_leg, values)
