@@ -79,13 +79,13 @@ class FileSettings:
     form: ClassVar[str]
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], where: str = "settings") -> Self:
+    def from_dict(cls, data: Mapping[str, Any], where: str | None = None) -> Self:
         """From what a TOML file holds.
 
         Raises:
             ConfigError: for a key that there is not, or a value that does not fit, in a sentence with ``where``.
         """
-        return settings_from(cls, data, where, cls.form)
+        return settings_from(cls, data, where or cls.__name__, cls.form)
 
     def to_dict(self) -> dict[str, Any]:
         """What a TOML file of these settings holds."""

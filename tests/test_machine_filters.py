@@ -12,6 +12,7 @@ from equimus_ctrl import workflow
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import filled, pushes, realise, simulate_machines
+from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.machine import Machine
 from equimus_ctrl.models.model import machine_model
 from equimus_ctrl.types import Array, Recording
@@ -149,3 +150,46 @@ def test_a_delay_of_the_xml_stays_one_where_it_is_written() -> None:
     assert left == () and written.actuator_delay[0] == pytest.approx(0.0675) and written.actuator_history[0, 0] == 68
     trial = square()
     np.testing.assert_array_equal(moved(Machine("c", xml), trial), moved(machine, trial, TransportDelay("motor", 0.02)))
+
+
+def test_models_and_trials_with_delays_of_their_own_run_side_by_side() -> None:
+    machine, trials = (
+        cart(LATE),
+        [replace(square(before=b), settings=s) for b in (0.0, 1.0) for s in ({}, {"motor.delay": 0.1})],
+    )
+    models = [machine_model(machine.with_parameters({"motor.delay": late})) for late in (0.01, 0.04, 0.07)]
+    found = simulate_machines(models, trials, threads=2)
+    for k, model in enumerate(models):
+        for trial, together in zip(trials, found, strict=True):
+            (alone,) = simulate_machines([model], [trial], threads=1)
+            np.testing.assert_array_equal(together.position[k], alone.position[0])
+    assert len({predicted.position.tobytes() for predicted in found}) == len(trials)
+
+
+def test_a_delay_shorter_than_a_step_is_told_where_it_is_written() -> None:
+    model = machine_model(cart(LATE).with_parameters({"motor.delay": 0.7 * DT}))
+    xml, left = corrected_xml(model)
+    assert left == ("transport_delay at motor",) and not mujoco.MjModel.from_xml_string(xml).actuator_delay.any()
+
+
+def test_a_buffer_that_is_too_short_is_refused() -> None:
+    with pytest.raises(ModelError, match="a delay of 0.03 s, and a buffer .nsample. that holds 0.01 s"):
+        cart(LATE.replace('nsample="30"', 'nsample="10"'))
+
+
+def test_a_lag_beside_the_filter_is_told_where_it_is_written() -> None:
+    xml, left = corrected_xml(machine_model(cart(), [FirstOrderLag("motor", 0.02)]))
+    assert left == ("first_order_lag at motor",)
+    assert mujoco.MjModel.from_xml_string(xml).actuator_dynprm[0, 0] == TAU
+
+
+def test_keyframes_fill_filters_that_are_new() -> None:
+    own = '<general name="own" joint="way" dyntype="filterexact" dynprm="0.2"/>'
+    machine = cart(PLAIN + own)
+    keyed = replace(
+        machine,
+        xml=machine.xml.replace("</mujoco>", '<keyframe><key act="0.3" ctrl="0.1 0.3"/><key/></keyframe></mujoco>'),
+    )
+    written = mujoco.MjModel.from_xml_string(corrected_xml(machine_model(keyed, [FirstOrderLag("motor", 0.1)]))[0])
+    assert written.key_act.tolist() == [[0.1, 0.3], [0.0, 0.0]]
+    assert mujoco.MjModel.from_xml_string(corrected_xml(machine_model(keyed))[0]).key_act.tolist() == [[0.3], [0.0]]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import math
 
 import numpy as np
@@ -131,6 +133,25 @@ def test_poses_one_after_the_other_are_those_one_by_one(kinematics: eq.Kinematic
     found = eq.poses_of_foot(kinematics, feet, near)
     np.testing.assert_allclose(found, one, atol=1e-7)
     np.testing.assert_allclose([foot(*pose) for pose in found], feet, atol=1e-11)
+
+
+def test_a_foot_that_jumps_goes_to_the_pose_that_is_near() -> None:
+    """A large step of Newton's method would end where the knee is bent the other way."""
+    leg = eq.nominal_leg()
+    hip, knee = (
+        replace(joint, lower=replace(joint.lower, angle=-3.0), upper=replace(joint.upper, angle=3.0))
+        for joint in leg.joints
+    )
+    wide = eq.Kinematics(replace(leg, joints=(hip, knee)))
+    place = wide.foot([-0.43, 1.07])
+    assert wide.follow_foot([place], [-0.95, 0.26])[0] == pytest.approx([0.64, -1.07], abs=0.01)
+    assert eq.poses_of_foot(wide, [place], [-0.95, 0.26])[0] == pytest.approx([-0.43, 1.07], abs=1e-5)
+
+
+def test_places_of_no_foot(kinematics: eq.Kinematics) -> None:
+    assert eq.poses_of_foot(kinematics, np.empty((0, 2)), [1.4, 0.6]).shape == (0, 2)
+    with pytest.raises(eq.ConfigError, match=r"have shape \(2,\), expected \(n, 2\)"):
+        eq.poses_of_foot(kinematics, foot(1.4, 0.6), [1.4, 0.6])
 
 
 def test_poses_go_on_behind_one_that_newton_does_not_find(kinematics: eq.Kinematics) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from threading import local
 from typing import Any
@@ -167,11 +167,11 @@ def quiet() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-SIZES = (
-    "nbuffer", "narena", "nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nsite", "ncam", "nlight", "neq", "ntendon",
-    "nwrap", "nsensordata", "nuserdata", "nmocap", "nhistory", "npluginstate", "nflexvert", "nM",
-)  # fmt: skip
-"""Of a model, on which the layout of its ``MjData`` depends: MuJoCo would write beyond the ends of another's."""
+@cache
+def _sizes() -> tuple[str, ...]:
+    """Names of a model's sizes, on which its ``MjData`` depends: MuJoCo would write beyond the ends of another's."""
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    return tuple(name for name in dir(model) if name.startswith("n") and isinstance(getattr(model, name), int))
 
 
 class _Scratch(local):
@@ -181,7 +181,7 @@ class _Scratch(local):
         self.known: dict[tuple[int, ...], Any] = {}
 
     def data(self, model: Any) -> Any:
-        key = (*(getattr(model, size) for size in SIZES), hash(model.names))
+        key = (*(getattr(model, size) for size in _sizes()), hash(model.names))
         if key not in self.known:
             self.known[key] = mujoco.MjData(model)
         data = self.known[key]

@@ -62,7 +62,7 @@ def _followed(form: Structure, phase: Phase, n: int) -> tuple[ca.Function, ca.Fu
 
 @lru_cache(maxsize=32)
 def _foot_followed(form: Structure, phase: Phase, n: int) -> ca.Function:
-    """(pose, feet (2, n), p) → poses (nj, n), each by Newton's method from the one before, with the least steps there are."""
+    """(pose, feet (2, n), p) → poses (nj, n), each by Newton's method, its steps the least, from the one before."""
     m = build(form, phase)
     slope, foot = ca.jacobian(m.foot, m.q), ca.SX.sym("foot", 2)
     step = slope.T @ ca.solve(slope @ slope.T, foot - m.foot) if slope.shape[1] > 1 else ca.SX.nan(1)

@@ -295,7 +295,7 @@ class Machine:
         """
         joints = tuple(c.joint for c in self.compliances)
         spec = with_rotors_spec(self.xml, Assets(self.assets), joints)
-        spec.compile()  # tells ids to what has no name
+        before = spec.compile()  # tells ids to what has no name
         turn = 180 / math.pi if spec.compiler.degree else 1.0
         for body in spec.bodies[1:]:
             b = body.id
@@ -315,9 +315,10 @@ class Machine:
             a = model.actuator(actuator.name).id
             actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
             actuator.dynprm = model.actuator_dynprm[a]
-            actuator.dyntype, actuator.delay = model.actuator_dyntype[a], model.actuator_delay[a]
+            actuator.dyntype, actuator.actearly = model.actuator_dyntype[a], bool(model.actuator_actearly[a])
+            actuator.delay = model.actuator_delay[a]
             if model.actuator_delay[a]:
-                # Between samples: the mean over a step of a command that held until it was changed.
+                # Linear between samples: of a command that holds over whole steps the mean over a step.
                 actuator.nsample = max(actuator.nsample, math.ceil(model.actuator_delay[a] / model.opt.timestep - 1e-9))
                 actuator.interp = 1
             actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
@@ -329,6 +330,7 @@ class Machine:
             tendon.damping = [model.tendon_damping[t], *model.tendon_dampingpoly[t]]
             tendon.springlength = model.tendon_lengthspring[t]
         spec.option.gravity = model.opt.gravity
+        _fill(spec, before)
         spec.compile()
         if folder and self.assets:
             spec.meshdir, spec.texturedir = (f"{folder}/{own}".rstrip("/") for own in (spec.meshdir, spec.texturedir))
@@ -375,3 +377,16 @@ class Machine:
                 basis = np.column_stack([basis, left / np.linalg.norm(left)])
                 kept.append(name)
         return kept
+
+
+def _fill(spec: Any, before: Any) -> None:
+    """Give each keyframe a value for every filter: its own, or of one that is new the key's command."""
+    filters = [i for i, actuator in enumerate(spec.actuators) if int(actuator.dyntype)]
+    if len(filters) == before.na:
+        return
+    for key in spec.keys:
+        own, commands = np.array(key.act), np.array(key.ctrl)
+        own = own if len(own) else np.zeros(before.na)
+        commands = commands if len(commands) else np.zeros(before.nu)
+        places = before.actuator_actadr
+        key.act = np.array([own[places[i]] if places[i] >= 0 else commands[i] for i in filters])

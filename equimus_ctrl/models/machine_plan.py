@@ -216,6 +216,12 @@ def _drives(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
                 f"{told} has a state that recordings do not tell (dyntype), expected none or a first-order filter of "
                 "its command (filter, filterexact)"
             )
+        holds = int(base.actuator_history[i, 0]) * float(base.opt.timestep)
+        if base.actuator_delay[i] > holds * (1 + 1e-9):
+            raise ModelError(
+                f"{told} has a delay of {base.actuator_delay[i]:g} s, and a buffer (nsample) that holds {holds:g} s of "
+                "commands, expected as much as the delay at least"
+            )
         gain, kind = int(base.actuator_gaintype[i]), int(base.actuator_biastype[i])
         if gain != int(gains.mjGAIN_FIXED) or kind not in (int(biases.mjBIAS_NONE), int(biases.mjBIAS_AFFINE)):
             raise ModelError(

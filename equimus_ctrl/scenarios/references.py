@@ -88,7 +88,7 @@ def minimum_jerk(share: ArrayLike) -> Array:
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
-THERE, CLOSE_BY = 1e-11, 0.3
+THERE, ADJACENT = 1e-11, 0.3
 """Of poses that followed one another: by what the foot may be off [m], and what may lie between two of them [rad]."""
 
 
@@ -129,14 +129,18 @@ def poses_of_foot(kinematics: Kinematics, feet: ArrayLike, near: ArrayLike) -> A
     """(n, nj) poses that put the foot at ``feet`` (n, 2) [m], one close to the other, the first to ``near`` [rad].
 
     Raises:
-        ConfigError: where no pose in the joint ranges reaches one of them to a micrometre.
+        ConfigError: where no pose in the joint ranges reaches one of them to a micrometre, or for another shape.
     """
     targets, first = np.asarray(feet, dtype=np.float64), np.asarray(near, dtype=np.float64)
+    if targets.ndim != 2 or targets.shape[1] != 2:
+        raise ConfigError(f"places of the foot have shape {targets.shape}, expected (n, 2)")
+    if not len(targets):
+        return np.empty((0, len(first)))
     low, high = kinematics.morphology.joint_range
     found = kinematics.follow_foot(targets, first)
     steps = np.abs(np.diff(np.vstack([first, found]), axis=0)).max(axis=1)
     there = np.linalg.norm(kinematics.feet(found) - targets, axis=1) <= THERE
-    good = there & (steps < CLOSE_BY) & np.all((found > low) & (found < high), axis=1)
+    good = there & (steps < ADJACENT) & np.all((found > low) & (found < high), axis=1)
     poses = list(found[: len(good) if good.all() else int(np.argmin(good))])
     for target in targets[len(poses) :]:
         poses.append(pose_of_foot(kinematics, target, poses[-1] if poses else first))

@@ -12,7 +12,7 @@ import mujoco
 from equimus_ctrl import presets
 from equimus_ctrl.effects.force import CoulombFriction, ForceEffect
 from equimus_ctrl.effects.valves import DELAY, FirstOrderLag, TransportDelay
-from equimus_ctrl.engines.machine import Realised, realise
+from equimus_ctrl.engines.machine import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.machine import Machine
@@ -164,24 +164,22 @@ def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]
         if isinstance(effect, CoulombFriction):
             own.mujoco.dof_frictionloss[own.mujoco.joint(effect.location).dofadr[0]] += effect.friction
         elif isinstance(effect, FirstOrderLag) and not own.mujoco.actuator(effect.location).dyntype.item():
-            # The same law as that of the effect, but for a command that is cut to its range before it is followed.
             actuator = own.mujoco.actuator(effect.location).id
             own.mujoco.actuator_dyntype[actuator] = mujoco.mjtDyn.mjDYN_FILTEREXACT
             own.mujoco.actuator_dynprm[actuator, 0] = effect.time_constant
-        elif isinstance(effect, TransportDelay) and _late(own, effect.location) >= own.mujoco.opt.timestep:
+            # Else the force at a step is that of a filter which has not seen its command.
+            own.mujoco.actuator_actearly[actuator] = 1
+        elif isinstance(effect, TransportDelay):
             continue
         elif (isinstance(effect, ForceEffect) and effect.mujoco_field is None) or effect.side in (
             "command",
             "measurement",
         ):
             left.append(f"{effect.name} at {effect.location}")
-    for drive in own.machine.actuators:
-        late = _late(own, drive.name)
-        # MuJoCo reads what it has written a step before at the earliest.
-        own.mujoco.actuator_delay[drive.index] = late if late >= own.mujoco.opt.timestep else 0.0
+    for drive, late in zip(own.machine.actuators, own.valve[:, DELAY], strict=True):
+        # By the XML and by effects together; MuJoCo reads what it has written a step before at the earliest.
+        held = late >= own.mujoco.opt.timestep
+        own.mujoco.actuator_delay[drive.index] = late if held else 0.0
+        if late > 0 and not held:
+            left.append(f"{TransportDelay.name} at {drive.name}")
     return own.machine.exported(own.mujoco, left, folder), tuple(left)
-
-
-def _late(own: Realised, actuator: str) -> float:
-    """How late commands arrive at an actuator, by the XML and by effects together [s]."""
-    return float(own.valve[own.machine.actuator_names.index(actuator), DELAY])
