@@ -22,13 +22,19 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.report.diagnosis_text import remains
 from equimus_ctrl.types import Array, Recording
 
 DURATION, RATE = 5.0, 100.0
 
 
-def recordings(effects: tuple[Effect, ...], *, count: int = 4, noise: float = 1e-3, seed: int = 0) -> list[Recording]:
-    """Trials of a leg with wrong numbers and effects, stepped by pressures, on the reduced engine."""
+def recordings(
+    effects: tuple[Effect, ...], *, count: int = 4, noise: float = 1e-3, seed: int = 0, still: int = 0
+) -> list[Recording]:
+    """Trials of a leg with wrong numbers and effects, stepped by pressures, on the reduced engine.
+
+    In the first few no pressure ever acts on baa where ``still`` says so.
+    """
     rng = np.random.default_rng(seed)
     nominal = nominal_model()
     names = [f"{a}.{key}" for a in ("maa", "baa") for key in ("stiffness", "area", "damping")]
@@ -39,6 +45,7 @@ def recordings(effects: tuple[Effect, ...], *, count: int = 4, noise: float = 1e
     for k in range(count):
         time = np.arange(0, DURATION, 1 / RATE)
         levels = rng.uniform((0.0, 0.0), (3e4, 2.2e4), (8, 2))
+        levels[:, 1] *= k >= still
         command = levels[np.minimum((time / 0.7).astype(int), 7)]
         start = Kinematics(robot).equilibrium(command[0])
         trial = Trial(f"trial_{k}", time, command, command[0], 0.0, start, time)
@@ -128,6 +135,28 @@ def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: py
     assert np.corrcoef(left.push[inside], true[inside])[0, 1] > 0.8
 
 
+def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_unexplained() -> None:
+    model = nominal_model()
+    changed = recordings((parse("payload_mass:foot:mass=0.3"),))
+    trials = [*recordings(())[:3], replace(changed[3], name="loaded")]
+    parts = split(model, trials, heldout=["loaded"])
+    found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
+    assert found.verdict == "unexplained" and not found.findings
+    assert found.leftover and all(left.heldout and left.gain > 3 for left in found.leftover)
+    assert np.all(found.rmse("corrected", "train") < 1.2e-3)
+    assert "the noise on trials held out, whatever its numbers" in " ".join(remains(found))
+    assert found.to_dict()["unexplained"][0]["heldout"] is True
+
+
+def test_trials_held_out_that_show_what_the_others_could_not_are_no_mismatch() -> None:
+    model = nominal_model()
+    # Nothing that is fitted presses on baa: the last trial alone tells its area.
+    parts = split(model, recordings((), still=3), heldout=["trial_3"])
+    found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
+    assert found.rmse("corrected", "heldout").max() > 3e-3
+    assert found.verdict == "consistent" and not found.leftover
+
+
 def test_the_same_recordings_give_the_same_bits_on_any_number_of_threads() -> None:
     model = nominal_model()
     trials = recordings((parse("dead_zone:maa:threshold=2000"),), count=3)
@@ -175,6 +204,17 @@ def test_candidates_cover_the_catalogue_and_leave_out_a_second_name_for_the_foot
     for c in pool:
         for guess in c.guesses:
             model_of(model, (Part(c, guess),))  # each can be attached
+
+
+def test_a_leg_that_hardly_moves_has_all_candidates_with_sizes_within_their_bounds() -> None:
+    model = nominal_model()
+    stuck = [
+        replace(r, position=r.position[:1] + 5e-3 * (r.position - r.position[:1])) for r in recordings((), count=2)
+    ]
+    pool = candidates(model, split(model, stuck).train)
+    assert {c.effect.name for c in pool} == set(catalogue("elastic"))
+    cubic = {g["cubic"] for c in pool if c.effect.name == "nonlinear_stiffness" for g in c.guesses}
+    assert cubic == {-1e6, 1e6}  # what its motion would ask for is beyond
 
 
 def test_a_part_that_excludes_others_takes_their_place() -> None:

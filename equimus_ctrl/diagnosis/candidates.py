@@ -283,11 +283,18 @@ def candidates(
             if cls.alike and len(sites) > 1 and kind in ("joint", "actuator"):
                 groups.append(tuple(sites))
             for group in groups:
-                guesses = {tuple(g.items()): g for site in group for g in cls.guesses(seen[site])}
+                tried = (_within(cls, g) for site in group for g in cls.guesses(seen[site]))
+                guesses = {tuple(g.items()): g for g in tried}
                 usable = [g for g in guesses.values() if _attaches(model, cls, group, g)]
                 if usable:
                     found.setdefault((name, group), Candidate(cls, group, tuple(usable)))
     return list(found.values())
+
+
+def _within(cls: type[Effect], values: Mapping[str, float]) -> Mapping[str, float]:
+    """Values within the effect's bounds: sizes that follow from hardly any motion may lie beyond."""
+    info = cls.parameter_info()
+    return {key: float(np.clip(v, info[key]["low"], info[key]["high"])) for key, v in values.items()}
 
 
 def _is_foot(robot: Morphology, link: str) -> bool:

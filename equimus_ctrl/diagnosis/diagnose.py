@@ -16,7 +16,7 @@ from equimus_ctrl.diagnosis.candidates import Part, candidates
 from equimus_ctrl.diagnosis.confirm import ALIKE, Judge, confirmed
 from equimus_ctrl.diagnosis.experiment import Design, separating
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.remainder import Remainder, remainder
+from equimus_ctrl.diagnosis.remainder import Remainder, not_borne_out, remainder
 from equimus_ctrl.diagnosis.results import (
     STATES,
     Detectable,
@@ -153,6 +153,8 @@ def _diagnose(
     if not coarse:
         found = step_counted(data, found, settings.threads)
     judge = Judge(data, split, found)
+    if not rest.leftovers:
+        rest = not_borne_out(data, found.best, split.heldout, judge.heldout(found.best.fit.model))
     finely = cache(data.settle_finely)
     parts = range(len(found.best.hypothesis))
     findings = tuple(_finding(search, found, judge, k, bool(rest.leftovers), finely) for k in parts)

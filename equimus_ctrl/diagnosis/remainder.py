@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,7 +16,10 @@ from equimus_ctrl.diagnosis.flexible import Axis, Group
 from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, linear, nuisances
 from equimus_ctrl.diagnosis.results import Leftover
 from equimus_ctrl.diagnosis.where import excess_of
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
@@ -47,6 +50,8 @@ COORDINATES = {
 """What a place's coordinates are, in the words of the laws there."""
 MUCH = 3.0
 """Excess error of a joint, over the noise's variance, from which on something is left whatever it goes with."""
+REFIT = 12
+"""Steps of a fit to everything, what was held out too."""
 POINTS = 61
 CONFIDENT = 1.96
 
@@ -109,7 +114,35 @@ def _much(data: Data, best: Fitted) -> tuple[Leftover, ...]:
     """Joints of a machine whose error is far above the noise, though no push that was looked for explains it."""
     if machine_of(data.free.model) is None:
         return ()
-    excess = excess_of(best.fit.residuals, best.noise)
+    return _far_off(data, best.fit.residuals, best.noise)
+
+
+def not_borne_out(data: Data, best: Fitted, heldout: Sequence[Segment], residuals: Sequence[Array]) -> Remainder:
+    """Joints whose error on trials held out is far above the noise, whatever numbers the best hypothesis is given.
+
+    Enough effects at their bounds can imitate what was fitted; what was held out then tells that they are not it.
+
+    Args:
+        data: what was fitted.
+        best: the hypothesis.
+        heldout: what was not.
+        residuals: for each of these (m, nj) what the hypothesis leaves there [rad].
+    """
+    if not heldout or not _far_off(data, residuals, best.noise):
+        return Remainder((), ())
+    whole = replace(data, segments=[*data.segments, *heldout])
+    begin = (best.fit.theta, [*best.fit.starts, *(s.start for s in heldout)])
+    try:
+        refitted = whole.rough(best.hypothesis, [begin], best.noise, REFIT, 1e-5)
+    except SimulationDiverged:
+        left = residuals
+    else:
+        left = refitted.fit.residuals[len(data.segments) :]
+    return Remainder(tuple(replace(o, heldout=True) for o in _far_off(data, left, best.noise)), ())
+
+
+def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Leftover, ...]:
+    excess = excess_of(residuals, noise)
     nothing = np.empty(0)
     return tuple(
         Leftover(

@@ -159,6 +159,7 @@ class Leftover:
         x: (n,) the coordinate.
         push: (n,) the push there.
         band: (n,) half width of its 95 % interval.
+        heldout: whether it is an error far above the noise on trials held out alone, whatever numbers the effects have.
     """
 
     location: str
@@ -173,6 +174,7 @@ class Leftover:
     x: Array
     push: Array
     band: Array
+    heldout: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """For machines."""
@@ -187,6 +189,7 @@ class Leftover:
             "gain": self.gain,
             "threshold": self.threshold,
             "curve": curve if self.axis else None,
+            "heldout": self.heldout,
         }
 
 

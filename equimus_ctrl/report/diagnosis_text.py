@@ -126,9 +126,10 @@ def remains(diagnosis: Diagnosis) -> list[str]:
 
 def _left(left: Leftover, model: Model) -> str:
     if not left.depends_on:
-        return (
-            f"At the {left.location}: an error {_times(math.sqrt(1 + left.gain))} the noise, which goes with nothing "
-            "that was looked for"
+        return f"At the {left.location}: an error {_times(math.sqrt(1 + left.gain))} the noise" + (
+            " on trials held out, whatever its numbers"
+            if left.heldout
+            else ", which goes with nothing that was looked for"
         )
     at = f" at {listed(left.places)}" if set(left.places) != {left.location} else ""
     size = ""
