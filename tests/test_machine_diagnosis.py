@@ -147,6 +147,17 @@ def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
     assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
 
 
+def test_what_a_finer_step_fits_far_worse_stays_named() -> None:
+    """Without the step, which is half a step early, no delay is needed, and none would be early enough."""
+    coarse = stepped(0.01)
+    found = workflow.diagnose_recordings(
+        recorded(machine_model(coarse, [SensorDelay("hinge", 0.003)])), machine_model(coarse), most=1
+    )
+    group = set(named(found)) | {(o.effect, o.locations) for f in found.findings for o in f.equivalent}
+    assert ("sensor_delay", ("hinge",)) in group
+    assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
+
+
 def test_what_fits_as_well_is_told_after_a_finer_step_too() -> None:
     """A tilt and a sensor's offset do the same to a pendulum, whatever step that was found with."""
     fine, coarse = stepped(0.00002), stepped(0.01)

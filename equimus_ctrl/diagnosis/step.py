@@ -50,6 +50,9 @@ def without_step_error(
     start = replace(found, base=base, rivals=tuple(() for _ in best.hypothesis))
     exact = other.moved(start, exact_best if best.hypothesis else base)
     exact = less(other, exact, needless[:1])
+    saved = max(best.n_parameters - exact.best.n_parameters, 1)
+    if exact.best.deviance - best.deviance > search.threshold(saved):
+        return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
     left = remainder(data, base, exact.best, exact.without)
     if not needless and left.leftovers:
         return None
