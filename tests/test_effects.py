@@ -233,6 +233,18 @@ def test_an_effect_changes_the_prediction_when_on_and_does_not_when_off(name: st
     np.testing.assert_array_equal(swing(make(name, place, idle)), none)
 
 
+@every_place
+def test_an_effect_that_fades_is_nothing_in_the_end(name: str, kind: str) -> None:
+    cls, place = REGISTRY[name], PLACES[kind]
+    end = cls.fades_to()
+    assert set(end) <= set(cls.parameter_info())
+    if not end:
+        assert cls.grows_from() is None
+        return
+    none = swing(FirstOrderLag(place, 0.0)) if cls.exclusive == "lag" else swing()
+    np.testing.assert_allclose(swing(make(name, place, {**ACTING[name], **end})), none, atol=1e-12)
+
+
 # --- how they are written ---------------------------------------------------------------------------------------
 
 

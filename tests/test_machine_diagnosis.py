@@ -13,13 +13,13 @@ from pendulum_runs import CARRIAGE, MOTOR, NOISE, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, uncertain
-from equimus_ctrl.diagnosis.confirm import ALIKE, _another
+from equimus_ctrl.diagnosis.confirm import _another
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group
 from equimus_ctrl.diagnosis.remainder import _restates
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.screening import screen
-from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
+from equimus_ctrl.diagnosis.search import ALIKE, Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import split, window_length
 from equimus_ctrl.effects import (
     ConstantForce,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.search import Search, Searched
+from equimus_ctrl.diagnosis.search import ALIKE, Search, Searched
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood, whiten
@@ -17,8 +17,6 @@ from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
-ALIKE = 10.0
-"""Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
 SILENT, PLAIN = 16.0, 5.0
 """χ² below which trials on which two models differ tell nothing of either, and times the least gain of deviance of what
 is believed all the same."""

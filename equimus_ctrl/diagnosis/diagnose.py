@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.diagnosis.candidates import Part, candidates
-from equimus_ctrl.diagnosis.confirm import ALIKE, Judge, confirmed
+from equimus_ctrl.diagnosis.confirm import Judge, confirmed
 from equimus_ctrl.diagnosis.experiment import Design, separating
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.remainder import Remainder, not_borne_out, remainder
@@ -30,7 +30,7 @@ from equimus_ctrl.diagnosis.results import (
     Verdict,
 )
 from equimus_ctrl.diagnosis.screening import Screened
-from equimus_ctrl.diagnosis.search import LONG, Search, Searched, SearchSettings, less
+from equimus_ctrl.diagnosis.search import ALIKE, LONG, Search, Searched, SearchSettings, less
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.step import step_counted, without_step_error
 from equimus_ctrl.diagnosis.where import excess_of, where_off
@@ -115,7 +115,7 @@ def _diagnose(
     progress: Progress,
     begun: float,
 ) -> Diagnosis:
-    free = data.free
+    free, given = data.free, data
     progress("refitting the model", 0.02, "")
     base = data.base()
     pool = candidates(free.model, split.train)
@@ -155,6 +155,10 @@ def _diagnose(
     judge = Judge(data, split, found)
     if not rest.leftovers:
         rest = not_borne_out(data, found.best, split.heldout, judge.heldout(found.best.fit.model))
+        if rest.leftovers and split.other is not None:
+            second = _with_others(given, split, settings, designs, progress, begun)
+            if not second.leftover:
+                return second
     finely = cache(data.settle_finely)
     parts = range(len(found.best.hypothesis))
     findings = tuple(_finding(search, found, judge, k, bool(rest.leftovers), finely) for k in parts)
@@ -195,6 +199,27 @@ def _diagnose(
         (*_notes(found, split), *_beyond_range(free.model, split), *([coarse] if coarse else [])),
         time.perf_counter() - begun,
     )
+
+
+def _with_others(
+    data: Data,
+    split: Split,
+    settings: DiagnosisSettings,
+    designs: Sequence[Design],
+    progress: Progress,
+    begun: float,
+) -> Diagnosis:
+    """The diagnosis with other trials held out, where those that were show what the rest does not."""
+    other = split.other
+    assert other is not None
+
+    def notify(stage: str, share: float, best: str) -> None:
+        progress(f"{stage}, other trials held out", 0.94 + 0.06 * share, best)
+
+    found = _diagnose(replace(data, segments=other.train), other, settings, designs, notify, begun)
+    before, now = (", ".join(sorted({s.trial.name for s in part.heldout})) for part in (split, other))
+    note = f"{before}, held out at first, showed what the other trials do not; so they were fitted, and {now} judged."
+    return replace(found, notes=(*found.notes, note))
 
 
 def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, Searched]:
@@ -241,12 +266,8 @@ def _finding(search: Search, found: Searched, judge: Judge, k: int, left: bool, 
         judge.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
         judge.share(*(judge.heldout(f.fit.model) for f in (without, best, found.base))),
     )
-    return Finding(
-        part,
-        _estimates(search.data, best, k),
-        evidence,
-        _equivalent(search, found, k, max(ALIKE, BLURRED * gain) if left else ALIKE, finely),
-    )
+    alike = max(ALIKE, search.settings.least_share * search.data.n, BLURRED * gain if left else 0.0)
+    return Finding(part, _estimates(search.data, best, k), evidence, _equivalent(search, found, k, alike, finely))
 
 
 def _log_chance(gain: float, count: int) -> float:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Hypothesis
-from equimus_ctrl.diagnosis.explained import Explained
+from equimus_ctrl.diagnosis.explained import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.flexible import Axis, Group
 from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, linear, nuisances
@@ -20,6 +20,7 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.weighing import outside
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
@@ -37,6 +38,8 @@ MORE = 1.1
 reason to do without the law's name."""
 TRIED = 5
 """So many pushes, the best on trials left out, may stand in for an effect."""
+OUTDONE = 2.0
+"""What a push in a part's place has to explain beyond the part, for each of its functions, and LEAST_GAIN more."""
 ALONE = 0.97
 """Share of what several named effects explain from which on a single push in their place is believed instead."""
 MOST = 3
@@ -99,12 +102,13 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
         columns = at.columns[next(k for k, g in enumerate(at.groups) if g is top.group)]
         found.append((top, columns))
         extra = columns if extra is None else np.column_stack([extra, columns])
+    outdone = () if geared else _outdone(at)
     if not found:
-        return Remainder(_much(data, best), ())
+        return Remainder(_much(data, best), outdone)
     if geared and _imitated(data, base, best):
         # A machine without its effects is so far off that a push is no measure of effects that leave nothing.
         return whole_instead
-    superfluous = _superfluous(data, best, without, found[0][0].found.gain)
+    superfluous = tuple(sorted({*outdone, *_superfluous(data, best, without, found[0][0].found.gain)}))
     total = sum(f.found.gain for f, _ in found)
     told = tuple(_told(data, at, f, columns, f.found.gain / total, threshold) for f, columns in found)
     return Remainder(told, superfluous)
@@ -222,6 +226,47 @@ def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: floa
         for k, fitted in enumerate(without)
         if _stands_in(data, fitted, best, _squares(data, fitted, best) - own + left, INSTEAD, TRIED)
     )
+
+
+def _outdone(at: Linear) -> tuple[int, ...]:
+    """Parts that one push does without: it explains more than they do, and they nothing that it leaves.
+
+    Their sizes are taken back to nothing along the motion of the whole hypothesis, the model's own numbers moved along.
+    Where a push does the same as they do, the changes cancel there, however far those numbers have to go; where it does
+    not, it is not near to explaining as much.
+    """
+    fitted = at.fitted
+    slopes, residual, scale = at.weighing.slopes, at.weighing.residual, fitted.fit.parameters.scale
+    basis = nuisances(slopes)
+    own = outside(residual, basis)
+    first = len(scale) - fitted.n_parameters
+    own_numbers: list[range] = []
+    to_nothing: dict[int, Array] = {}
+    for k, part in enumerate(fitted.hypothesis):
+        end = part.candidate.effect.fades_to()
+        if end:
+            steps = [end.get(key, value) - value for key, value in part.values.items()]
+            to_nothing[k] = slopes[:, first : first + len(steps)] @ (steps / scale[first : first + len(steps)])
+        own_numbers.append(range(first, first + part.candidate.n_parameters))
+        first += part.candidate.n_parameters
+    together = [tuple(to_nothing)] if len(to_nothing) > 1 else []
+    found: set[int] = set()
+    for chosen in [*((k,) for k in to_nothing), *together]:
+        gone = [i for k in chosen for i in own_numbers[k]]
+        left = residual - np.sum([to_nothing[k] for k in chosen], axis=0)
+        kept = nuisances(np.delete(slopes, gone, axis=1))
+        hypothesis = tuple(fitted.hypothesis[k] for k in chosen)
+        for group, columns in zip(at.groups, at.columns, strict=True):
+            if _restates(group, hypothesis, geared=True):
+                continue
+            push = explained(left, kept, columns)
+            alone = push.total - push.gain
+            if own - alone <= LEAST_GAIN + OUTDONE * push.rank:
+                continue
+            beside = own - explained(residual, basis, columns).gain
+            if alone - beside < LEAST_GAIN:
+                found |= set(chosen)
+    return tuple(sorted(found))
 
 
 def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, threshold: float) -> Leftover:

@@ -87,6 +87,8 @@ BESIDE, SECOND = 0.7, 2
 """Least share of the best first part's gain, and how many others with as much are given a second part as well."""
 INSTEAD = 3
 """Candidates fitted, for each way to weigh the residuals, to take the place of a part."""
+ALIKE = 10.0
+"""Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
 MOVES = 8
 """How often parts are exchanged at most."""
 
@@ -191,7 +193,7 @@ class Search:
             if not best.hypothesis:
                 break
         best, without, rivals = sure
-        return Searched(base, best, without, rivals, self._first, tuple(self.fitted))
+        return self._narrowed(Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
 
     def _better(self, best: Fitted, top: Fitted) -> bool:
         return self.believed(best, top) and self.score(top) < self.score(best)
@@ -414,6 +416,25 @@ class Search:
             for place, part in enumerate(fitted.hypothesis):
                 rest = tuple(sorted(kinds[:place] + kinds[place + 1 :]))
                 found.setdefault(rest, {}).setdefault(kinds[place], (self.score(fitted), part))
+        return found
+
+    def _narrowed(self, found: Searched) -> Searched:
+        """An effect in the fewest places: not where it does nothing that is seen."""
+        hypothesis = found.best.hypothesis
+        for k, part in enumerate(hypothesis):
+            sites = part.candidate.locations
+            if len(sites) < 2:
+                continue
+            fewer = []
+            for site in sites:
+                places = tuple(other for other in sites if other != site)
+                own = Part(replace(part.candidate, locations=places), part.values)
+                fewer.append(self.refit(found.best, (*hypothesis[:k], own, *hypothesis[k + 1 :])))
+            least = min(fewer, key=self.score)
+            if self.score(least) < self.score(found.best) + ALIKE:
+                moved = self.moved(found, least)
+                rivals = (*moved.rivals[:k], (found.best, *found.rivals[k]), *moved.rivals[k + 1 :])
+                return self._narrowed(replace(moved, rivals=rivals))
         return found
 
     def _simplified(self, found: Searched) -> Searched:

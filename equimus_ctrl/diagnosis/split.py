@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,11 +50,14 @@ class Split:
         train: fitted.
         heldout: not seen by any fit or choice.
         near: what is fitted, in windows so short that errors do not grow in them; nothing where that is no difference.
+        other: the same trials with others of them held out, for where those show what the rest does not; None where
+            somebody said which judge, or there are too few.
     """
 
     train: tuple[Segment, ...]
     heldout: tuple[Segment, ...]
     near: tuple[Segment, ...] = ()
+    other: Split | None = None
 
 
 def check(model: Model, recordings: Sequence[Recording]) -> None:
@@ -131,6 +134,7 @@ def split(
         if not fnmatch.filter(names, pattern):
             raise ConfigError(unknown_name("trial", pattern, names, "held out"))
     judging = {k for k, name in enumerate(names) if any(fnmatch.fnmatchcase(name, p) for p in heldout)}
+    others: set[int] = set()
     if not heldout and until is None:
         if len(recordings) == 1:
             low, high = window or (float(recordings[0].time[0]), float(recordings[0].time[-1]))
@@ -138,11 +142,24 @@ def split(
         elif len(recordings) < EVERY:
             judging = {len(recordings) - 1}
         else:
-            judging = set(range(EVERY - 1, len(recordings), EVERY))
+            judging, others = (set(range(EVERY - back, len(recordings), EVERY)) for back in (1, 2))
     elif until is not None and (last := max(float(r.time[-1]) for r in recordings)) <= until:
         raise ConfigError(f"fitted is what comes before {until:g} s, but the last trial ends at {last:g} s")
     if machine_of(model) is not None and shoot is None:
         shoot = window_length(model, recordings, window, simulator)
+    found = _parted(model, recordings, judging, until, window, shoot)
+    return replace(found, other=_parted(model, recordings, others, until, window, shoot)) if others else found
+
+
+def _parted(
+    model: Model,
+    recordings: Sequence[Recording],
+    judging: Collection[int],
+    until: float | None,
+    window: tuple[float, float] | None,
+    shoot: float | None,
+) -> Split:
+    """Recordings parted by the numbers of those that judge."""
     train, unseen = [], []
     fitted: list[tuple[int, tuple[float, float]]] = []
     for k, r in enumerate(recordings):

@@ -161,6 +161,12 @@ class Effect:
         return cls.nothing
 
     @classmethod
+    def fades_to(cls) -> Mapping[str, float]:
+        """Values of parameters towards which it fades away, about in proportion; none where it does not."""
+        nothing = cls.grows_from()
+        return {} if nothing is None else {next(iter(cls.parameter_info())): nothing}
+
+    @classmethod
     def check_class(cls) -> None:
         """Raise ConfigError where the class does not say all that an effect must."""
         who = f"effect class {cls.__name__}"

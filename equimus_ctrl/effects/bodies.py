@@ -127,6 +127,10 @@ class JointStop(BodyEffect):
             for hard in (3.0, 30.0)
         ]
 
+    @classmethod
+    def fades_to(cls) -> Mapping[str, float]:
+        return {"stiffness": 0.0, "damping": 0.0}  # short of the stop that it replaces
+
     def slot(self, robot: Any) -> str:
         return f"{self.location}, {self._side(robot)} side"
 

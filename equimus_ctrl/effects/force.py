@@ -58,6 +58,10 @@ class ForceEffect(Effect):
         return cls.neutral.get(next(iter(cls.parameter_info())))
 
     @classmethod
+    def fades_to(cls) -> Mapping[str, float]:
+        return cls.neutral
+
+    @classmethod
     def check_class(cls) -> None:
         """As of any effect; its expressions are also formed once, and must be nothing with the neutral parameters."""
         super().check_class()

@@ -7,7 +7,7 @@ order), then the valve: transport delay, rate limit, filling flow and lag.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -107,6 +107,10 @@ class AsymmetricLag(ValveEffect):
     exclusive = "lag"
     fill: float = parameter("s", 0.0, 5.0, "time constant of a rising pressure")
     vent: float = parameter("s", 0.0, 5.0, "time constant of a falling pressure")
+
+    @classmethod
+    def fades_to(cls) -> Mapping[str, float]:
+        return {"fill": 0.0, "vent": 0.0}
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
