@@ -75,6 +75,8 @@ class Searched:
 
 Kind = tuple[str, tuple[str, ...]]
 """What a part is: its law, or what it shares with those that exclude it, and where."""
+_Ended = tuple[Fitted, tuple[Fitted, ...], tuple[tuple[Fitted, ...], ...]]
+"""The best hypothesis, what it is without each of its parts, and with others in their places."""
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
 OUTDONE = 0.5
@@ -89,6 +91,8 @@ INSTEAD = 3
 """Candidates fitted, for each way to weigh the residuals, to take the place of a part."""
 ALIKE = 10.0
 """Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
+CONTESTS, CONTENDERS = 2, 2
+"""How often the best so many of each part's rivals are fitted beside the other parts."""
 MOVES = 8
 """How often parts are exchanged at most."""
 
@@ -192,7 +196,7 @@ class Search:
                 sure = best, without, rivals
             if not best.hypothesis:
                 break
-        best, without, rivals = sure
+        best, without, rivals = self._contested(*sure)
         return self._narrowed(Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
 
     def _better(self, best: Fitted, top: Fitted) -> bool:
@@ -339,7 +343,7 @@ class Search:
             found.append((hypothesis, (theta, fitted.fit.starts)))
         return found
 
-    def _exchanged(self, best: Fitted) -> tuple[Fitted, tuple[Fitted, ...], tuple[tuple[Fitted, ...], ...]]:
+    def _exchanged(self, best: Fitted) -> _Ended:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
         for _ in range(MOVES):
             moved = False
@@ -364,6 +368,39 @@ class Search:
                 return best, tuple(withouts), tuple(all_rivals)
         found = [self.refit(best, best.hypothesis[:k] + best.hypothesis[k + 1 :]) for k in range(len(best.hypothesis))]
         return best, tuple(found), tuple(() for _ in found)
+
+    def _contested(self, best: Fitted, without: tuple[Fitted, ...], rivals: tuple[tuple[Fitted, ...], ...]) -> _Ended:
+        """The nearest rivals of each of several parts fitted beside the others where these are now.
+
+        Without the part the others went elsewhere, and a rival that is fitted beside them from there may end in a
+        valley of its own. Machines' are looked at more widely, see ``in_place``.
+        """
+        if len(best.hypothesis) < 2 or self.settings.thorough:
+            return best, without, rivals
+        for _ in range(CONTESTS):
+            more = []
+            for k, own in enumerate(rivals):
+                rest = {id(p.candidate) for p in without[k].hypothesis}
+                beside = (*best.hypothesis[:k], *best.hypothesis[k + 1 :])
+                fitted = list(own)
+                for rival in sorted(own, key=self.score)[:CONTENDERS]:
+                    other = [p for p in rival.hypothesis if id(p.candidate) not in rest]
+                    if len(other) == 1 and rival.n_parameters <= best.n_parameters:
+                        fitted += self._refitted(best, (*beside, other[0]))
+                more.append(tuple(fitted))
+            rivals = tuple(more)
+            top = min((r for own in rivals for r in own), key=self.score, default=best)
+            if self.score(top) >= self.score(best) - 1.0 or len(top.hypothesis) > len(best.hypothesis):
+                break
+            best, without, rivals = self._exchanged(top)
+        return best, without, rivals
+
+    def _refitted(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> list[Fitted]:
+        """As ``refit``; nothing where parts exclude each other or it cannot have happened."""
+        try:
+            return [self.refit(fitted, hypothesis)]
+        except (ConfigError, SimulationDiverged):
+            return []
 
     def moved(self, found: Searched, best: Fitted) -> Searched:
         """A search's end moved to another hypothesis, with what it would be without each part."""
@@ -402,10 +439,7 @@ class Search:
                     others.setdefault(kind, part)
         others.pop(own, None)
         for other in others.values():
-            try:
-                rivals.append(self.refit(found.best, (*parts[:k], *parts[k + 1 :], other)))
-            except (ConfigError, SimulationDiverged):  # what a part excludes, or what cannot have happened
-                continue
+            rivals += self._refitted(found.best, (*parts[:k], *parts[k + 1 :], other))
         return rivals
 
     def _beside_the_same(self, fits: Sequence[Fitted]) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
