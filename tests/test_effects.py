@@ -243,6 +243,13 @@ def test_an_effect_that_fades_is_nothing_in_the_end(name: str, kind: str) -> Non
         return
     none = swing(FirstOrderLag(place, 0.0)) if cls.exclusive == "lag" else swing()
     np.testing.assert_allclose(swing(make(name, place, {**ACTING[name], **end})), none, atol=1e-12)
+    if name == "joint_stop":  # stopping is much the same however hard the stop
+        return
+    whole = swing(make(name, place, ACTING[name])) - none
+    near = [{**ACTING[name], **{k: v + share * (ACTING[name][k] - v) for k, v in end.items()}} for share in (0.97, 1.0)]
+    slope = -np.subtract(*(swing(make(name, place, values)) for values in near)) / 0.03
+    assert 0.3 < np.linalg.norm(slope) / np.linalg.norm(whole) < 3.0  # about in proportion
+    assert np.sum(slope * whole) > 0.5 * np.linalg.norm(slope) * np.linalg.norm(whole)
 
 
 # --- how they are written ---------------------------------------------------------------------------------------

@@ -16,10 +16,10 @@ from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, uncer
 from equimus_ctrl.diagnosis.confirm import _another
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group
-from equimus_ctrl.diagnosis.remainder import _restates
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.search import ALIKE, Search, Searched, SearchSettings
+from equimus_ctrl.diagnosis.shadows import restates
 from equimus_ctrl.diagnosis.split import split, window_length
 from equimus_ctrl.effects import (
     ConstantForce,
@@ -203,22 +203,22 @@ def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
 
     area, cubic, creep = part("maa", NarrowingArea), part("maa", NonlinearStiffness), part("maa", Creep)
     by_length, shared = group("maa", "hip", "len.maa"), group("maa", "hip", "len.maa·cmd.maa")
-    assert _restates(shared, area, False) == "same" and not _restates(by_length, area, False)
-    assert _restates(by_length, cubic, False) == "same" and not _restates(shared, cubic, False)
-    assert _restates(group("maa", "hip", "past.maa"), creep, False) == "same"
-    assert not _restates(group("baa", "knee", "len.baa·cmd.baa"), area, False)
+    assert restates(shared, area, False) == "same" and not restates(by_length, area, False)
+    assert restates(by_length, cubic, False) == "same" and not restates(shared, cubic, False)
+    assert restates(group("maa", "hip", "past.maa"), creep, False) == "same"
+    assert not restates(group("baa", "knee", "len.baa·cmd.baa"), area, False)
     limit = part("drive", TorqueSaturation)
-    assert _restates(group("drive", "hinge", "cmd.drive"), limit, True) == "same"
-    assert not _restates(group("hinge", "hinge", "pos.hinge"), limit, True)
+    assert restates(group("drive", "hinge", "cmd.drive"), limit, True) == "same"
+    assert not restates(group("hinge", "hinge", "pos.hinge"), limit, True)
     dry = part("hinge", CoulombFriction)
-    assert _restates(group("hinge", "hinge", "vel.hinge"), dry, True) == "same"
-    assert _restates(group("hinge", "hinge", "pos.hinge·sign(vel.hinge)"), dry, True) == "more"
-    assert not _restates(group("hinge", "hinge", "time"), dry, True)
-    assert _restates(group("hinge", "hinge", "time"), part("hinge", ConstantForce), True) == "more"
-    assert not _restates(group("hinge", "hinge", "time"), part("hinge", TransportDelay), True)
+    assert restates(group("hinge", "hinge", "vel.hinge"), dry, True) == "same"
+    assert restates(group("hinge", "hinge", "pos.hinge·sign(vel.hinge)"), dry, True) == "more"
+    assert not restates(group("hinge", "hinge", "time"), dry, True)
+    assert restates(group("hinge", "hinge", "time"), part("hinge", ConstantForce), True) == "more"
+    assert not restates(group("hinge", "hinge", "time"), part("hinge", TransportDelay), True)
     surface = group("hinge", "hinge", "pos.hinge·vel.hinge")
-    assert _restates(surface, dry, True) == "more"
-    assert _restates(surface, (*dry, *part("hinge", ParallelSpring)), True) == "same"
+    assert restates(surface, dry, True) == "more"
+    assert restates(surface, (*dry, *part("hinge", ParallelSpring)), True) == "same"
 
 
 def test_a_fit_goes_on_with_the_derivatives_of_an_earlier_ones_end() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,12 +31,14 @@ from equimus_ctrl.diagnosis.results import (
     Verdict,
 )
 from equimus_ctrl.diagnosis.screening import Screened
-from equimus_ctrl.diagnosis.search import ALIKE, LONG, Search, Searched, SearchSettings, less
+from equimus_ctrl.diagnosis.search import ALIKE, LONG, Search, Searched, SearchSettings, instead, less
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.step import step_counted, without_step_error
 from equimus_ctrl.diagnosis.where import excess_of, where_off
+from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
+from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import STEP, Simulator, machine_simulator, reduced_simulator
 from equimus_ctrl.models.model import Model, machine_of
 
@@ -51,6 +54,8 @@ PATIENCE, VALLEYS = 1, 20.0
 """With machines, whose pushes do much alike and rub: see ``SearchSettings``."""
 FINE = STEP / 3
 """The same where rivals are told apart."""
+WINDOW = r" from [0-9.]+ s$"
+"""What windows' names have beyond those of their recordings."""
 Finely = Callable[[Fitted], Fitted]
 Progress = Callable[[str, float, str], None]
 """Called with the stage, the share of the whole that is done, and the best hypothesis so far."""
@@ -156,8 +161,8 @@ def _diagnose(
     if not rest.leftovers:
         rest = not_borne_out(data, found.best, split.heldout, judge.heldout(found.best.fit.model))
         if rest.leftovers and split.other is not None:
-            second = _with_others(given, split, settings, designs, progress, begun)
-            if not second.leftover:
+            second = _with_others(given, split, split.other, settings, designs, progress, begun)
+            if second is not None and not second.leftover:
                 return second
     finely = cache(data.settle_finely)
     parts = range(len(found.best.hypothesis))
@@ -204,22 +209,32 @@ def _diagnose(
 def _with_others(
     data: Data,
     split: Split,
+    other: Split,
     settings: DiagnosisSettings,
     designs: Sequence[Design],
     progress: Progress,
     begun: float,
-) -> Diagnosis:
+) -> Diagnosis | None:
     """The diagnosis with other trials held out, where those that were show what the rest does not."""
-    other = split.other
-    assert other is not None
 
     def notify(stage: str, share: float, best: str) -> None:
-        progress(f"{stage}, other trials held out", 0.94 + 0.06 * share, best)
+        progress(f"{stage}, other trials held out", 0.94 + 0.05 * share, best)
 
-    found = _diagnose(replace(data, segments=other.train), other, settings, designs, notify, begun)
-    before, now = (", ".join(sorted({s.trial.name for s in part.heldout})) for part in (split, other))
+    try:
+        found = _diagnose(replace(data, segments=other.train), other, settings, designs, notify, begun)
+    except SimulationDiverged:  # so the first stands
+        return None
+    before, now = (", ".join(_trials(part.heldout)) for part in (split, other))
     note = f"{before}, held out at first, showed what the other trials do not; so they were fitted, and {now} judged."
     return replace(found, notes=(*found.notes, note))
+
+
+def _trials(segments: Sequence[Segment]) -> list[str]:
+    """Names of the trials that segments are of; those of windows begin with their trial's."""
+    names: dict[int, str] = {}
+    for s in segments:
+        names.setdefault(s.recording, re.sub(WINDOW, "", s.trial.name))
+    return list(names.values())
 
 
 def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, Searched]:
@@ -298,22 +313,21 @@ def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: 
 
     What is near is looked at with fine steps: where commands jump, the errors of longer ones can tell alike from alike.
     """
-    rest = {id(p.candidate) for p in found.without[k].hypothesis}
     margin += search.settings.valleys
     own = found.best.hypothesis[k].candidate.label
     named: dict[str, Named] = {}
     near = search.score(found.best) + margin + BLUR
     for rival in sorted(search.in_place(found, k, margin + BLUR), key=search.score):
-        other = [p for p in rival.hypothesis if id(p.candidate) not in rest]
-        if rival.n_parameters > found.best.n_parameters or len(other) != 1 or search.score(rival) >= near:
+        other = instead(rival, found.without[k])
+        if rival.n_parameters > found.best.n_parameters or other is None or search.score(rival) >= near:
             continue
-        label = other[0].candidate.label
+        label = other.candidate.label
         if (
             label != own
             and label not in named
             and search.score(finely(rival)) < search.score(finely(found.best)) + margin
         ):
-            named[label] = _named(other[0])
+            named[label] = _named(other)
     return tuple(named.values())
 
 

@@ -113,3 +113,8 @@ def flexible(at: Linear, extra: Array | None = None) -> list[Flexible]:
         for group, columns in zip(at.groups, at.columns, strict=True)
     ]
     return sorted(found, key=lambda f: -f.found.held_out)
+
+
+def judged(found: Explained, at: Linear) -> float:
+    """What is explained of trials left out in turn; of a single trial, less what so many numbers gain by chance."""
+    return found.held_out if at.folds else found.gain - 3.0 * found.rank

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Hypothesis
-from equimus_ctrl.diagnosis.explained import Explained, explained
+from equimus_ctrl.diagnosis.explained import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.flexible import Axis, Group
-from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, linear, nuisances
+from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, judged, linear, nuisances
 from equimus_ctrl.diagnosis.results import Leftover
+from equimus_ctrl.diagnosis.shadows import LEAST_GAIN, restates, shadowed
 from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.identification.weighing import outside
 from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
-LEAST_GAIN = 40.0
-"""Least fall of χ² on trials left out in turn that counts; noise alone stays below for the best of all pushes."""
 LEAST_SHARE = 2.5e-3
 """The same as a share of the number of samples: two simulations of one leg differ by some of that."""
 TRACE = 0.01
@@ -38,19 +33,12 @@ MORE = 1.1
 reason to do without the law's name."""
 TRIED = 5
 """So many pushes, the best on trials left out, may stand in for an effect."""
-OUTDONE = 2.0
-"""What a push in a part's place has to explain beyond the part, for each of its functions, and LEAST_GAIN more."""
 ALONE = 0.97
 """Share of what several named effects explain from which on a single push in their place is believed instead."""
 MOST = 3
 """How many pushes are told at most."""
 UNTOLD = 1e-4
 """Part of a push of which the free parameters leave less than this share is not told."""
-COORDINATES = {
-    "pos": "pos", "len": "pos", "vel": "vel", "rate": "vel", "cmd": "cmd", "past": "past", "path": "past",
-    "time": "time",
-}  # fmt: skip
-"""What a place's coordinates are, in the words of the laws there."""
 MUCH = 3.0
 """Excess error of a joint, over the noise's variance, from which on something is left whatever it goes with."""
 REFIT = 12
@@ -97,18 +85,21 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
         ranked = flexible(at, extra)
         top = ranked[0]
         whole = max(taken, 0.0) + sum(f.found.gain for f, _ in found) + top.found.gain
-        if _gain(top, at) < threshold or top.found.gain < TRACE * whole:
+        if judged(top.found, at) < threshold or top.found.gain < TRACE * whole:
             break
         columns = at.columns[next(k for k, g in enumerate(at.groups) if g is top.group)]
         found.append((top, columns))
         extra = columns if extra is None else np.column_stack([extra, columns])
-    outdone = () if geared else _outdone(at)
+    shadows: tuple[int, ...] = ()
+    if not geared:
+        own = _squares(data, best, best)
+        shadows = shadowed(at, [_squares(data, fitted, best) - own for fitted in without], taken, threshold)
     if not found:
-        return Remainder(_much(data, best), outdone)
+        return Remainder(_much(data, best), shadows)
     if geared and _imitated(data, base, best):
         # A machine without its effects is so far off that a push is no measure of effects that leave nothing.
         return whole_instead
-    superfluous = tuple(sorted({*outdone, *_superfluous(data, best, without, found[0][0].found.gain)}))
+    superfluous = tuple(sorted({*shadows, *_superfluous(data, best, without, found[0][0].found.gain)}))
     total = sum(f.found.gain for f, _ in found)
     told = tuple(_told(data, at, f, columns, f.found.gain / total, threshold) for f, columns in found)
     return Remainder(told, superfluous)
@@ -157,11 +148,6 @@ def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Left
     )  # fmt: skip
 
 
-def _gain(top: Flexible, at: Linear) -> float:
-    """On trials left out in turn; of a single trial, less what its numbers gain by chance."""
-    return top.found.held_out if at.folds else top.found.gain - 3.0 * top.found.rank
-
-
 def _imitated(data: Data, base: Fitted, best: Fitted) -> bool:
     """Whether one flexible push explains what several named effects do together, or one that strains its bounds."""
     if len(best.hypothesis) < 2 and not (best.hypothesis and strained(data, best)):
@@ -175,29 +161,9 @@ def _stands_in(data: Data, without: Fitted, best: Fitted, gap: float, share: flo
     if at is None:
         return False
     geared = machine_of(data.free.model) is not None
-    pushes = [(push.found.gain, _restates(push.group, best.hypothesis, geared)) for push in flexible(at)]
+    pushes = [(push.found.gain, restates(push.group, best.hypothesis, geared)) for push in flexible(at)]
     others = [(gain, restated) for gain, restated in pushes if restated != "same"][:tried]
     return any(gain > (MORE if restated else share) * gap for gain, restated in others)
-
-
-def _restates(group: Group, hypothesis: Hypothesis, geared: bool) -> Literal["", "same", "more"]:
-    """Whether a push is what a part of a hypothesis says, without its name: at its place, over what its law depends on.
-
-    A curve over the speed is friction of the same joint, a share of the pressure that depends on the length is an area
-    that does: those are no simpler stories. Drives with a fixed gear are where their joints are, and a push there that
-    depends on more than the law does says more; on what the laws of several parts there depend on, the same.
-    """
-    told = {COORDINATES[key] for key in re.findall(r"\b(pos|vel|len|rate|cmd|past|path|time)\b", group.depends_on)}
-    found: Literal["", "same", "more"] = ""
-    together: set[str] = set()
-    for part in hypothesis:
-        own, places = part.candidate.effect.depends(), set(part.candidate.locations)
-        here = group.location in places or (geared and set(group.joints) <= places)
-        if own == told and here:
-            return "same"
-        if geared and here and own is not None and own < told:
-            found, together = "more", together | own
-    return "same" if found and together == told else found
 
 
 def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:
@@ -228,47 +194,6 @@ def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: floa
     )
 
 
-def _outdone(at: Linear) -> tuple[int, ...]:
-    """Parts that one push does without: it explains more than they do, and they nothing that it leaves.
-
-    Their sizes are taken back to nothing along the motion of the whole hypothesis, the model's own numbers moved along.
-    Where a push does the same as they do, the changes cancel there, however far those numbers have to go; where it does
-    not, it is not near to explaining as much.
-    """
-    fitted = at.fitted
-    slopes, residual, scale = at.weighing.slopes, at.weighing.residual, fitted.fit.parameters.scale
-    basis = nuisances(slopes)
-    own = outside(residual, basis)
-    first = len(scale) - fitted.n_parameters
-    own_numbers: list[range] = []
-    to_nothing: dict[int, Array] = {}
-    for k, part in enumerate(fitted.hypothesis):
-        end = part.candidate.effect.fades_to()
-        if end:
-            steps = [end.get(key, value) - value for key, value in part.values.items()]
-            to_nothing[k] = slopes[:, first : first + len(steps)] @ (steps / scale[first : first + len(steps)])
-        own_numbers.append(range(first, first + part.candidate.n_parameters))
-        first += part.candidate.n_parameters
-    together = [tuple(to_nothing)] if len(to_nothing) > 1 else []
-    found: set[int] = set()
-    for chosen in [*((k,) for k in to_nothing), *together]:
-        gone = [i for k in chosen for i in own_numbers[k]]
-        left = residual - np.sum([to_nothing[k] for k in chosen], axis=0)
-        kept = nuisances(np.delete(slopes, gone, axis=1))
-        hypothesis = tuple(fitted.hypothesis[k] for k in chosen)
-        for group, columns in zip(at.groups, at.columns, strict=True):
-            if _restates(group, hypothesis, geared=True):
-                continue
-            push = explained(left, kept, columns)
-            alone = push.total - push.gain
-            if own - alone <= LEAST_GAIN + OUTDONE * push.rank:
-                continue
-            beside = own - explained(residual, basis, columns).gain
-            if alone - beside < LEAST_GAIN:
-                found |= set(chosen)
-    return tuple(sorted(found))
-
-
 def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, threshold: float) -> Leftover:
     group = top.group
     joint = _joint(at, group, top.found)
@@ -288,7 +213,7 @@ def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, t
         share,
         group.depends_on,
         places,
-        _gain(top, at),
+        judged(top.found, at),
         threshold,
         unit,
         axis.name if axis else "",

@@ -370,7 +370,7 @@ class Search:
         return best, tuple(found), tuple(() for _ in found)
 
     def _contested(self, best: Fitted, without: tuple[Fitted, ...], rivals: tuple[tuple[Fitted, ...], ...]) -> _Ended:
-        """The nearest rivals of each of several parts fitted beside the others where these are now.
+        """The nearest rivals of each of several parts fitted beside the others where these are now; the best of all.
 
         Without the part the others went elsewhere, and a rival that is fitted beside them from there may end in a
         valley of its own. Machines' are looked at more widely, see ``in_place``.
@@ -378,22 +378,30 @@ class Search:
         if len(best.hypothesis) < 2 or self.settings.thorough:
             return best, without, rivals
         for _ in range(CONTESTS):
-            more = []
-            for k, own in enumerate(rivals):
-                rest = {id(p.candidate) for p in without[k].hypothesis}
-                beside = (*best.hypothesis[:k], *best.hypothesis[k + 1 :])
-                fitted = list(own)
-                for rival in sorted(own, key=self.score)[:CONTENDERS]:
-                    other = [p for p in rival.hypothesis if id(p.candidate) not in rest]
-                    if len(other) == 1 and rival.n_parameters <= best.n_parameters:
-                        fitted += self._refitted(best, (*beside, other[0]))
-                more.append(tuple(fitted))
-            rivals = tuple(more)
-            top = min((r for own in rivals for r in own), key=self.score, default=best)
-            if self.score(top) >= self.score(best) - 1.0 or len(top.hypothesis) > len(best.hypothesis):
+            rivals = tuple((*own, *self._beside_others(best, k, without[k], own)) for k, own in enumerate(rivals))
+            same_size = [r for own in rivals for r in own if len(r.hypothesis) <= len(best.hypothesis)]
+            top = min(same_size, key=self.score, default=best)
+            if self.score(top) >= self.score(best) - 1.0:
                 break
             best, without, rivals = self._exchanged(top)
         return best, without, rivals
+
+    def _beside_others(self, best: Fitted, k: int, without: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
+        """The nearest rivals of a part, refitted from where a hypothesis' other parts are.
+
+        Args:
+            best: the hypothesis.
+            k: the part's place.
+            without: what the rivals were added to.
+            rivals: with another in the part's place.
+        """
+        others = (instead(rival, without) for rival in sorted(rivals, key=self.score))
+        room = best.n_parameters - sum(p.candidate.n_parameters for j, p in enumerate(best.hypothesis) if j != k)
+        nearest = [other for other in others if other is not None and other.candidate.n_parameters <= room]
+        beside = (best.hypothesis[:k], best.hypothesis[k + 1 :])
+        return [
+            fitted for other in nearest[:CONTENDERS] for fitted in self._refitted(best, (*beside[0], other, *beside[1]))
+        ]
 
     def _refitted(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> list[Fitted]:
         """As ``refit``; nothing where parts exclude each other or it cannot have happened."""
@@ -453,23 +461,38 @@ class Search:
         return found
 
     def _narrowed(self, found: Searched) -> Searched:
-        """An effect in the fewest places: not where it does nothing that is seen."""
+        """Effects in the fewest places that fit as well (a deviance of ALIKE); the one of more places is a rival then.
+
+        Not with machines, whose deviances scatter by more than that.
+        """
+        if self.settings.thorough:
+            return found
+        limit = self.score(found.best) + ALIKE
+        while (least := self._in_fewer_places(found, limit)) is not None:
+            found = least
+        return found
+
+    def _in_fewer_places(self, found: Searched, limit: float) -> Searched | None:
         hypothesis = found.best.hypothesis
         for k, part in enumerate(hypothesis):
-            sites = part.candidate.locations
-            if len(sites) < 2:
+            kind, sites = part.candidate.effect, part.candidate.locations
+            fewer = [
+                fitted
+                for own in self.pool
+                if own.effect is kind and len(own.locations) == len(sites) - 1 and set(own.locations) < set(sites)
+                if own.label not in self.barred
+                for fitted in self._refitted(
+                    found.best, (*hypothesis[:k], Part(own, part.values), *hypothesis[k + 1 :])
+                )
+            ]
+            least = min(fewer, key=self.score, default=None)
+            if least is None or self.score(least) >= limit or not self.believed(found.without[k], least):
                 continue
-            fewer = []
-            for site in sites:
-                places = tuple(other for other in sites if other != site)
-                own = Part(replace(part.candidate, locations=places), part.values)
-                fewer.append(self.refit(found.best, (*hypothesis[:k], own, *hypothesis[k + 1 :])))
-            least = min(fewer, key=self.score)
-            if self.score(least) < self.score(found.best) + ALIKE:
-                moved = self.moved(found, least)
-                rivals = (*moved.rivals[:k], (found.best, *found.rivals[k]), *moved.rivals[k + 1 :])
-                return self._narrowed(replace(moved, rivals=rivals))
-        return found
+            moved = self.moved(found, least)
+            rivals = [tuple(self._beside_others(least, j, found.without[j], own)) for j, own in enumerate(found.rivals)]
+            rivals[k] = (found.best, *found.rivals[k])
+            return replace(moved, rivals=tuple(rivals))
+        return None
 
     def _simplified(self, found: Searched) -> Searched:
         """The simplest of effects that exclude each other in a place, unless a richer one is needed.
@@ -511,6 +534,13 @@ def less(search: Search, found: Searched, places: Sequence[int]) -> Searched:
         pairs = enumerate(found.without)
         places = [k for k, without in pairs if not search.believed(without, found.best)][:1]
     return found
+
+
+def instead(rival: Fitted, without: Fitted) -> Part | None:
+    """The one part that a hypothesis has beside those of another; None where that is not one."""
+    rest = {id(part.candidate) for part in without.hypothesis}
+    more = [part for part in rival.hypothesis if id(part.candidate) not in rest]
+    return more[0] if len(more) == 1 else None
 
 
 def _kind(part: Part) -> Kind:

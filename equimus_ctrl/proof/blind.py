@@ -62,7 +62,8 @@ def answer(recordings: Path, model: Model, report: Path | None, others: Path | N
         with threadpool_limits(limits=1, user_api="blas"):
             simulator = reduced_simulator(threads=1)
             own = Data(free, data.train, simulator)
-            answers = baselines(own, data.heldout, found.base if found else None)
+            same = found is not None and found.train == data.train
+            answers = baselines(own, data.heldout, found.base if found is not None and same else None)
         write_text(others, _text({"answers": answers, **made, "seconds": time.perf_counter() - begun}))
 
 

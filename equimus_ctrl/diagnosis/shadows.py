@@ -1,0 +1,110 @@
+"""Names that are but shadows: where one push without a name is put in, what was found explains nothing more."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.candidates import Hypothesis
+from equimus_ctrl.diagnosis.explained import explained
+from equimus_ctrl.diagnosis.flexible import Group
+from equimus_ctrl.diagnosis.leftover import Linear, judged, nuisances
+from equimus_ctrl.identification.weighing import outside
+from equimus_ctrl.types import Array
+
+LEAST_GAIN = 40.0
+"""Least fall of χ² on trials left out in turn that counts; noise alone stays below for the best of all pushes."""
+EACH = 2.0
+"""What a push has to explain beyond LEAST_GAIN for each of its functions to be taken for an effect's."""
+KEPT = 0.5
+"""Share of what an effect explains from which on it is needed beside a push."""
+LINEAR = 0.3
+"""Least share of the rise of χ² without an effect that its linear model has to tell to be of use."""
+COORDINATES = {
+    "pos": "pos", "len": "pos", "vel": "vel", "rate": "vel", "cmd": "cmd", "past": "past", "path": "past",
+    "time": "time",
+}  # fmt: skip
+"""What a place's coordinates are, in the words of the laws there."""
+
+
+def restates(group: Group, hypothesis: Hypothesis, geared: bool) -> Literal["", "same", "more"]:
+    """Whether a push is what a part of a hypothesis says, without its name: at its place, over what its law depends on.
+
+    A curve over the speed is friction of the same joint, a share of the pressure that depends on the length is an area
+    that does: those are no simpler stories. Drives with a fixed gear are where their joints are, and a push there that
+    depends on more than the law does says more; on what the laws of several parts there depend on, the same.
+    """
+    told = {COORDINATES[key] for key in re.findall(r"\b(pos|vel|len|rate|cmd|past|path|time)\b", group.depends_on)}
+    found: Literal["", "same", "more"] = ""
+    together: set[str] = set()
+    for part in hypothesis:
+        own, places = part.candidate.effect.depends(), set(part.candidate.locations)
+        here = group.location in places or (geared and set(group.joints) <= places)
+        if own == told and here:
+            return "same"
+        if geared and here and own is not None and own < told:
+            found, together = "more", together | own
+    return "same" if found and together == told else found
+
+
+def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: float) -> tuple[int, ...]:
+    """Parts of a fitted hypothesis that explain nothing beside a push, which without them explains more than they do.
+
+    A part's size is taken back to nothing along the motion of the whole hypothesis, all other numbers and one push
+    fitted in its place. Where these do what the part did, changes cancel along that motion, and the linear model
+    holds however far the numbers have to go.
+
+    Args:
+        at: the hypothesis to first order, with the pushes.
+        falls: by how much χ² falls with each part, fitted.
+        together: the same with all of them.
+        threshold: what a push has to explain to be told, see ``leftover.judged``.
+
+    Returns:
+        All parts, where they are the shadow of one push together, or the one that is least needed beside a push.
+    """
+    fitted = at.fitted
+    slopes, residual, scale = at.weighing.slopes, at.weighing.residual, fitted.fit.parameters.scale
+    basis = nuisances(slopes)
+    own = outside(residual, basis)
+    first = len(scale) - fitted.n_parameters
+    numbers: list[range] = []
+    to_nothing: list[Array | None] = []
+    for part in fitted.hypothesis:
+        end = part.candidate.effect.fades_to()
+        steps = [end.get(key, value) - value for key, value in part.values.items()]
+        numbers.append(range(first, first + len(steps)))
+        to_nothing.append(slopes[:, numbers[-1]] @ (steps / scale[numbers[-1]]) if end else None)
+        first += len(steps)
+
+    def needed(chosen: Sequence[int], fall: float) -> float:
+        """Least that some parts explain beside a push that stands in for them; infinite where none does."""
+        changes = [change for k in chosen if (change := to_nothing[k]) is not None]
+        if len(changes) < len(chosen):
+            return np.inf
+        left = residual - np.sum(changes, axis=0)
+        kept = nuisances(np.delete(slopes, [i for k in chosen for i in numbers[k]], axis=1))
+        rise = outside(left, kept) - own
+        if rise < LINEAR * fall:
+            return np.inf
+        hypothesis, least = tuple(fitted.hypothesis[k] for k in chosen), np.inf
+        for group, columns in zip(at.groups, at.columns, strict=True):
+            if restates(group, hypothesis, geared=True):
+                continue
+            push = explained(left, kept, columns, folds=at.folds)
+            more = push.gain - rise
+            if more <= LEAST_GAIN + EACH * push.rank or judged(push, at) < threshold:
+                continue
+            beside = explained(residual, basis, columns).gain - more
+            if beside < min(LEAST_GAIN, KEPT * rise):
+                least = min(least, beside)
+        return float(least)
+
+    places = range(len(fitted.hypothesis))
+    if len(places) > 1 and needed(places, together) < np.inf:
+        return tuple(places)
+    each = [needed([k], fall) for k, fall in enumerate(falls)]
+    return (int(np.argmin(each)),) if each and min(each) < np.inf else ()

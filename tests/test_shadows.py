@@ -1,0 +1,70 @@
+"""Names beside pushes: what only imitates one is withdrawn, what is true stays however much else is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from equimus_ctrl.diagnosis.candidates import Part, candidates, uncertain
+from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.remainder import Remainder, remainder
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.effects.base import Effect, parse
+from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.identification.simulators import reduced_simulator
+from equimus_ctrl.models.model import nominal_model
+from equimus_ctrl.proof.outside import Fade, Leak, PressureGrowth
+from equimus_ctrl.proof.realities import draw
+from equimus_ctrl.proof.simulation import recordings, simulate
+
+
+def left(
+    effects: tuple[Effect, ...], outside: tuple[Effect, ...], named: dict[str, dict[str, float]]
+) -> tuple[tuple[str, ...], Remainder]:
+    """Labels of what is fitted to a concealed leg, and what remains."""
+    drawn = draw(20, 4, kind="none", trials=6, duration=6.0)
+    reality = replace(drawn, effects=effects, outside=outside)
+    model = nominal_model()
+    segments = cut(model, recordings(reality, simulate(reality, 480.0)), fit_start=True)
+    data = Data(uncertain(model), segments, reduced_simulator(threads=2))
+    pool = {c.label: c for c in candidates(model, segments)}
+    base = data.base()
+    search = Search(data, list(pool.values()))
+    best = search.refit(base, tuple(Part(pool[label], values) for label, values in named.items()))
+    parts = best.hypothesis
+    without = [search.refit(best, parts[:k] + parts[k + 1 :]) for k in range(len(parts))]
+    return tuple(part.candidate.label for part in parts), remainder(data, base, best, without)
+
+
+@pytest.mark.parametrize(
+    ("outside", "label", "values"),
+    [
+        (Leak("maa", share=0.05), "sensor_scale:knee", {"scale": 1.05}),
+        (PressureGrowth("baa", growth=2e-3), "narrowing_area:baa", {"loss": -0.2}),
+    ],
+    ids=lambda value: value.name if isinstance(value, Effect) else "",
+)
+def test_the_name_of_a_shadow_is_superfluous(outside: Effect, label: str, values: dict[str, float]) -> None:
+    labels, rest = left((), (outside,), {label: values})
+    assert labels == (label,) and rest.superfluous == (0,)
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("joint_stop:knee:angle=0.15,stiffness=50,damping=0.5", {"angle": 0.15, "stiffness": 50.0, "damping": 0.5}),
+        ("joint_stop:knee:angle=0.14,stiffness=3.2,damping=0.045", {"angle": 0.14, "stiffness": 3.0, "damping": 0.05}),
+        ("sensor_scale:knee:scale=1.05", {"scale": 1.05}),
+        ("coulomb_friction:knee:friction=0.01", {"friction": 0.01}),
+        ("transport_delay:maa:delay=0.05", {"delay": 0.05}),
+    ],
+    ids=lambda value: value.partition(":angle")[0] if isinstance(value, str) else "",
+)
+@pytest.mark.parametrize("outside", [(), (Fade("baa", share=0.2, time_constant=3.0),)], ids=["alone", "and more"])
+def test_a_true_name_is_not(text: str, values: dict[str, float], outside: tuple[Effect, ...]) -> None:
+    effect = parse(text)
+    labels, rest = left((effect,), outside, {f"{effect.name}:{effect.location}": values})
+    assert labels == (f"{effect.name}:{effect.location}",)
+    assert rest.superfluous == ()
+    assert bool(rest.leftovers) == bool(outside)
