@@ -14,7 +14,7 @@ from equimus_ctrl.effects.base import Effect, parse
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import nominal_model
-from equimus_ctrl.proof.outside import Fade, Leak, PressureGrowth
+from equimus_ctrl.proof.outside import Leak, PressureGrowth
 from equimus_ctrl.proof.realities import draw
 from equimus_ctrl.proof.simulation import recordings, simulate
 
@@ -50,21 +50,32 @@ def test_the_name_of_a_shadow_is_superfluous(outside: Effect, label: str, values
     assert labels == (label,) and rest.superfluous == (0,)
 
 
+LEAK = (Leak("maa", share=0.05),)
+
+
 @pytest.mark.parametrize(
-    ("text", "values"),
+    ("text", "values", "outside"),
     [
-        ("joint_stop:knee:angle=0.15,stiffness=50,damping=0.5", {"angle": 0.15, "stiffness": 50.0, "damping": 0.5}),
-        ("joint_stop:knee:angle=0.14,stiffness=3.2,damping=0.045", {"angle": 0.14, "stiffness": 3.0, "damping": 0.05}),
-        ("sensor_scale:knee:scale=1.05", {"scale": 1.05}),
-        ("coulomb_friction:knee:friction=0.01", {"friction": 0.01}),
-        ("transport_delay:maa:delay=0.05", {"delay": 0.05}),
+        ("joint_stop:knee:angle=0.15,stiffness=50,damping=0.5", (0.15, 50.0, 0.5), LEAK),
+        ("joint_stop:knee:angle=0.14,stiffness=3.2,damping=0.045", (0.14, 3.0, 0.05), LEAK),
+        ("joint_stop:knee:angle=0.14,stiffness=3.2,damping=0.045", (0.14, 3.0, 0.05), ()),
+        ("sensor_scale:knee:scale=1.05", (1.05,), ()),
+        ("coulomb_friction:knee:friction=0.01", (0.01,), LEAK),
+        ("transport_delay:maa:delay=0.05", (0.05,), LEAK),
     ],
-    ids=lambda value: value.partition(":angle")[0] if isinstance(value, str) else "",
+    ids=[
+        "hard stop beside a leak",
+        "soft stop beside a leak",
+        "soft stop",
+        "scale",
+        "friction and leak",
+        "delay and leak",
+    ],
 )
-@pytest.mark.parametrize("outside", [(), (Fade("baa", share=0.2, time_constant=3.0),)], ids=["alone", "and more"])
-def test_a_true_name_is_not(text: str, values: dict[str, float], outside: tuple[Effect, ...]) -> None:
+def test_a_true_name_is_not(text: str, values: tuple[float, ...], outside: tuple[Effect, ...]) -> None:
     effect = parse(text)
-    labels, rest = left((effect,), outside, {f"{effect.name}:{effect.location}": values})
-    assert labels == (f"{effect.name}:{effect.location}",)
+    label = f"{effect.name}:{effect.location}"
+    labels, rest = left((effect,), outside, {label: dict(zip(effect.parameters(), values, strict=True))})
+    assert labels == (label,)
     assert rest.superfluous == ()
     assert bool(rest.leftovers) == bool(outside)
