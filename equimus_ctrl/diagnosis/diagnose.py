@@ -281,7 +281,7 @@ def _finding(search: Search, found: Searched, judge: Judge, k: int, left: bool, 
         judge.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
         judge.share(*(judge.heldout(f.fit.model) for f in (without, best, found.base))),
     )
-    alike = max(ALIKE, search.settings.least_share * search.data.n, BLURRED * gain if left else 0.0)
+    alike = max(ALIKE, BLURRED * gain) if left else ALIKE
     return Finding(part, _estimates(search.data, best, k), evidence, _equivalent(search, found, k, alike, finely))
 
 
@@ -313,7 +313,7 @@ def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: 
 
     What is near is looked at with fine steps: where commands jump, the errors of longer ones can tell alike from alike.
     """
-    margin += search.settings.valleys
+    margin = max(margin + search.settings.valleys, search.settings.least_share * search.data.n)
     own = found.best.hypothesis[k].candidate.label
     named: dict[str, Named] = {}
     near = search.score(found.best) + margin + BLUR
