@@ -45,18 +45,28 @@ def made_case(*effects: tuple[str, str, dict[str, float]], trials: int = 3, dura
     return recordings(reality, simulate(reality, 480.0))
 
 
-def test_a_worker_writes_what_it_finds_and_what_it_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("same", [True, False])
+def test_a_worker_writes_what_it_finds_and_what_it_took(
+    same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_folder(tmp_path / "case_0003", made_case(trials=2, duration=2.0))
-    seen = []
+    seen, given = [], []
+
+    def others_say(data: Any, heldout: Any, base: Any) -> dict[str, Any]:
+        given.append(base)
+        return {"bic": {"findings": [], "failed": ""}}
 
     def fake(free: Any, data: Any, settings: Any) -> Any:
         seen.append((free.model, [s.trial.name for s in (*data.train, *data.heldout)], settings.threads))
-        return SimpleNamespace(to_dict=lambda: {**report(SAID_LAG), "nan": math.nan}, base=None)
+        return SimpleNamespace(
+            to_dict=lambda: {**report(SAID_LAG), "nan": math.nan}, base="fit", train=data.train if same else ()
+        )
 
     monkeypatch.setattr(blind, "diagnose", fake)
-    monkeypatch.setattr(blind, "baselines", lambda data, heldout, base: {"bic": {"findings": [], "failed": ""}})
+    monkeypatch.setattr(blind, "baselines", others_say)
     blind.answer(tmp_path / "case_0003", nominal_model(), tmp_path / "r.json", tmp_path / "b.json", "sealed")
     assert seen == [(nominal_model(), ["trial_00", "trial_01"], 1)]
+    assert given == ["fit" if same else None]  # a fit to other trials is of no use to them
     said, others = (json.loads((tmp_path / name).read_text()) for name in ("r.json", "b.json"))
     assert said["findings"] == [SAID_LAG] and said["nan"] is None
     assert said["proof"]["seal"] == others["seal"] == "sealed"
