@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from equimus_ctrl.diagnosis.candidates import Part, candidates, uncertain
 from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.leftover import followed
 from equimus_ctrl.diagnosis.remainder import Remainder, remainder
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.effects.base import Effect, parse
@@ -79,3 +81,14 @@ def test_a_true_name_is_not(text: str, values: tuple[float, ...], outside: tuple
     assert labels == (label,)
     assert rest.superfluous == ()
     assert bool(rest.leftovers) == bool(outside)
+
+
+def test_answers_that_grew_without_bound_tell_nothing() -> None:
+    good, bad = np.full((4, 2, 1), 0.3), np.full((4, 2, 1), 0.2)
+    wild = np.array([0.0, 1e3, 1e12, np.inf])[:, None, None] * np.ones((1, 2, 1))
+    lost = np.where(np.isinf(wild), np.nan, 0.0)
+    first = np.concatenate([good, wild, bad, lost], axis=2)
+    second = np.concatenate([good, good, bad, good], axis=2)
+    for told, given in zip(followed([first, second]), (first, second), strict=True):
+        np.testing.assert_array_equal(told[:, :, [0, 2]], given[:, :, [0, 2]])
+        np.testing.assert_array_equal(told[:, :, [1, 3]], 0.0)

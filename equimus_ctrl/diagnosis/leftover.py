@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,8 @@ from equimus_ctrl.types import Array
 SLOWEST, FASTEST = 0.2, 4.0
 """Frequencies of a disturbance in time that are looked for [Hz]."""
 FOLDS = 3
+BOUND = 1e9
+"""Larger answers [rad] than any push of size 1 has tell of an instability alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +87,18 @@ def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = 2e-3) -> Linear
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
     pushes = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
-    answers = responses(linearised, pushes)
+    answers = [followed(trials) for trials in responses(linearised, pushes)]
     columns = [weighing.columns(data.times, trials) for trials in answers]
     edges = np.cumsum([0, *[s.measured.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
     return Linear(fitted, weighing, pushes, columns, folds if len(slices) > 1 else [], noise, motions)
+
+
+def followed(answers: Sequence[Array]) -> list[Array]:
+    """For each trial (m, nj, k) answers to pushes, 0 for those that grew without bound along an unstable motion."""
+    told = np.all([(np.abs(a) < BOUND).all(axis=(0, 1)) for a in answers], axis=0)
+    return [np.where(told, a, 0.0) for a in answers]
 
 
 def nuisances(slopes: Array) -> Array:
