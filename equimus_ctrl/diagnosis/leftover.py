@@ -87,7 +87,8 @@ def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = 2e-3) -> Linear
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
     pushes = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
-    answers = [followed(trials) for trials in responses(linearised, pushes)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        answers = [followed(trials) for trials in responses(linearised, pushes)]
     columns = [weighing.columns(data.times, trials) for trials in answers]
     edges = np.cumsum([0, *[s.measured.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
