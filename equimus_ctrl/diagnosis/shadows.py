@@ -92,6 +92,7 @@ def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: flo
             return np.inf
         hypothesis, least = tuple(fitted.hypothesis[k] for k in chosen), np.inf
         for group, columns in zip(at.groups, at.columns, strict=True):
+            # A push over more than the law depends on has the law within it: on any robot it would always do as much.
             if restates(group, hypothesis, geared=True):
                 continue
             push = explained(left, kept, columns, folds=at.folds)
