@@ -99,6 +99,15 @@ def quick(domain: int = DOMAIN, **safety: Any) -> HardwareSettings:
     return HardwareSettings(patience=10.0, settle=0.3, wire=Wire(domain=domain), safety=Safety(**safety))
 
 
+def patient(domain: int = DOMAIN) -> HardwareSettings:
+    """Bears a machine that stands still for a moment, where what a robot does about that is not what is tested."""
+    return quick(domain, stale=0.5, misses=60)
+
+
+PATIENT = ("--watchdog", "0.5")
+"""The same of an emulator."""
+
+
 def plant_on(wire: MemoryWire, settings: HardwareSettings | None = None, **given: object) -> HardwarePlant:
     return HardwarePlant(MODEL, settings or quick(), **{"armed": True, "transport": wire, **given})  # type: ignore[arg-type]
 

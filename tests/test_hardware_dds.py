@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hardware_rig import DOMAIN, LOOPBACK, SHARED, emulator, quick, seen_by, within_limits
+from hardware_rig import DOMAIN, LOOPBACK, PATIENT, SHARED, emulator, patient, quick, seen_by, within_limits
 
 pytest.importorskip("cyclonedds.core", reason="Cyclone DDS is not installed: pip install 'equimus-ctrl[hardware]'")
 os.environ["CYCLONEDDS_URI"] = LOOPBACK
@@ -34,7 +34,7 @@ from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.hardware import messages
 from equimus_ctrl.plants.hardware.dds import DdsDevice, DdsHost
 from equimus_ctrl.plants.hardware.plant import HardwarePlant
-from equimus_ctrl.plants.hardware.settings import Wire
+from equimus_ctrl.plants.hardware.settings import HardwareSettings, Wire
 from equimus_ctrl.plants.hardware.transports import transport_entry
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.recordings import read
@@ -72,7 +72,7 @@ def rmse(time: Array, position: Array) -> Array:
 def leg(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """An emulator without faults; its log."""
     log = tmp_path_factory.mktemp("emulator") / "log.json"
-    with emulator(log, "--noise", "0.0005", domain=SHARED):
+    with emulator(log, "--noise", "0.0005", *PATIENT, domain=SHARED):
         yield log
     assert within_limits(seen_by(log), SLEW / 120)
 
@@ -82,7 +82,7 @@ def test_controllers_track_over_the_wire_as_in_simulation(leg: Path, name: str, 
     scenario = load_scenario("hold", MODEL.morphology, search=False)
     own = load_controller(name, scenario, None, MODEL.morphology)
     reference, record = FunctionReference(swaying), tmp_path / "run.csv"
-    with closing(HardwarePlant(MODEL, quick(SHARED), armed=True, record=record)) as plant:
+    with closing(HardwarePlant(MODEL, patient(SHARED), armed=True, record=record)) as plant:
         run(plant, own, reference, 6.0)
     assert plant.counts.fault == ""
     # What the loop says it was late by, which is this machine's; commands wait for the emulator's next tick.
@@ -96,7 +96,10 @@ def test_controllers_track_over_the_wire_as_in_simulation(leg: Path, name: str, 
 
 
 def test_instants_begin_soon_after_a_measurement_and_stamps_are_even(tmp_path: Path) -> None:
-    with emulator(tmp_path / "log.json"), closing(HardwarePlant(MODEL, quick(), armed=True)) as plant:
+    with (
+        emulator(tmp_path / "log.json", *PATIENT),
+        closing(HardwarePlant(MODEL, patient(), armed=True)) as plant,
+    ):
         ages = []
         observation = plant.reset()
         for _ in range(240):
@@ -120,10 +123,12 @@ FAULTS = {
 HARMLESS = {"repeat": "repeat:{t}:1", "reorder": "reorder:{t}:1"}
 
 
-def driven(log: Path, tmp_path: Path, *options: str, seconds: float = 4.0) -> tuple[str, HardwarePlant]:
+def driven(
+    log: Path, tmp_path: Path, *options: str, seconds: float = 4.0, settings: HardwareSettings | None = None
+) -> tuple[str, HardwarePlant]:
     """Swaying by open loop until it faults; why."""
-    record = tmp_path / "run.csv"
-    with emulator(log, *options), closing(HardwarePlant(MODEL, quick(), armed=True, record=record)) as plant:
+    settings, record = settings or quick(), tmp_path / "run.csv"
+    with emulator(log, *options), closing(HardwarePlant(MODEL, settings, armed=True, record=record)) as plant:
         try:
             plant.reset()
             for k in range(round(120 * seconds)):
@@ -154,7 +159,8 @@ def test_faults_vent_and_are_told_and_what_came_before_is_recorded(name: str, tm
 
 @pytest.mark.parametrize("name", HARMLESS)
 def test_what_comes_twice_or_late_is_ignored(name: str, tmp_path: Path) -> None:
-    why, plant = driven(tmp_path / "log.json", tmp_path, "--fault", HARMLESS[name].format(t=2.0))
+    fault = HARMLESS[name].format(t=2.0)
+    why, plant = driven(tmp_path / "log.json", tmp_path, "--fault", fault, *PATIENT, settings=patient())
     assert why == "" and plant.counts.ignored > 20
     assert len(read(tmp_path / "run.csv").time) > 470
 
