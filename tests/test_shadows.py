@@ -16,7 +16,7 @@ from equimus_ctrl.effects.base import Effect, parse
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import nominal_model
-from equimus_ctrl.proof.outside import Leak, PressureGrowth
+from equimus_ctrl.proof.outside import CrossSpring, Leak, PressureGrowth
 from equimus_ctrl.proof.realities import draw
 from equimus_ctrl.proof.simulation import recordings, simulate
 
@@ -44,6 +44,7 @@ def left(
     [
         (Leak("maa", share=0.05), "sensor_scale:knee", {"scale": 1.05}),
         (PressureGrowth("baa", growth=2e-3), "narrowing_area:baa", {"loss": -0.2}),
+        (CrossSpring("hip", stiffness=0.1), "joint_stop:knee", {"angle": 0.4, "stiffness": 0.3, "damping": 0.01}),
     ],
     ids=lambda value: value.name if isinstance(value, Effect) else "",
 )
@@ -61,6 +62,7 @@ LEAK = (Leak("maa", share=0.05),)
         ("joint_stop:knee:angle=0.15,stiffness=50,damping=0.5", (0.15, 50.0, 0.5), LEAK),
         ("joint_stop:knee:angle=0.14,stiffness=3.2,damping=0.045", (0.14, 3.0, 0.05), LEAK),
         ("joint_stop:knee:angle=0.14,stiffness=3.2,damping=0.045", (0.14, 3.0, 0.05), ()),
+        ("joint_stop:hip:angle=1.6,stiffness=2.0,damping=0.045", (1.6, 1.9, 0.05), ()),
         ("sensor_scale:knee:scale=1.05", (1.05,), ()),
         ("coulomb_friction:knee:friction=0.01", (0.01,), LEAK),
         ("transport_delay:maa:delay=0.05", (0.05,), LEAK),
@@ -69,6 +71,7 @@ LEAK = (Leak("maa", share=0.05),)
         "hard stop beside a leak",
         "soft stop beside a leak",
         "soft stop",
+        "stop softer than the joint itself",
         "scale",
         "friction and leak",
         "delay and leak",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.diagnosis.explained import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.flexible import Axis, Group
@@ -99,7 +100,8 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
     if geared and _imitated(data, base, best):
         # A machine without its effects is so far off that a push is no measure of effects that leave nothing.
         return whole_instead
-    superfluous = tuple(sorted({*shadows, *_superfluous(data, best, without, found[0][0].found.gain)}))
+    replaced = _superfluous(data, best, without, found[0][0].found.gain)
+    superfluous = tuple(sorted({*shadows, *replaced, *_barely(data, best)}))
     total = sum(f.found.gain for f, _ in found)
     told = tuple(_told(data, at, f, columns, f.found.gain / total, threshold) for f, columns in found)
     return Remainder(told, superfluous)
@@ -191,6 +193,16 @@ def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: floa
         k
         for k, fitted in enumerate(without)
         if _stands_in(data, fitted, best, _squares(data, fitted, best) - own + left, INSTEAD, TRIED)
+    )
+
+
+def _barely(data: Data, best: Fitted) -> tuple[int, ...]:
+    """Parts that are hardly what their names say."""
+    seen = seen_places(data.free.model, data.segments)
+    return tuple(
+        k
+        for k, part in enumerate(best.hypothesis)
+        if any(part.candidate.effect.barely(part.values, seen[place]) for place in part.candidate.locations)
     )
 
 

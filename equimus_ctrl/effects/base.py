@@ -167,6 +167,14 @@ class Effect:
         return {} if nothing is None else {next(iter(cls.parameter_info())): nothing}
 
     @classmethod
+    def barely(cls, values: Mapping[str, float], seen: Seen) -> bool:
+        """Whether with these values of its parameters it is hardly what its name says, and could be any push.
+
+        It is believed then only where it leaves nothing unexplained.
+        """
+        return False
+
+    @classmethod
     def check_class(cls) -> None:
         """Raise ConfigError where the class does not say all that an effect must."""
         who = f"effect class {cls.__name__}"

@@ -131,6 +131,11 @@ class JointStop(BodyEffect):
     def fades_to(cls) -> Mapping[str, float]:
         return {"stiffness": 0.0, "damping": 0.0}  # short of the stop that it replaces
 
+    @classmethod
+    def barely(cls, values: Mapping[str, float], seen: Seen) -> bool:
+        # Softer than what holds the joint anyway it stops nothing: a spring that sets in.
+        return values["stiffness"] * seen.span < seen.push
+
     def slot(self, robot: Any) -> str:
         return f"{self.location}, {self._side(robot)} side"
 
