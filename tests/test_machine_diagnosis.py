@@ -17,8 +17,9 @@ from equimus_ctrl.diagnosis.confirm import _another
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group
 from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.rivals import ALIKE, in_place
 from equimus_ctrl.diagnosis.screening import screen
-from equimus_ctrl.diagnosis.search import ALIKE, Search, Searched, SearchSettings
+from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.shadows import restates
 from equimus_ctrl.diagnosis.split import split, window_length
 from equimus_ctrl.effects import (
@@ -276,7 +277,7 @@ def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the
     best = own.fitted("coulomb_friction:hinge", "sensor_offset:hinge")
     found = own.end(best)
     assert not found.rivals[1]
-    rivals = own.search.in_place(found, 1, 30.0)
+    rivals = in_place(own.search, found, 1, 30.0)
     assert [r.label for r in rivals] == ["coulomb_friction:hinge gravity_tilt:base"]
     assert own.search.score(rivals[0]) < own.search.score(best) + ALIKE
 

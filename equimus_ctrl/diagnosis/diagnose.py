@@ -30,8 +30,9 @@ from equimus_ctrl.diagnosis.results import (
     Residuals,
     Verdict,
 )
+from equimus_ctrl.diagnosis.rivals import ALIKE, in_place, instead, less
 from equimus_ctrl.diagnosis.screening import Screened
-from equimus_ctrl.diagnosis.search import ALIKE, LONG, Search, Searched, SearchSettings, instead, less
+from equimus_ctrl.diagnosis.search import LONG, Search, Searched, SearchSettings
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.step import step_counted, without_step_error
 from equimus_ctrl.diagnosis.where import excess_of, where_off
@@ -317,7 +318,7 @@ def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: 
     own = found.best.hypothesis[k].candidate.label
     named: dict[str, Named] = {}
     near = search.score(found.best) + margin + BLUR
-    for rival in sorted(search.in_place(found, k, margin + BLUR), key=search.score):
+    for rival in sorted(in_place(search, found, k, margin + BLUR), key=search.score):
         other = instead(rival, found.without[k])
         if rival.n_parameters > found.best.n_parameters or other is None or search.score(rival) >= near:
             continue

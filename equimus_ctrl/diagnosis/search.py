@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, model_of
 from equimus_ctrl.diagnosis.fitting import SETTLED, Data, Fitted, whitened
 from equimus_ctrl.diagnosis.leftover import flexible, linear
+from equimus_ctrl.diagnosis.rivals import contested, narrowed, simplified
 from equimus_ctrl.diagnosis.screening import Screened, screen
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
@@ -73,9 +74,7 @@ class Searched:
     fitted: tuple[Fitted, ...]
 
 
-Kind = tuple[str, tuple[str, ...]]
-"""What a part is: its law, or what it shares with those that exclude it, and where."""
-_Ended = tuple[Fitted, tuple[Fitted, ...], tuple[tuple[Fitted, ...], ...]]
+Ended = tuple[Fitted, tuple[Fitted, ...], tuple[tuple[Fitted, ...], ...]]
 """The best hypothesis, what it is without each of its parts, and with others in their places."""
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
@@ -89,10 +88,6 @@ BESIDE, SECOND = 0.7, 2
 """Least share of the best first part's gain, and how many others with as much are given a second part as well."""
 INSTEAD = 3
 """Candidates fitted, for each way to weigh the residuals, to take the place of a part."""
-ALIKE = 10.0
-"""Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
-CONTESTS, CONTENDERS = 2, 2
-"""How often the best so many of each part's rivals are fitted beside the other parts."""
 MOVES = 8
 """How often parts are exchanged at most."""
 
@@ -151,8 +146,8 @@ class Search:
     def beginning(self, base: Fitted, start: Fitted) -> Searched:
         """A hypothesis to go on from, less what is not needed and with what fits better in its parts' places."""
         self._first = tuple(screen(self.data, base, self.pool))
-        best, without, rivals = self._exchanged(start)
-        return self._simplified(Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
+        best, without, rivals = self.exchanged(start)
+        return simplified(self, Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
 
     def go_on(self, found: Searched, barred: Sequence[str] = ()) -> Searched:
         """Search from where one ended.
@@ -188,16 +183,16 @@ class Search:
             before, best = best, top
             without, rivals = (before,), (others,)
             if len(best.hypothesis) > 1:
-                best, without, rivals = self._exchanged(best)
+                best, without, rivals = self.exchanged(best)
             if self.settings.thorough:
-                plain = self._simplified(Searched(base, best, without, rivals, (), ()))
+                plain = simplified(self, Searched(base, best, without, rivals, (), ()))
                 best, without, rivals = plain.best, plain.without, plain.rivals
             if not outdone:
                 sure = best, without, rivals
             if not best.hypothesis:
                 break
-        best, without, rivals = self._contested(*sure)
-        return self._narrowed(Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
+        best, without, rivals = contested(self, *sure)
+        return narrowed(self, Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
 
     def _better(self, best: Fitted, top: Fitted) -> bool:
         return self.believed(best, top) and self.score(top) < self.score(best)
@@ -343,7 +338,7 @@ class Search:
             found.append((hypothesis, (theta, fitted.fit.starts)))
         return found
 
-    def _exchanged(self, best: Fitted) -> _Ended:
+    def exchanged(self, best: Fitted) -> Ended:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
         for _ in range(MOVES):
             moved = False
@@ -369,41 +364,7 @@ class Search:
         found = [self.refit(best, best.hypothesis[:k] + best.hypothesis[k + 1 :]) for k in range(len(best.hypothesis))]
         return best, tuple(found), tuple(() for _ in found)
 
-    def _contested(self, best: Fitted, without: tuple[Fitted, ...], rivals: tuple[tuple[Fitted, ...], ...]) -> _Ended:
-        """The nearest rivals of each of several parts fitted beside the others where these are now; the best of all.
-
-        Without the part the others went elsewhere, and a rival that is fitted beside them from there may end in a
-        valley of its own. Machines' are looked at more widely, see ``in_place``.
-        """
-        if len(best.hypothesis) < 2 or self.settings.thorough:
-            return best, without, rivals
-        for _ in range(CONTESTS):
-            rivals = tuple((*own, *self._beside_others(best, k, without[k], own)) for k, own in enumerate(rivals))
-            same_size = [r for own in rivals for r in own if len(r.hypothesis) <= len(best.hypothesis)]
-            top = min(same_size, key=self.score, default=best)
-            if self.score(top) >= self.score(best) - 1.0:
-                break
-            best, without, rivals = self._exchanged(top)
-        return best, without, rivals
-
-    def _beside_others(self, best: Fitted, k: int, without: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
-        """The nearest rivals of a part, refitted from where a hypothesis' other parts are.
-
-        Args:
-            best: the hypothesis.
-            k: the part's place.
-            without: what the rivals were added to.
-            rivals: with another in the part's place.
-        """
-        others = (instead(rival, without) for rival in sorted(rivals, key=self.score))
-        room = best.n_parameters - sum(p.candidate.n_parameters for j, p in enumerate(best.hypothesis) if j != k)
-        nearest = [other for other in others if other is not None and other.candidate.n_parameters <= room]
-        beside = (best.hypothesis[:k], best.hypothesis[k + 1 :])
-        return [
-            fitted for other in nearest[:CONTENDERS] for fitted in self._refitted(best, (*beside[0], other, *beside[1]))
-        ]
-
-    def _refitted(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> list[Fitted]:
+    def refitted(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> list[Fitted]:
         """As ``refit``; nothing where parts exclude each other or it cannot have happened."""
         try:
             return [self.refit(fitted, hypothesis)]
@@ -418,102 +379,6 @@ class Search:
         rivals = tuple(old.get(part.candidate.label, ()) if len(parts) == 1 else () for part in parts)
         return Searched(found.base, best, without, rivals, found.first, tuple(self.fitted))
 
-    def in_place(self, found: Searched, k: int, margin: float) -> list[Fitted]:
-        """Hypotheses with another in a part's place.
-
-        Where fits may end in one of many valleys, what fitted about as well in the part's place beside any other parts
-        is fitted beside those of the end too, from where they are.
-
-        Args:
-            found: the end.
-            k: place of the part.
-            margin: what the score of one that fits about as well may lack.
-        """
-        rivals = list(found.rivals[k])
-        if not self.settings.thorough:
-            return rivals
-        parts = found.best.hypothesis
-        own, rest = _kind(parts[k]), {_kind(part) for j, part in enumerate(parts) if j != k}
-        near = self.score(found.best) + margin
-        others: dict[Kind, Part] = {}
-        for rival in rivals:
-            left = [part for part in rival.hypothesis if _kind(part) not in rest]
-            if len(left) == 1 and self.score(rival) < near:
-                others[_kind(left[0])] = left[0]
-        met = [known for fitted in (self.fitted, self.otherwise) for known in self._beside_the_same(fitted).values()]
-        for known in met:
-            for kind, (score, part) in known.items():
-                if own in known and kind not in rest and abs(score - known[own][0]) < margin:
-                    others.setdefault(kind, part)
-        others.pop(own, None)
-        for other in others.values():
-            rivals += self._refitted(found.best, (*parts[:k], *parts[k + 1 :], other))
-        return rivals
-
-    def _beside_the_same(self, fits: Sequence[Fitted]) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
-        """For kinds of parts that were fitted together what else was fitted beside them, its best score and itself."""
-        found: dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]] = {}
-        for fitted in sorted(fits, key=self.score):
-            kinds = [_kind(part) for part in fitted.hypothesis]
-            for place, part in enumerate(fitted.hypothesis):
-                rest = tuple(sorted(kinds[:place] + kinds[place + 1 :]))
-                found.setdefault(rest, {}).setdefault(kinds[place], (self.score(fitted), part))
-        return found
-
-    def _narrowed(self, found: Searched) -> Searched:
-        """Effects in the fewest places that fit as well (a deviance of ALIKE); the one of more places is a rival then.
-
-        Not with machines, whose deviances scatter by more than that.
-        """
-        if self.settings.thorough:
-            return found
-        limit = self.score(found.best) + ALIKE
-        while (least := self._in_fewer_places(found, limit)) is not None:
-            found = least
-        return found
-
-    def _in_fewer_places(self, found: Searched, limit: float) -> Searched | None:
-        hypothesis = found.best.hypothesis
-        for k, part in enumerate(hypothesis):
-            kind, sites = part.candidate.effect, part.candidate.locations
-            fewer = [
-                fitted
-                for own in self.pool
-                if own.effect is kind and len(own.locations) == len(sites) - 1 and set(own.locations) < set(sites)
-                if own.label not in self.barred
-                for fitted in self._refitted(
-                    found.best, (*hypothesis[:k], Part(own, part.values), *hypothesis[k + 1 :])
-                )
-            ]
-            least = min(fewer, key=self.score, default=None)
-            if least is None or self.score(least) >= limit or not self.believed(found.without[k], least):
-                continue
-            moved = self.moved(found, least)
-            rivals = [tuple(self._beside_others(least, j, found.without[j], own)) for j, own in enumerate(found.rivals)]
-            rivals[k] = (found.best, *found.rivals[k])
-            return replace(moved, rivals=tuple(rivals))
-        return None
-
-    def _simplified(self, found: Searched) -> Searched:
-        """The simplest of effects that exclude each other in a place, unless a richer one is needed.
-
-        Such as dry friction without what it is more at rest: searches with many kinks rank them by chance.
-        """
-        hypothesis = found.best.hypothesis
-        for k, part in enumerate(hypothesis):
-            own = part.candidate
-            for other in self.pool:
-                same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
-                if not same or other.n_parameters >= own.n_parameters:
-                    continue
-                begins = [dict(guess) for guess in other.guesses]
-                shared = {key: part.values[key] for key in begins[0] if key in part.values}
-                values = {**begins[len(begins) // 2], **shared}
-                simple = self.refit(found.best, (*hypothesis[:k], Part(other, values), *hypothesis[k + 1 :]))
-                if not self.believed(simple, found.best):
-                    return self._simplified(self.moved(found, simple))
-        return found
-
     def refit(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> Fitted:
         """A part of a fitted hypothesis, fitted to the end from there."""
         base = len(self.data.free.free)
@@ -524,28 +389,6 @@ class Search:
         found = self.data.settle(self.data.rough(hypothesis, [(theta, fitted.fit.starts)], weights, LONG))
         self.fitted.append(found)
         return found
-
-
-def less(search: Search, found: Searched, places: Sequence[int]) -> Searched:
-    """The search's end without some parts, and without those that are believed no more then."""
-    while places:
-        kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)
-        found = search.moved(found, search.refit(found.best, kept) if kept else found.base)
-        pairs = enumerate(found.without)
-        places = [k for k, without in pairs if not search.believed(without, found.best)][:1]
-    return found
-
-
-def instead(rival: Fitted, without: Fitted) -> Part | None:
-    """The one part that a hypothesis has beside those of another; None where that is not one."""
-    rest = {id(part.candidate) for part in without.hypothesis}
-    more = [part for part in rival.hypothesis if id(part.candidate) not in rest]
-    return more[0] if len(more) == 1 else None
-
-
-def _kind(part: Part) -> Kind:
-    effect = part.candidate.effect
-    return effect.exclusive or effect.name, part.candidate.locations
 
 
 def _by_gain(way: int) -> Callable[[Screened], float]:
