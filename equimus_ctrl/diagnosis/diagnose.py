@@ -55,6 +55,9 @@ PATIENCE, VALLEYS = 1, 20.0
 """With machines, whose pushes do much alike and rub: see ``SearchSettings``."""
 FINE = STEP / 3
 """The same where rivals are told apart."""
+AGAIN = 1
+"""How often a search goes on beside the names that stay where others were withdrawn: if it comes to doubtful names
+again, what is left has none."""
 WINDOW = r" from [0-9.]+ s$"
 """What windows' names have beyond those of their recordings."""
 Finely = Callable[[Fitted], Fitted]
@@ -144,11 +147,13 @@ def _diagnose(
     progress("what is left", 0.86, found.best.label)
     rest = remainder(data, found.base, found.best, found.without)
     doubtful: tuple[Named, ...] = ()
+    again = AGAIN
     while rest.superfluous:
         dropped = [found.best.hypothesis[k] for k in rest.superfluous]
         doubtful += tuple(_named(part) for part in dropped)
         found = less(search, found, rest.superfluous)
-        if found.best.hypothesis:
+        if found.best.hypothesis and again:
+            again -= 1
             found = confirmed(search, search.go_on(found, [part.candidate.label for part in dropped]), split)
         rest = remainder(data, found.base, found.best, found.without)
     coarse, ranking = "", _ranking(search, found)
