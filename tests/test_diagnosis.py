@@ -13,7 +13,8 @@ import pytest
 from equimus_ctrl.diagnosis.candidates import Part, candidates, model_of, parameters_of, uncertain, with_part
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
-from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.remainder import Remainder
 from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
 from equimus_ctrl.diagnosis.search import Search, Searched
 from equimus_ctrl.diagnosis.split import split
@@ -153,6 +154,27 @@ def test_a_name_that_explains_nothing_beside_one_push_is_withdrawn() -> None:
     assert found.verdict == "unexplained"
     assert "sensor_scale at knee" in {str(named) for named in found.doubtful}
     assert found.leftover[0].depends_on == "cmd.maa−cmd.baa"
+
+
+def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: list[list[str]] = []
+
+    def refusing(data: Data, base: Fitted, best: Fitted, without: object) -> Remainder:
+        labels = [part.candidate.label for part in best.hypothesis]
+        ends.append(labels)
+        own = "dead_zone:baa"
+        return Remainder((), tuple(k for k, label in enumerate(labels) if label != own) if own in labels else ())
+
+    monkeypatch.setattr("equimus_ctrl.diagnosis.diagnose.remainder", refusing)
+    model = nominal_model()
+    effects = (parse("dead_zone:baa:threshold=2000"), parse("coulomb_friction:knee:friction=0.01"))
+    parts = split(model, recordings(effects), heldout=["trial_3"])
+    found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
+    assert set(ends[0]) == {"dead_zone:baa", "coulomb_friction:knee"}
+    # What stands in for the friction the next time is withdrawn as well, and nothing looked for in its place.
+    assert set(ends[1]) == {"dead_zone:baa", "stribeck_friction:knee"} and ends[2:] == [["dead_zone:baa"]]
+    assert [str(f.named) for f in found.findings] == ["dead_zone at baa"]
+    assert [str(named) for named in found.doubtful] == ["coulomb_friction at knee", "stribeck_friction at knee"]
 
 
 def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_unexplained() -> None:

@@ -157,7 +157,8 @@ class Search:
             barred: labels of candidates that are not to be part of it.
         """
         self.barred |= set(barred)
-        base, best, without, rivals = found.base, found.best, found.without, found.rivals
+        base, best, without = found.base, found.best, found.without
+        rivals = tuple(tuple(r for r in own if self.barred.isdisjoint(_labels(r))) for own in found.rivals)
         sure, outdone = (best, without, rivals), 0
         for depth in range(2 * self.settings.most_parts):
             self.notify(f"what could be missing, round {depth + 1}", best.label)
@@ -332,6 +333,8 @@ class Search:
             if len(sites) < 2:
                 continue
             parts = tuple(Part(replace(part.candidate, locations=(site,)), part.values) for site in sites)
+            if not self.barred.isdisjoint(p.candidate.label for p in parts):
+                continue
             hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
             values = [v for p in hypothesis for v in p.values.values()]
             theta: Array = np.concatenate([fitted.fit.theta[:base], values])
@@ -389,6 +392,10 @@ class Search:
         found = self.data.settle(self.data.rough(hypothesis, [(theta, fitted.fit.starts)], weights, LONG))
         self.fitted.append(found)
         return found
+
+
+def _labels(fitted: Fitted) -> set[str]:
+    return {part.candidate.label for part in fitted.hypothesis}
 
 
 def _by_gain(way: int) -> Callable[[Screened], float]:
