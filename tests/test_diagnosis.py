@@ -14,9 +14,10 @@ from equimus_ctrl.diagnosis.candidates import Part, candidates, model_of, parame
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.moves import Searched
 from equimus_ctrl.diagnosis.remainder import Remainder
 from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
-from equimus_ctrl.diagnosis.search import Search, Searched
+from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.diagnosis.where import where_off
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, parse

@@ -16,10 +16,11 @@ from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, uncer
 from equimus_ctrl.diagnosis.confirm import _another
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group
+from equimus_ctrl.diagnosis.moves import Searched, SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.rivals import ALIKE, in_place
 from equimus_ctrl.diagnosis.screening import screen
-from equimus_ctrl.diagnosis.search import Search, Searched, SearchSettings
+from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.shadows import restates
 from equimus_ctrl.diagnosis.split import split, window_length
 from equimus_ctrl.effects import (

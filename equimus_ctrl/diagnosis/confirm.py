@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.moves import Searched
 from equimus_ctrl.diagnosis.rivals import ALIKE
-from equimus_ctrl.diagnosis.search import Search, Searched
+from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood, whiten

@@ -17,6 +17,7 @@ from equimus_ctrl.diagnosis.candidates import Part, candidates
 from equimus_ctrl.diagnosis.confirm import Judge, confirmed
 from equimus_ctrl.diagnosis.experiment import Design, separating
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.moves import LONG, Searched, SearchSettings
 from equimus_ctrl.diagnosis.remainder import Remainder, not_borne_out, remainder
 from equimus_ctrl.diagnosis.results import (
     STATES,
@@ -32,7 +33,7 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.rivals import ALIKE, in_place, instead, less
 from equimus_ctrl.diagnosis.screening import Screened
-from equimus_ctrl.diagnosis.search import LONG, Search, Searched, SearchSettings
+from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.step import step_counted, without_step_error
 from equimus_ctrl.diagnosis.where import excess_of, where_off

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
-
-if TYPE_CHECKING:
-    from equimus_ctrl.diagnosis.search import Ended, Search, Searched
+from equimus_ctrl.diagnosis.moves import Ended, Moves, Searched
 
 Kind = tuple[str, tuple[str, ...]]
 """What a part is: its law, or what it shares with those that exclude it, and where."""
@@ -21,7 +18,7 @@ CONTESTS, CONTENDERS = 2, 2
 
 
 def contested(
-    search: Search, best: Fitted, without: tuple[Fitted, ...], rivals: tuple[tuple[Fitted, ...], ...]
+    search: Moves, best: Fitted, without: tuple[Fitted, ...], rivals: tuple[tuple[Fitted, ...], ...]
 ) -> Ended:
     """The nearest rivals of each of several parts fitted beside the others where these are now; the best of all.
 
@@ -40,7 +37,7 @@ def contested(
     return best, without, rivals
 
 
-def _beside_others(search: Search, best: Fitted, k: int, without: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
+def _beside_others(search: Moves, best: Fitted, k: int, without: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
     """The nearest rivals of a part, refitted from where a hypothesis' other parts are.
 
     Args:
@@ -59,7 +56,7 @@ def _beside_others(search: Search, best: Fitted, k: int, without: Fitted, rivals
     ]
 
 
-def in_place(search: Search, found: Searched, k: int, margin: float) -> list[Fitted]:
+def in_place(search: Moves, found: Searched, k: int, margin: float) -> list[Fitted]:
     """Hypotheses with another in a part's place.
 
     Where fits may end in one of many valleys, what fitted about as well in the part's place beside any other parts
@@ -93,7 +90,7 @@ def in_place(search: Search, found: Searched, k: int, margin: float) -> list[Fit
     return rivals
 
 
-def _beside_the_same(search: Search, fits: Sequence[Fitted]) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
+def _beside_the_same(search: Moves, fits: Sequence[Fitted]) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
     """For kinds of parts that were fitted together what else was fitted beside them, its best score and itself."""
     found: dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]] = {}
     for fitted in sorted(fits, key=search.score):
@@ -104,7 +101,7 @@ def _beside_the_same(search: Search, fits: Sequence[Fitted]) -> dict[tuple[Kind,
     return found
 
 
-def narrowed(search: Search, found: Searched) -> Searched:
+def narrowed(search: Moves, found: Searched) -> Searched:
     """Effects in the fewest places that fit as well (a deviance of ALIKE); the one of more places is a rival then.
 
     Not with machines, whose deviances scatter by more than that.
@@ -117,7 +114,7 @@ def narrowed(search: Search, found: Searched) -> Searched:
     return found
 
 
-def _in_fewer_places(search: Search, found: Searched, limit: float) -> Searched | None:
+def _in_fewer_places(search: Moves, found: Searched, limit: float) -> Searched | None:
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
         kind, sites = part.candidate.effect, part.candidate.locations
@@ -138,7 +135,7 @@ def _in_fewer_places(search: Search, found: Searched, limit: float) -> Searched 
     return None
 
 
-def simplified(search: Search, found: Searched) -> Searched:
+def simplified(search: Moves, found: Searched) -> Searched:
     """The simplest of effects that exclude each other in a place, unless a richer one is needed.
 
     Such as dry friction without what it is more at rest: searches with many kinks rank them by chance.
@@ -159,7 +156,7 @@ def simplified(search: Search, found: Searched) -> Searched:
     return found
 
 
-def less(search: Search, found: Searched, places: Sequence[int]) -> Searched:
+def less(search: Moves, found: Searched, places: Sequence[int]) -> Searched:
     """The search's end without some parts, and without those that are believed no more then."""
     while places:
         kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)

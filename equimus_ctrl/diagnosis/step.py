@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.moves import Searched
 from equimus_ctrl.diagnosis.remainder import Remainder, remainder
 from equimus_ctrl.diagnosis.rivals import less
-from equimus_ctrl.diagnosis.search import Search, Searched
+from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.simulators import STEPS_FINER, Simulator, machine_simulator, stepless_simulator

@@ -12,8 +12,8 @@ import numpy as np
 from equimus_ctrl.diagnosis.candidates import uncertain
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
+from equimus_ctrl.diagnosis.moves import SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.search import SearchSettings
 from equimus_ctrl.diagnosis.split import check_settings, split
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, machine_of, nominal_model
