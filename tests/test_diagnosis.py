@@ -238,6 +238,9 @@ def test_an_effect_is_named_where_it_shows_and_nowhere_else(largest: float, plac
     assert part.values["level"] == pytest.approx(14e3, rel=1e-2)
     others = {rival.label for rival in found.rivals[0]}
     assert ("saturation:maa+baa" in others) == (places == ("maa",))
+    # Where no more parts are looked for, what else could be there is all the same.
+    still = search.go_on(replace(found, rivals=((),)), further=False)
+    assert still.best.label == found.best.label and still.rivals[0]
 
 
 def test_the_same_recordings_give_the_same_bits_on_any_number_of_threads() -> None:

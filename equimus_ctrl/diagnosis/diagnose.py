@@ -153,9 +153,10 @@ def _diagnose(
         dropped = [found.best.hypothesis[k] for k in rest.superfluous]
         doubtful += tuple(_named(part) for part in dropped)
         found = less(search, found, rest.superfluous)
-        if found.best.hypothesis and again:
+        if found.best.hypothesis:
+            names = [part.candidate.label for part in dropped]
+            found = confirmed(search, search.go_on(found, names, further=again > 0), split)
             again -= 1
-            found = confirmed(search, search.go_on(found, [part.candidate.label for part in dropped]), split)
         rest = remainder(data, found.base, found.best, found.without)
     coarse, ranking = "", _ranking(search, found)
     if (exact := without_step_error(search, found, rest, settings.threads)) is not None:

@@ -39,18 +39,19 @@ class Search(Moves):
         best, without, rivals = self.exchanged(start)
         return simplified(self, Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
 
-    def go_on(self, found: Searched, barred: Sequence[str] = ()) -> Searched:
+    def go_on(self, found: Searched, barred: Sequence[str] = (), further: bool = True) -> Searched:
         """Search from where one ended.
 
         Args:
             found: there.
             barred: labels of candidates that are not to be part of it.
+            further: whether more parts are looked for, or only others in the places of those that are there.
         """
         self.barred |= set(barred)
         base, best, without = found.base, found.best, found.without
         rivals = tuple(tuple(r for r in own if self.barred.isdisjoint(_labels(r))) for own in found.rivals)
-        sure, outdone = (best, without, rivals), 0
-        for depth in range(2 * self.settings.most_parts):
+        sure, outdone = (best, without, rivals) if further else self.exchanged(best), 0
+        for depth in range(2 * self.settings.most_parts if further else 0):
             self.notify(f"what could be missing, round {depth + 1}", best.label)
             options = [o for o in self.challenge(best) if len(o.hypothesis) <= self.settings.most_parts]
             if self._may_try_all(best) and self._leads_nowhere(sure[0], best, options):
