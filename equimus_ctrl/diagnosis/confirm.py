@@ -60,14 +60,14 @@ def _another(search: Search, found: Searched, place: int, split: Split) -> Searc
     One part of a kind too many may be all that trials left out refuse: a friction of two sizes that has taken an
     offset's place, say.
     """
-    known = {_labels(found.best)}
+    known = {found.best.labels}
     limit = search.score(found.without[place])
     for fitted in sorted(search.fitted, key=search.score):
         if len(known) > OTHERS or search.score(fitted) >= limit:
             return None
-        if _labels(fitted) in known or len(fitted.hypothesis) > search.settings.most_parts:
+        if fitted.labels in known or len(fitted.hypothesis) > search.settings.most_parts:
             continue
-        known.add(_labels(fitted))
+        known.add(fitted.labels)
         moved = search.moved(found, search.data.settle(fitted))
         judge = Judge(search.data, split, moved)
         if all(
@@ -76,10 +76,6 @@ def _another(search: Search, found: Searched, place: int, split: Split) -> Searc
         ):
             return moved
     return None
-
-
-def _labels(fitted: Fitted) -> frozenset[str]:
-    return frozenset(part.candidate.label for part in fitted.hypothesis)
 
 
 def _carried_over(search: Search, judge: Judge, simple: Fitted, rich: Fitted) -> float:

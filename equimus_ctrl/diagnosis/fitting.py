@@ -57,6 +57,11 @@ class Fitted:
         return " ".join(part.candidate.label for part in self.hypothesis) or "nothing left out"
 
     @property
+    def labels(self) -> frozenset[str]:
+        """The same, whatever their order."""
+        return frozenset(part.candidate.label for part in self.hypothesis)
+
+    @property
     def n_parameters(self) -> int:
         """Numbers of the effects alone."""
         return sum(part.candidate.n_parameters for part in self.hypothesis)

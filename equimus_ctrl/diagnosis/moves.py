@@ -134,12 +134,12 @@ class Moves:
             fitted: what they add to.
             instead_of: label of a candidate that is left out, for what others could do in its place.
         """
-        whole = frozenset(part.candidate.label for part in fitted.hypothesis)
+        whole = fitted.labels
         for left_out in ("", instead_of):
             known = self._challenged.get((whole, left_out))
             if known and known[0].deviance <= fitted.deviance + SETTLED:
                 without = {instead_of, *self.barred}
-                return [o for o in known[1] if not without & {p.candidate.label for p in o.hypothesis}]
+                return [o for o in known[1] if without.isdisjoint(o.labels)]
         options = self._options(fitted, instead_of)
         self._challenged[whole, instead_of] = fitted, options
         return options
