@@ -48,11 +48,11 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
     except (ValueError, mujoco.FatalError) as error:
         raise ModelError(f"{path}: MuJoCo cannot load it ({' '.join(str(error).split())})") from None
     assets = {name: data if isinstance(data, bytes) else str(data).encode() for name, data in spec.assets.items()}
-    for folder in {path.parent, path.parent / spec.meshdir, path.parent / spec.texturedir}:
-        for part in (*spec.meshes, *spec.hfields, *spec.textures):
-            name = getattr(part, "file", "")
-            if name and name not in assets and (folder / name).is_file():
-                assets[name] = (folder / name).read_bytes()
+    for parts, folder in ((spec.meshes, spec.meshdir), (spec.hfields, spec.meshdir), (spec.textures, spec.texturedir)):
+        for name in (part.file for part in parts):
+            for place in (path.parent / folder / name, path.parent / name):  # where MuJoCo looks comes first
+                if name and name not in assets and place.is_file():
+                    assets[name] = place.read_bytes()
     name = spec.modelname
     return (path.stem if name in ("", "MuJoCo Model") else name), xml, assets
 

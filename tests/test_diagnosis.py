@@ -354,6 +354,17 @@ def test_which_trials_are_held_out() -> None:
         split(model, trials, heldout=["*"])
     with pytest.raises(ConfigError, match="fitted is what comes before 100 s, but the last trial ends at "):
         split(model, trials, until=100.0)
+    end = float(trials[0].time[-1])
+    for options, sentence in (
+        ({"until": -1.0}, "fitted is what comes before -1 s, but the first trial begins at 0 s"),
+        ({"until": end - 0.1}, "no trial has 60 samples after that, too few to judge by"),
+        ({"until": 2.5, "window": (0.0, 2.0)}, "fitted is what comes before 2.5 s, but what counts ends at 2 s"),
+        ({"until": 0.5, "window": (1.0, 2.0)}, "fitted is what comes before 0.5 s, but what counts begins at 1 s"),
+        ({"window": (2.0, 1.0)}, "the window goes from 2 to 1 s, expected the earlier time first"),
+        ({"window": (np.nan, 1.0)}, "the window goes from nan to 1 s"),
+    ):
+        with pytest.raises(ConfigError, match=sentence):
+            split(model, trials, **options)  # type: ignore[arg-type]
 
 
 def spoilt(change: str) -> list[Recording]:

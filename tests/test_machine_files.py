@@ -321,11 +321,21 @@ def test_meshes_are_kept_with_the_machine_and_found_from_what_is_saved(tmp_path:
     assert written.body("arm").mass[0] == pytest.approx(model.parameters()["arm.mass"], rel=1e-5)
 
 
+def test_a_mesh_is_taken_from_where_mujoco_takes_it(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "shape.obj").write_text(SHAPE)
+    (tmp_path / "shape.obj").write_text(SHAPE.replace(".2", ".4"))
+    (tmp_path / "meshed.xml").write_text(MESHED)
+    own = mujoco.MjModel.from_xml_path(str(tmp_path / "meshed.xml")).body("arm").mass[0]
+    assert load_model(tmp_path / "meshed.xml").parameters()["arm.mass"] == pytest.approx(own, rel=1e-9)
+
+
 def test_machines_that_differ_in_a_mesh_alone_are_two() -> None:
     small, large = (
         Machine("meshed", MESHED, {"shape.obj": SHAPE.replace(".2", size).encode()}) for size in (".2", ".4")
     )
     assert large.parameters()["arm.mass"] == pytest.approx(8 * small.parameters()["arm.mass"], rel=1e-5)
+    assert small.digest == replace(small, name="again").digest != large.digest
 
 
 NAMELESS = '<body pos="0 0 -0.6"><inertial mass="0.3" pos="0 0 0" diaginertia="0.01 0.01 0.01"/></body>'

@@ -186,7 +186,12 @@ def test_a_proof_of_a_pendulum_from_end_to_end(tmp_path: Path, capsys: pytest.Ca
     assert main(command) == 0
     assert "2 of 2 cases were diagnosed before" in capsys.readouterr().err
     assert main([*command[:2], *command[3:]]) == 2
-    assert "holds a proof with" in capsys.readouterr().err
+    assert "holds a proof with trials 2, not 1; choose another folder" in capsys.readouterr().err
+    xml = (EXAMPLES / "pendulum.xml").read_text()
+    (tmp_path / "pendulum.xml").write_text(xml.replace('mass="0.6"', 'mass="0.9"'))
+    command[command.index(str(EXAMPLES / "pendulum.xml"))] = str(tmp_path / "pendulum.xml")
+    assert main(command) == 2
+    assert "holds a proof with another model; choose another folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

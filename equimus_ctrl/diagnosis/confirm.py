@@ -10,7 +10,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.moves import Searched
-from equimus_ctrl.diagnosis.rivals import ALIKE
+from equimus_ctrl.diagnosis.rivals import ALIKE, listed
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.where import excess_of
@@ -43,15 +43,20 @@ def confirmed(search: Search, found: Searched, split: Split) -> Searched:
             return found
         if search.settings.thorough and (other := _another(search, found, place, split)) is not None:
             return other
-        without, limit = found.without[place], search.score(found.best) + ALIKE
-        rivals = sorted((r for r in found.rivals[place] if search.score(r) < limit), key=search.score)
-        better = next((r for r in rivals if _carried_over(search, judge, without, r) >= CARRIES_OVER), None)
-        if better is None or len(found.best.hypothesis) > 1:
-            found = search.moved(found, without)
-        else:
-            others = (found.best, *(r for r in found.rivals[place] if r is not better))
-            return replace(found, best=better, rivals=(others,))
+        if len(found.best.hypothesis) == 1 and (other := _rival(search, judge, listed(search, found))) is not None:
+            return other
+        found = search.moved(found, found.without[place])
     return found
+
+
+def _rival(search: Search, judge: Judge, found: Searched) -> Searched | None:
+    """The end with another part in the only one's place, that fits as well and that what was held out bears out."""
+    limit = search.score(found.best) + ALIKE
+    for rival in sorted((r for r in found.rivals[0] if search.score(r) < limit), key=search.score):
+        if _carried_over(search, judge, found.without[0], rival) >= CARRIES_OVER:
+            others = (found.best, *(r for r in found.rivals[0] if r is not rival))
+            return replace(found, best=rival, rivals=(others,))
+    return None
 
 
 def _another(search: Search, found: Searched, place: int, split: Split) -> Searched | None:
@@ -65,7 +70,9 @@ def _another(search: Search, found: Searched, place: int, split: Split) -> Searc
     for fitted in sorted(search.fitted, key=search.score):
         if len(known) > OTHERS or search.score(fitted) >= limit:
             return None
-        if fitted.labels in known or len(fitted.hypothesis) > search.settings.most_parts:
+        if fitted.labels in known or not search.barred.isdisjoint(fitted.labels):
+            continue
+        if len(fitted.hypothesis) > search.settings.most_parts:
             continue
         known.add(fitted.labels)
         moved = search.moved(found, search.data.settle(fitted))

@@ -31,7 +31,7 @@ from equimus_ctrl.diagnosis.results import (
     Residuals,
     Verdict,
 )
-from equimus_ctrl.diagnosis.rivals import ALIKE, in_place, instead, less
+from equimus_ctrl.diagnosis.rivals import ALIKE, in_place, instead, less, listed
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.split import Split
@@ -163,6 +163,7 @@ def _diagnose(
         search, found, rest, coarse = exact
         data = search.data
     progress("evidence", 0.94, found.best.label)
+    found = listed(search, found)
     if not coarse:
         found = step_counted(data, found, settings.threads)
     judge = Judge(data, split, found)
@@ -252,13 +253,19 @@ def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, S
     """
     data, settings, notify = search.data, search.settings, search.notify
     near = Search(replace(data, segments=split.near), search.pool, settings, notify)
-    best = near.run(near.data.base()).best
+    try:
+        best = near.run(near.data.base()).best
+    except SimulationDiverged:
+        return search, found
     labels = [sorted(part.candidate.label for part in fitted.hypothesis) for fitted in (best, found.best)]
     if not best.hypothesis or labels[0] == labels[1]:
         return search, found
     other = Search(data, search.pool, settings, notify, near.fitted)
     begin = (best.fit.theta, [s.start for s in data.segments])
-    start = data.settle(data.rough(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
+    try:
+        start = data.settle(data.rough(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
+    except SimulationDiverged:  # so it cannot be what happened
+        return search, found
     end = other.go_on(other.beginning(found.base, start))
     best_search, best_end = (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
     best_search.fitted = [*search.fitted, *other.fitted]

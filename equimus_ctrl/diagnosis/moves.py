@@ -273,18 +273,25 @@ class Moves:
         """A search's end moved to another hypothesis, with what it would be without each part."""
         parts = best.hypothesis
         without = tuple(self.refit(best, parts[:k] + parts[k + 1 :]) for k in range(len(parts)))
-        old = {part.candidate.label: rivals for part, rivals in zip(found.best.hypothesis, found.rivals, strict=True)}
-        rivals = tuple(old.get(part.candidate.label, ()) if len(parts) == 1 else () for part in parts)
-        return Searched(found.base, best, without, rivals, found.first, tuple(self.fitted))
+        # What others were fitted beside is not what stays, so rivals are looked for anew, see ``rivals.listed``.
+        return Searched(found.base, best, without, tuple(() for _ in parts), found.first, tuple(self.fitted))
 
     def refit(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> Fitted:
-        """A part of a fitted hypothesis, fitted to the end from there."""
+        """A part of a fitted hypothesis, fitted to the end from there.
+
+        Where it diverges without the rest, with what the model came with.
+        """
         base = len(self.data.free.free)
         values = [v for part in hypothesis for v in part.values.values()]
         theta: Array = np.concatenate([fitted.fit.theta[:base], values])
         model_of(self.data.free.model, hypothesis)
         weights = white_noise(fitted.fit.residuals)
-        found = self.data.settle(self.data.rough(hypothesis, [(theta, fitted.fit.starts)], weights, LONG))
+        try:
+            found = self.data.rough(hypothesis, [(theta, fitted.fit.starts)], weights, LONG)
+        except SimulationDiverged:
+            plain: Array = np.concatenate([self.data.free.start, values])
+            found = self.data.rough(hypothesis, [(plain, [s.start for s in self.data.segments])], weights, LONG)
+        found = self.data.settle(found)
         self.fitted.append(found)
         return found
 

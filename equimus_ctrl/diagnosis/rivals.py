@@ -86,6 +86,8 @@ def in_place(search: Moves, found: Searched, k: int, margin: float) -> list[Fitt
                 others.setdefault(kind, part)
     others.pop(own, None)
     for other in others.values():
+        if other.candidate.label in search.barred:
+            continue
         rivals += search.refitted(found.best, (*parts[:k], *parts[k + 1 :], other))
     return rivals
 
@@ -99,6 +101,18 @@ def _beside_the_same(search: Moves, fits: Sequence[Fitted]) -> dict[tuple[Kind, 
             rest = tuple(sorted(kinds[:place] + kinds[place + 1 :]))
             found.setdefault(rest, {}).setdefault(kinds[place], (search.score(fitted), part))
     return found
+
+
+def listed(search: Moves, found: Searched) -> Searched:
+    """The end with others in the places of those parts for which none are known, after others were withdrawn.
+
+    Machines' are found among all that was fitted, see ``in_place``.
+    """
+    if search.settings.thorough:
+        return found
+    parts = zip(found.best.hypothesis, found.without, found.rivals, strict=True)
+    rivals = [own or tuple(search.challenge(without, part.candidate.label)) for part, without, own in parts]
+    return replace(found, rivals=tuple(rivals))
 
 
 def narrowed(search: Moves, found: Searched) -> Searched:
@@ -145,7 +159,7 @@ def simplified(search: Moves, found: Searched) -> Searched:
         own = part.candidate
         for other in search.pool:
             same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
-            if not same or other.n_parameters >= own.n_parameters:
+            if not same or other.label in search.barred or other.n_parameters >= own.n_parameters:
                 continue
             begins = [dict(guess) for guess in other.guesses]
             shared = {key: part.values[key] for key in begins[0] if key in part.values}
@@ -168,8 +182,8 @@ def less(search: Moves, found: Searched, places: Sequence[int]) -> Searched:
 
 def instead(rival: Fitted, without: Fitted) -> Part | None:
     """The one part that a hypothesis has beside those of another; None where that is not one."""
-    rest = {id(part.candidate) for part in without.hypothesis}
-    more = [part for part in rival.hypothesis if id(part.candidate) not in rest]
+    rest = without.labels
+    more = [part for part in rival.hypothesis if part.candidate.label not in rest]
     return more[0] if len(more) == 1 else None
 
 

@@ -74,7 +74,7 @@ class Search(Moves):
             others = tuple(o for o in options if o is not top)
             before, best = best, top
             without, rivals = (before,), (others,)
-            if len(best.hypothesis) > 1:
+            if before.hypothesis:
                 best, without, rivals = self.exchanged(best)
             if self.settings.thorough:
                 plain = simplified(self, Searched(base, best, without, rivals, (), ()))

@@ -129,7 +129,9 @@ def split(
     for r in recordings:
         check_columns(model, r)
     check(model, recordings)
-    names = [r.name for r in recordings]
+    if window is not None and not window[0] < window[1]:
+        raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
+    names, asked = [r.name for r in recordings], until
     for pattern in heldout:
         if not fnmatch.filter(names, pattern):
             raise ConfigError(unknown_name("trial", pattern, names, "held out"))
@@ -143,11 +145,21 @@ def split(
             judging = {len(recordings) - 1}
         else:
             judging, others = (set(range(EVERY - back, len(recordings), EVERY)) for back in (1, 2))
-    elif until is not None and (last := max(float(r.time[-1]) for r in recordings)) <= until:
-        raise ConfigError(f"fitted is what comes before {until:g} s, but the last trial ends at {last:g} s")
+    elif until is not None:
+        spans = [window or (float(r.time[0]), float(r.time[-1])) for r in recordings]
+        first, last = min(low for low, _ in spans), max(high for _, high in spans)
+        if not first < until < last:
+            what = f"begins at {first:g} s" if until <= first else f"ends at {last:g} s"
+            whose = "what counts" if window else f"the {'first' if until <= first else 'last'} trial"
+            raise ConfigError(f"fitted is what comes before {until:g} s, but {whose} {what}")
     if machine_of(model) is not None and shoot is None:
         shoot = window_length(model, recordings, window, simulator)
     found = _parted(model, recordings, judging, until, window, shoot)
+    if asked is not None and not found.heldout:
+        raise ConfigError(
+            f"fitted is what comes before {asked:g} s, and no trial has {LEAST_SAMPLES} samples after that, too few to "
+            "judge by"
+        )
     return replace(found, other=_parted(model, recordings, others, until, window, shoot)) if others else found
 
 
@@ -171,7 +183,7 @@ def _parted(
         if edge > low:
             train += _cut(model, r, k, (low, edge), shoot, fit_start=True)
             fitted.append((k, (low, edge)))
-        if edge < high and np.count_nonzero(r.time > edge) >= LEAST_SAMPLES:
+        if edge < high and np.count_nonzero((r.time > edge) & (r.time <= high)) >= LEAST_SAMPLES:
             unseen += _cut(model, r, k, (float(np.nextafter(edge, high)), high), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")

@@ -47,6 +47,7 @@ def without_step_error(
     if not needless and not rest.leftovers:
         return None
     other = Search(data, search.pool, search.settings, otherwise=search.fitted)
+    other.barred |= search.barred
     base = own.settle_finely(found.base)
     # Rivals were fitted with the XML's step, so their likelihoods are not to be compared with what follows.
     start = replace(found, base=base, rivals=tuple(() for _ in best.hypothesis))

@@ -7,6 +7,7 @@ What is known of it are the numbers that its file holds. Each has a dotted name,
 from __future__ import annotations
 
 import copy
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -95,6 +96,13 @@ class Machine:
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", dict(self.values))
         _ = self.joints, self.actuators
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that it is but its name and the file's."""
+        files = [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(self.assets.items())]
+        parts = (self.xml, files, sorted(self.values.items()), self.payloads, self.compliances, self.gains, self.limits)
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
 
     @property
     def plan(self) -> Plan:

@@ -12,7 +12,7 @@ from typing import Any
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.machine import processors
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.model import Model, machine_of
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.apart import each_apart
 from equimus_ctrl.proof.designs import DURATION, TRIALS
@@ -29,6 +29,8 @@ Say = Callable[[str], None]
 """Called with a sentence for people."""
 LEAST_DURATION = 2.0
 """Of a trial; a shorter one does not move the leg enough [s]."""
+HASHED = {"recordings_sha256": "other recordings", "model_sha256": "another model"}
+"""Of what the request holds hashes, and what it says where they differ."""
 STAGES = ("making realities", "diagnosing", "opening the seals")
 
 
@@ -156,7 +158,9 @@ def _claim(request: Request) -> None:
         "robot": request.model.name,
     }
     if request.experiment is not None:
-        wanted["recordings_sha256"] = digest(request.experiment.recordings)
+        machine = machine_of(request.experiment.model)
+        assert machine is not None
+        wanted |= {"recordings_sha256": digest(request.experiment.recordings), "model_sha256": machine.digest}
     text = read_text(path)
     if text is None:
         presets.write_text(path, presets.json_text(wanted))
@@ -164,6 +168,8 @@ def _claim(request: Request) -> None:
     found = _parsed(text)
     for key, value in wanted.items():
         if found.get(key, value) != value:
+            if key in HASHED:
+                raise ConfigError(f"{request.root}: holds a proof with {HASHED[key]}; choose another folder")
             raise ConfigError(
                 f"{request.root}: holds a proof with {key} {found[key]}, not {value}; choose another folder"
             )

@@ -31,7 +31,6 @@ SENSOR_DATA = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Pol
 DEFAULT = Qos(
     Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10), Policy.Durability.Volatile
 )
-MEASURED = str(JointState.__idl__.idl_transformed_typename)
 KEPT = 4096
 """Samples that wait to be taken, at most."""
 

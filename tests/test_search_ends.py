@@ -1,0 +1,195 @@
+"""What a search keeps book of, with deviances that are given instead of simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from equimus_ctrl.diagnosis import confirm, diagnose
+from equimus_ctrl.diagnosis.candidates import Candidate, Part
+from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.moves import Moves, Searched, SearchSettings
+from equimus_ctrl.diagnosis.rivals import in_place, instead, less, listed, simplified
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.effects import REGISTRY
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.models.model import nominal_model
+
+VALUES: dict[str, dict[str, float]] = {
+    "coulomb_friction": {"friction": 0.01},
+    "stribeck_friction": {"friction": 0.01, "breakaway": 0.012, "velocity": 0.1},
+    "dead_zone": {"threshold": 1e3},
+    "saturation": {"level": 1e4},
+    "sensor_offset": {"offset": 0.1},
+}
+RUB, STICK = "coulomb_friction:knee", "stribeck_friction:knee"
+DEAD, FULL, OFF = "dead_zone:baa", "saturation:baa", "sensor_offset:hip"
+POOL = {label: Candidate(REGISTRY[label.split(":")[0]], (label.split(":")[1],), (VALUES[label.split(":")[0]],))
+        for label in (RUB, STICK, DEAD, FULL, OFF)}  # fmt: skip
+
+
+def fitted(deviance: float, *labels: str) -> Fitted:
+    parts = tuple(Part(POOL[label], VALUES[label.split(":")[0]]) for label in labels)
+    fit: Any = SimpleNamespace(model=object(), residuals=[np.zeros((5, 2))], starts=[], theta=np.zeros(3))
+    return Fitted(parts, fit, None, deviance)  # type: ignore[arg-type]
+
+
+@dataclass
+class Known:
+    """Deviances of sets of effects."""
+
+    of: Mapping[tuple[str, ...], float]
+
+    def __call__(self, *labels: str) -> Fitted:
+        return self.fits[frozenset(labels)]
+
+    def __post_init__(self) -> None:
+        self.fits = {frozenset(labels): fitted(deviance, *labels) for labels, deviance in self.of.items()}
+
+
+class OnPaper(Search):
+    """A search whose fits are looked up."""
+
+    def __init__(self, known: Known, settings: SearchSettings | None = None) -> None:
+        free = SimpleNamespace(free=[], model=object())
+        data: Any = SimpleNamespace(
+            n=1000, free=free, strong=lambda f: False, excessive=lambda f: False, settle=lambda f: f,
+            base=lambda: known(),
+        )  # fmt: skip
+        super().__init__(data, list(POOL.values()), settings)
+        self.known = known
+
+    def refit(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> Fitted:
+        found = self.known(*(part.candidate.label for part in hypothesis))
+        self.fitted.append(found)
+        return found
+
+    def challenge(self, fitted: Fitted, instead_of: str = "") -> list[Fitted]:
+        out = {instead_of, *self.barred}
+        return [
+            f
+            for labels, f in self.known.fits.items()
+            if labels > fitted.labels and len(labels) == len(fitted.labels) + 1 and out.isdisjoint(labels)
+        ]
+
+    def _beside(self, base: Fitted, best: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
+        return []
+
+    def _outdone(self, best: Fitted, top: Fitted) -> bool:
+        return False
+
+
+def judged(monkeypatch: pytest.MonkeyPatch, refused: Sequence[tuple[frozenset[str], frozenset[str]]]) -> Any:
+    """What was held out refuses these steps from one set to another; a split."""
+
+    def borne_out(search: Search, judge: object, simple: Fitted, rich: Fitted) -> float:
+        return float((simple.labels, rich.labels) not in refused)
+
+    monkeypatch.setattr(confirm, "Judge", lambda *a: None)
+    monkeypatch.setattr(confirm, "_carried_over", borne_out)
+    return SimpleNamespace(heldout=[1], train=(), near=(), other=None)
+
+
+def ended(known: Known, *labels: str) -> Searched:
+    """An end with these parts; rivals are those with another in a part's place."""
+    rest = [[other for other in labels if other != label] for label in labels]
+    own = OnPaper(known)
+    rivals = tuple(tuple(own.challenge(known(*r), label)) for r, label in zip(rest, labels, strict=True))
+    return Searched(known(), known(*labels), tuple(known(*r) for r in rest), rivals, (), ())
+
+
+def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none() -> None:
+    known = Known({(): 5000.0, (RUB,): 2000.0, (STICK,): 1800.0})
+
+    class Found(OnPaper):
+        def challenge(self, fitted: Fitted, instead_of: str = "") -> list[Fitted]:
+            # One more part is Stribeck's friction, which leaves no other at that joint.
+            own = {(): [RUB], (RUB,): [STICK], (STICK,): []}[tuple(fitted.labels)]
+            return [known(label) for label in own if label != instead_of]
+
+    end = Found(known).run(known())
+    assert end.best.labels == {STICK}
+    assert [w.labels for w in end.without] == [frozenset()]
+    assert [r.labels for r in end.rivals[0]] == [{RUB}]
+
+
+def test_what_is_left_of_two_parts_has_rivals_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = Known({(): 5000.0, (DEAD,): 1500.0, (FULL,): 1502.0, (OFF,): 4000.0, (DEAD, OFF): 1000.0,
+                   (FULL, OFF): 1003.0})  # fmt: skip
+    search, found = OnPaper(known), ended(known, DEAD, OFF)
+    assert [r.labels for r in found.rivals[0]] == [{FULL, OFF}]
+    kept = less(search, found, [1])
+    assert kept.best.labels == {DEAD} and kept.rivals == ((),)
+    assert {r.label for r in listed(search, kept).rivals[0]} == {OFF, FULL}
+    # Held out refuses the offset beside the dead zone and this alone, and bears out a saturation in its place.
+    dead, nothing = frozenset({DEAD}), frozenset[str]()
+    end = confirm.confirmed(search, found, judged(monkeypatch, [(dead, dead | {OFF}), (nothing, dead)]))
+    assert end.best.labels == {FULL}
+    assert len(end.best.hypothesis) == len(end.without) == len(end.rivals) == 1
+
+
+def test_a_withdrawn_name_does_not_come_back_with_a_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (RUB, OFF): 1000.0})
+    split = judged(monkeypatch, [(frozenset(), frozenset({RUB}))])
+    search = OnPaper(known, SearchSettings(thorough=True))
+    search.fitted += known.fits.values()
+    alone = less(search, ended(known, RUB, OFF), [1])
+    search.barred.add(OFF)
+    assert not confirm.confirmed(search, alone, split).best.hypothesis
+    search.barred.clear()
+    assert confirm.confirmed(search, alone, split).best.labels == {RUB, OFF}
+
+
+def test_a_withdrawn_name_is_no_simpler_one_and_none_that_fits_as_well() -> None:
+    known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
+    search = OnPaper(known, SearchSettings(thorough=True, valleys=20.0))
+    found = replace(ended(known, STICK), rivals=((),))
+    search.fitted += known.fits.values()
+    assert simplified(search, found).best.labels == {RUB}
+    assert {r.label for r in in_place(search, found, 0, 50.0)} == {OFF}
+    search.barred |= {RUB, OFF}
+    assert simplified(search, found).best.labels == {STICK}
+    assert in_place(search, found, 0, 50.0) == []
+
+
+def test_parts_are_known_by_what_they_are_and_where() -> None:
+    again = Part(replace(POOL[DEAD]), VALUES["dead_zone"])
+    known = fitted(0.0, DEAD, FULL)
+    without = replace(fitted(0.0), hypothesis=(again,))
+    other = instead(known, without)
+    assert other is not None and other.candidate.label == FULL
+
+
+def test_what_diverges_over_whole_trials_is_not_what_short_windows_tell(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = Known({(): 5000.0, (RUB,): 1000.0})
+    search, found = OnPaper(known), ended(known)
+
+    def diverged(*a: object) -> Fitted:
+        raise SimulationDiverged("diverges")
+
+    monkeypatch.setattr(diagnose, "replace", lambda data, **changed: data)
+    monkeypatch.setattr(diagnose, "Search", lambda *a: OnPaper(known))
+    search.data.rough, search.data.segments = diverged, ()  # type: ignore[attr-defined, method-assign, misc]
+    assert diagnose._from_near(search, found, judged(monkeypatch, [])) == (search, found)
+
+
+def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_came_with() -> None:
+    begun: list[float] = []
+
+    def rough(hypothesis: object, begin: Any, *rest: object) -> Fitted:
+        begun.append(float(begin[0][0][0]))
+        if begun[-1] < 1.0:
+            raise SimulationDiverged("diverges")
+        return fitted(10.0, RUB)
+
+    model = nominal_model()
+    data: Any = SimpleNamespace(
+        free=SimpleNamespace(free=[None], start=np.ones(1), model=model), rough=rough, settle=lambda f: f, segments=()
+    )
+    found = Moves(data, []).refit(fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),))
+    assert found.deviance == 10.0 and begun == [0.0, 1.0]
