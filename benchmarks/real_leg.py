@@ -5,8 +5,8 @@ the triangle judge. The group that begins away from rest, from no pressure to no
 
     python benchmarks/real_leg.py [--recordings FOLDER] [--output FOLDER]
 
-The folder is that of `step_release.csv` and `triangle.csv`, `../shared/recordings/equimus_leg` by default; record,
-page, corrected model and `summary.json` are written to `--output`.
+The folder is that of `step_release.csv` and `triangle.csv`, found like the command's (`EQUIMUS_RECORDINGS`) by
+default; record, page, corrected model and `summary.json` are written to `--output`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ import numpy as np
 
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis
+from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.recordings import read_set
+from equimus_ctrl.recordings.locate import leg_file, missing_hint
 from equimus_ctrl.report.diagnosis_page import page
 
 STEPS, TRIANGLE = "step_release", "triangle"
@@ -36,11 +38,18 @@ LEAST_GAIN = 0.65
 """Greatest RMSE after steps, as a share of the refitted model's."""
 
 
-def diagnosed(folder: Path) -> Diagnosis:
-    """The recordings diagnosed with the nominal leg."""
-    steps = [t for t in read_set(folder / f"{STEPS}.csv") if t.name != AWAY_FROM_REST]
+def diagnosed(folder: Path | None) -> Diagnosis:
+    """The recordings diagnosed with the nominal leg.
+
+    Raises:
+        RecordingError: where they are not found.
+    """
+    triangle, releases = leg_file("triangle", folder), leg_file("step_release", folder)
+    if triangle is None or releases is None:
+        raise RecordingError(missing_hint())
+    steps = [t for t in read_set(releases) if t.name != AWAY_FROM_REST]
     return workflow.diagnose_recordings(
-        [*read_set(folder / f"{TRIANGLE}.csv"), *steps],
+        [*read_set(triangle), *steps],
         heldout=[trial.name for trial in steps[::2]],
         until=UNTIL,
         most=MOST,
@@ -86,15 +95,13 @@ def tell(found: Diagnosis, rows: dict[str, dict[str, list[float]]]) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Diagnose the recordings of the real leg."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    default = Path(__file__).resolve().parents[2] / "shared" / "recordings" / "equimus_leg"
-    parser.add_argument("--recordings", type=Path, default=default, help="folder of step_release.csv and triangle.csv")
+    parser.add_argument("--recordings", type=Path, help="folder of step_release.csv and triangle.csv")
     parser.add_argument("--output", type=Path, default=Path("real_leg"))
     given = parser.parse_args(arguments)
-    if not given.recordings.is_dir():
-        raise SystemExit(
-            f"{given.recordings}: there is no such folder; name the one of step_release.csv and triangle.csv"
-        )
-    found = diagnosed(given.recordings)
+    try:
+        found = diagnosed(given.recordings)
+    except RecordingError as error:
+        raise SystemExit(str(error)) from None
     rows = held_out(found)
     tell(found, rows)
     given.output.mkdir(parents=True, exist_ok=True)

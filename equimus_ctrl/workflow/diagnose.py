@@ -57,7 +57,7 @@ def diagnose_recordings(
         until: of every trial only what comes before this time is fitted, and the rest judges too [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of the windows that trials of a machine are cut into [s]; see ``split.window_length``.
-        parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` and ``bounds`` win.
+        parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` adds, ``bounds`` win.
         most: largest number of effects.
         threads: all cores by default.
         progress: called with the stage, the share done and the best hypothesis so far.

@@ -299,7 +299,7 @@ def identify_files(
         free: names or patterns of what may change.
         fix: names or patterns of what stays as it is all the same.
         bounds: (low, high) of some of them.
-        parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` and ``bounds`` win.
+        parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` adds, ``bounds`` win.
         select: patterns of the names of the trials to use; all by default.
         heldout: files or folders that only judge: trials, or poses at rest.
         progress: see ``Progress``.

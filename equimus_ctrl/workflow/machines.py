@@ -66,7 +66,7 @@ class FreeNumbers:
     def with_more(
         self, free: Sequence[str] | None, bounds: Mapping[str, tuple[float, float]] | None
     ) -> tuple[list[str] | None, dict[str, tuple[float, float]]]:
-        """These and those that are given beside, which win."""
+        """These names and more; of bounds those that are given here win."""
         names = None if self.names is None and free is None else [*(self.names or ()), *(free or ())]
         return names, {**self.bounds, **(bounds or {})}
 
