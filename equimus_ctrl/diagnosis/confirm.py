@@ -70,7 +70,7 @@ def _another(search: Search, found: Searched, place: int, split: Split) -> Searc
     for fitted in sorted(search.fitted, key=search.score):
         if len(known) > OTHERS or search.score(fitted) >= limit:
             return None
-        if fitted.labels in known or not search.barred.isdisjoint(fitted.labels):
+        if fitted.labels in known or not search.allows(fitted.labels):
             continue
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue

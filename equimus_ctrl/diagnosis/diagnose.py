@@ -255,7 +255,7 @@ def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, S
     near = Search(replace(data, segments=split.near), search.pool, settings, notify)
     try:
         best = near.run(near.data.base()).best
-    except SimulationDiverged:
+    except SimulationDiverged:  # so short windows tell nothing
         return search, found
     labels = [sorted(part.candidate.label for part in fitted.hypothesis) for fitted in (best, found.best)]
     if not best.hypothesis or labels[0] == labels[1]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -113,6 +113,15 @@ class Moves:
         self._first: tuple[Screened, ...] = ()
         self._challenged: dict[tuple[frozenset[str], str], tuple[Fitted, list[Fitted]]] = {}
 
+    @property
+    def left(self) -> list[Candidate]:
+        """The candidates that were not withdrawn."""
+        return [c for c in self.pool if self.allows([c.label])]
+
+    def allows(self, labels: Iterable[str]) -> bool:
+        """Whether none of some candidates was withdrawn."""
+        return self.barred.isdisjoint(labels)
+
     def score(self, fitted: Fitted) -> float:
         """Deviance and what the hypothesis' numbers cost (Schwarz, 1978)."""
         return fitted.deviance + fitted.n_parameters * float(np.log(self.data.n))
@@ -138,15 +147,14 @@ class Moves:
         for left_out in ("", instead_of):
             known = self._challenged.get((whole, left_out))
             if known and known[0].deviance <= fitted.deviance + SETTLED:
-                without = {instead_of, *self.barred}
-                return [o for o in known[1] if without.isdisjoint(o.labels)]
+                return [o for o in known[1] if instead_of not in o.labels and self.allows(o.labels)]
         options = self._options(fitted, instead_of)
         self._challenged[whole, instead_of] = fitted, options
         return options
 
     def _options(self, fitted: Fitted, left_out: str, known: Sequence[str] | None = None) -> list[Fitted]:
         """Hypotheses with one more part: the promising ones, or with some that are known all others."""
-        pool = [c for c in self.pool if c.label not in {left_out, *(known or ()), *self.barred}]
+        pool = [c for c in self.left if c.label not in {left_out, *(known or ())}]
         tried = min(self.settings.tried, INSTEAD) if left_out else self.settings.tried
         tried = tried if known is None else len(pool)
         weights = white_noise(fitted.fit.residuals)
@@ -228,7 +236,7 @@ class Moves:
             if len(sites) < 2:
                 continue
             parts = tuple(Part(replace(part.candidate, locations=(site,)), part.values) for site in sites)
-            if not self.barred.isdisjoint(p.candidate.label for p in parts):
+            if not self.allows(p.candidate.label for p in parts):
                 continue
             hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
             values = [v for p in hypothesis for v in p.values.values()]

@@ -86,9 +86,8 @@ def in_place(search: Moves, found: Searched, k: int, margin: float) -> list[Fitt
                 others.setdefault(kind, part)
     others.pop(own, None)
     for other in others.values():
-        if other.candidate.label in search.barred:
-            continue
-        rivals += search.refitted(found.best, (*parts[:k], *parts[k + 1 :], other))
+        if search.allows([other.candidate.label]):
+            rivals += search.refitted(found.best, (*parts[:k], *parts[k + 1 :], other))
     return rivals
 
 
@@ -134,9 +133,8 @@ def _in_fewer_places(search: Moves, found: Searched, limit: float) -> Searched |
         kind, sites = part.candidate.effect, part.candidate.locations
         fewer = [
             fitted
-            for own in search.pool
+            for own in search.left
             if own.effect is kind and len(own.locations) == len(sites) - 1 and set(own.locations) < set(sites)
-            if own.label not in search.barred
             for fitted in search.refitted(found.best, (*hypothesis[:k], Part(own, part.values), *hypothesis[k + 1 :]))
         ]
         least = min(fewer, key=search.score, default=None)
@@ -157,9 +155,9 @@ def simplified(search: Moves, found: Searched) -> Searched:
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
         own = part.candidate
-        for other in search.pool:
+        for other in search.left:
             same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
-            if not same or other.label in search.barred or other.n_parameters >= own.n_parameters:
+            if not same or other.n_parameters >= own.n_parameters:
                 continue
             begins = [dict(guess) for guess in other.guesses]
             shared = {key: part.values[key] for key in begins[0] if key in part.values}

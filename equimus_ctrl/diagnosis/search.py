@@ -49,7 +49,7 @@ class Search(Moves):
         """
         self.barred |= set(barred)
         base, best, without = found.base, found.best, found.without
-        rivals = tuple(tuple(r for r in own if self.barred.isdisjoint(r.labels)) for own in found.rivals)
+        rivals = tuple(tuple(r for r in own if self.allows(r.labels)) for own in found.rivals)
         sure, outdone = (best, without, rivals) if further else self.exchanged(best), 0
         for depth in range(2 * self.settings.most_parts if further else 0):
             self.notify(f"what could be missing, round {depth + 1}", best.label)

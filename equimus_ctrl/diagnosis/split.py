@@ -123,8 +123,8 @@ def split(
         simulator: that follows a machine.
 
     Raises:
-        ConfigError: where recordings cannot be used, a pattern fits none, ``until`` leaves nothing to judge by, or
-            nothing is left to fit.
+        ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` leaves
+            nothing to judge by, or nothing is left to fit.
     """
     for r in recordings:
         check_columns(model, r)
