@@ -23,10 +23,10 @@ from scipy.integrate import solve_ivp
 from equimus_ctrl.engines.batch import Trial, encode, simulate
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import MORPHOLOGIES
 from equimus_ctrl.models.mjcf import place
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, Phase
+from equimus_ctrl.robots.elastic.leg import MORPHOLOGIES
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.types import Array
 
 DURATION = 3.0

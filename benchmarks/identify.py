@@ -28,8 +28,8 @@ from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.identification.statics import rest_poses
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.models.morphology import BASE
 from equimus_ctrl.recordings import leg_file, read_set, read_static_poses
+from equimus_ctrl.robots.elastic.morphology import BASE
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.validation.generator import hanging, random_robot
 
@@ -220,7 +220,7 @@ def chain(joints: int, rounds: int) -> None:
             robot = Model(random_robot((joints, spans), np.random.default_rng(seed), f"chain_{joints}"))
         except ModelError:
             continue
-        robot = replace(robot, morphology=replace(robot.morphology, joints=tuple(
+        robot = replace(robot, robot=replace(robot.morphology, joints=tuple(
             replace(joint, damping=max(joint.damping, 0.1)) for joint in robot.morphology.joints)))  # fmt: skip
         names = [f"{a.name}.{key}" for key in ("stiffness", "damping") for a in robot.morphology.actuators]
         made = simulated(perturbed(robot, names), 8, 3.0)

@@ -19,7 +19,7 @@ from equimus_ctrl import workflow
 from equimus_ctrl.effects import CoulombFriction, ViscousFriction
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
-from equimus_ctrl.models.model import Model, machine_model
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import write
 from equimus_ctrl.types import Recording
 
@@ -36,7 +36,7 @@ def recorded(real: Model, sizes: dict[str, float], seed: int) -> list[Recording]
     """Four trials of ten seconds under sums of sines."""
     rng = np.random.default_rng(seed)
     at = np.arange(0, 10, 0.01)
-    m = real.morphology
+    m = real.robot
     trials = []
     for k in range(4):
         torque = np.column_stack(
@@ -65,14 +65,14 @@ def main() -> None:
     for label, (xml, sizes) in MACHINES.items():
         machine = workflow.load_machine(xml)
         effects = [e for joint in sizes for e in (CoulombFriction(joint, 0.1), ViscousFriction(joint, 0.03))]
-        trials = recorded(machine_model(machine, effects), sizes, given.seed)
+        trials = recorded(Model(machine, tuple(effects)), sizes, given.seed)
         if given.record:
             (given.record / FOLDERS[len(sizes) - 1]).mkdir(parents=True, exist_ok=True)
             for trial in trials:
                 write(given.record / FOLDERS[len(sizes) - 1] / f"{trial.name}.csv", trial)
             continue
         begun = time.perf_counter()
-        found = workflow.diagnose_recordings(trials, machine_model(machine))
+        found = workflow.diagnose_recordings(trials, Model(machine))
         seconds = time.perf_counter() - begun
         named = [f"{f.named.effect}:{'+'.join(f.named.locations)}" for f in found.findings]
         windows = len(found.train)

@@ -51,7 +51,6 @@ from .errors import (
 )
 from .estimation.observer import Observer as Observer, ObserverSettings as ObserverSettings
 from .models.kinematics import Kinematics as Kinematics
-from .models.leg import ideal_leg as ideal_leg, nominal_leg as nominal_leg
 from .models.mjcf import (
     SolverSettings as SolverSettings,
     add_elastic_actuator as add_elastic_actuator,
@@ -59,9 +58,16 @@ from .models.mjcf import (
     close_elements as close_elements,
     compile_model as compile_model,
 )
-from .models.machine import Machine as Machine
-from .models.model import Model as Model, machine_model as machine_model, nominal_model as nominal_model
-from .models.morphology import (
+from .models.model import Model as Model, nominal_model as nominal_model
+from .models.symbolic import symbolic_model as symbolic_model
+from .plants.events import Load as Load, Push as Push
+from .plants.hardware.plant import HardwarePlant as HardwarePlant
+from .plants.hardware.settings import HardwareSettings as HardwareSettings
+from .plants.mujoco_plant import MujocoPlant as MujocoPlant, PlantRates as PlantRates
+from .plants.replay import ReplayPlant as ReplayPlant
+from .robots.base import Robot as Robot, RobotTraits as RobotTraits
+from .robots.elastic.leg import ideal_leg as ideal_leg, nominal_leg as nominal_leg
+from .robots.elastic.morphology import (
     ElasticActuator as ElasticActuator,
     Joint as Joint,
     JointStop as JointStop,
@@ -69,12 +75,7 @@ from .models.morphology import (
     Morphology as Morphology,
     Point as Point,
 )
-from .models.symbolic import symbolic_model as symbolic_model
-from .plants.events import Load as Load, Push as Push
-from .plants.hardware.plant import HardwarePlant as HardwarePlant
-from .plants.hardware.settings import HardwareSettings as HardwareSettings
-from .plants.mujoco_plant import MujocoPlant as MujocoPlant, PlantRates as PlantRates
-from .plants.replay import ReplayPlant as ReplayPlant
+from .robots.mjcf.robot import MjcfRobot as MjcfRobot
 from .scenarios.references import (
     FunctionReference as FunctionReference,
     HoldReference as HoldReference,

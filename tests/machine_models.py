@@ -13,8 +13,8 @@ from equimus_ctrl.effects import Effect
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.errors import EquimusError
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 
 ARM = """<mujoco model="crane">
@@ -40,7 +40,7 @@ ARM = """<mujoco model="crane">
     <general name="drive" joint="shoulder" gainprm="5" biastype="affine" biasprm="1 -3 -0.5"/>
   </actuator>
 </mujoco>"""
-CRANE = Machine("crane", ARM, source="crane.xml")
+CRANE = MjcfRobot("crane", ARM, source="crane.xml")
 
 
 def pendulum(
@@ -54,7 +54,7 @@ def pendulum(
       <actuator>{drive}</actuator>{tail}</mujoco>"""
 
 
-PENDULUM = Machine("pendulum", pendulum(), source="pendulum.xml")
+PENDULUM = MjcfRobot("pendulum", pendulum(), source="pendulum.xml")
 
 
 def slider(drive: str = '<motor name="motor" joint="way"/>') -> str:
@@ -78,9 +78,9 @@ DT = 1e-3
 def cart(
     joint: str = "", *, dt: float = DT, option: str = "", drive: str = '<motor name="motor" joint="way"/>',
     flags: str = "", head: str = "", mass: float = M,
-) -> Machine:  # fmt: skip
+) -> MjcfRobot:  # fmt: skip
     """A mass on a level slide."""
-    return Machine(
+    return MjcfRobot(
         "cart",
         f"""<mujoco>{head}<option timestep="{dt}" gravity="0 0 0" {option}>{flags}</option><worldbody>
         <body name="box"><joint name="way" type="slide" axis="1 0 0" {joint}/>
@@ -112,14 +112,14 @@ def trial_of(
     return Trial("t", times, values[:, None], before, 0.0, np.array([q]), samples, np.array([v]))
 
 
-def run(machine: Machine, *effects: Effect, dt: float | None = None, trial: Trial | None = None, **of: object) -> Ran:
+def run(machine: MjcfRobot, *effects: Effect, dt: float | None = None, trial: Trial | None = None, **of: object) -> Ran:
     one = trial or trial_of(**of)  # type: ignore[arg-type]
-    (found,) = simulate_machines([machine_model(machine, effects)], [one], threads=1, dt=dt)
+    (found,) = simulate_machines([Model(machine, effects)], [one], threads=1, dt=dt)
     assert found.sound.all()
     return Ran(one.sample_times, found.position[0, :, 0])
 
 
-RIG = Machine(
+RIG = MjcfRobot(
     "rig",
     f"""<mujoco><compiler angle="radian"/><option timestep="{DT}"/><worldbody><body name="arm">
     <joint name="shoulder" axis="0 1 0" damping="0.3" armature="0.05"/>

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.morphology import (
+from equimus_ctrl.robots.elastic.morphology import (
     BASE,
     ElasticActuator,
     Joint,

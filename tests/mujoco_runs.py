@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from equimus_ctrl.models.mjcf import SolverSettings
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
 FINE = SolverSettings(timestep=1 / 480, integrator="RK4", softness=0.01)

@@ -28,17 +28,21 @@ CARRIAGE = """<mujoco model="carriage">
   <actuator><motor name="drive" joint="rail"/></actuator>
 </mujoco>"""
 NOISE = 5e-4
+FINE = 1e-4
 
 
 def recorded(
     real: Model, *, count: int = 3, seconds: float = 4.0, size: float = 1.0, seed: int = 0, noise: float = NOISE,
-    push: float = 0.0,
+    push: float = 0.0, dt: float | None = FINE,
 ) -> list[Recording]:  # fmt: skip
-    """What a robot does under sums of two sines; ``push`` grows with the cube of the angle, which no effect has."""
+    """What a robot does under sums of two sines, by MuJoCo with a fine step, or with the XML's own where that is None.
+
+    ``push`` grows with the cube of the angle, which no effect has.
+    """
     rng = np.random.default_rng(seed)
     time = np.arange(0, seconds, 0.01)
     found = []
-    m = real.morphology
+    m = real.robot
     for k in range(count):
         columns = [
             size * rng.uniform(0.6, 1.2) * np.sin(2 * np.pi * rng.uniform(0.3, 1.0) * time + rng.uniform(0, 6))
@@ -48,7 +52,7 @@ def recorded(
         command = np.column_stack(columns)
         start = rng.uniform(-0.5, 0.5, len(m.joint_names))
         trial = Trial(f"t{k}", time, command, command[0], 0.0, start, time)
-        angle = simulate_machines([real], [trial], threads=1)[0].position[0]
+        angle = simulate_machines([real], [trial], threads=1, dt=dt)[0].position[0]
         angle = angle + push * angle**3 + rng.normal(0, noise, angle.shape)
         found.append(Recording(f"t{k}", time, command, angle, m.actuator_names, m.joint_names))
     return found

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, Observation
 
 LEG = nominal_leg()

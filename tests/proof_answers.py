@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.proof.scoring import Score, score
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 OWN = {"maa.stiffness": 250.0, "knee.damping": 0.05}
 NOISE = {"hip": 2e-3, "knee": 1e-3}

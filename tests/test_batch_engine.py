@@ -44,9 +44,9 @@ from equimus_ctrl.engines.lane_math import lane_cos, lane_sin
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.augmented import law_parameters, slots_of
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import ideal_leg, nominal_leg
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
-from equimus_ctrl.models.morphology import Phase, pack, structure
+from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
 from equimus_ctrl.types import Array, Recording
 
 LEG = nominal_leg()
@@ -127,7 +127,7 @@ def test_they_are_right_around_every_quadrant() -> None:
 @pytest.mark.parametrize("phase", ["swing", "stance"])
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_a_lanes_equations_of_motion_are_newtons(name: str, phase: Phase) -> None:
-    """As plain Python, which needs no compilation; another set of numbers in every lane."""
+    """Another set of numbers in every lane."""
     form = structure(random_morphology(name, 0, stops=True))
     names = vars(compiled._lane_model(form, phase, force_laws()))
     laws = slots_of(form, force_laws())
@@ -141,13 +141,14 @@ def test_a_lanes_equations_of_motion_are_newtons(name: str, phase: Phase) -> Non
     rows[names["ROW_PRESSURE"] : names["ROW_PRESSURE"] + na] = rng.uniform(0, 5e4, (na, LANES))
     for lane, m in enumerate(robots):
         p = np.concatenate([pack(m), law_parameters(laws, [], m.joint_names, m.actuator_names)])
-        names["prepare_lane"].py_func(p, w, lane)
-    names["lane_rest"].py_func(w)
-    names["lane_stops"].py_func(w)
+        names["prepare_lane"](p, w, lane)
+    names["lane_rest"](w)
+    names["lane_gaps"](w)
     pressed, gaps = (rows[names[row] : names[row] + 2 * nj] for row in ("ROW_PRESSED", "ROW_GAPS"))
     pressed[:] = gaps > 0
     assert 0 < pressed.sum() < pressed.size
-    names["lane_motion"].py_func(w)
+    names["lane_grips"](w)
+    names["lane_motion"](w)
     for lane, m in enumerate(robots):
         q, v = rows[names["ROW_X"] :][: 2 * nj, lane].reshape(2, nj)
         pressure = rows[names["ROW_PRESSURE"] :][:na, lane]

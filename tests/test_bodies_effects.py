@@ -12,10 +12,10 @@ from equimus_ctrl.effects import Effect, GravityTilt, ParallelSpring, PayloadMas
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.engines.batch import Trial, simulate
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.types import Array, Start
 
 LEG = nominal_leg()

@@ -10,10 +10,10 @@ import pytest
 from equimus_ctrl.controllers.pid import PidController, PidGains, PidSettings
 from equimus_ctrl.effects import Effect, catalogue, make
 from equimus_ctrl.engines.predict import predict
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.model import Model, places
-from equimus_ctrl.models.morphology import Phase
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Phase
 from equimus_ctrl.scenarios.references import HoldReference
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Recording, Start
@@ -70,7 +70,7 @@ KINKED = {"coulomb_friction": 1e-3, "stribeck_friction": 1e-3, "hysteresis": 1e-
 """The same where the law has kinks, which MuJoCo's fixed step of 1/480 s does not resolve."""
 
 LEG = nominal_leg()
-HERE = {kind: names[-1] for kind, names in places(LEG).items()} | {"link": "thigh"}
+HERE = {kind: names[-1] for kind, names in LEG.places().items()} | {"link": "thigh"}
 CASES = [(name, kind) for name, cls in catalogue("elastic").items() for kind in cls.sits_at]
 every_case = pytest.mark.parametrize(("name", "kind"), CASES)
 

@@ -29,7 +29,7 @@ from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.effects.command import shape_command
 from equimus_ctrl.effects.sensors import recall, sample
 from equimus_ctrl.effects.valves import shaped_commands, shaping_laws
-from equimus_ctrl.models.morphology import Phase
+from equimus_ctrl.robots.elastic.morphology import Phase
 from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.autotune import cross_check
 from equimus_ctrl.tuning.closed_loop import Loop, track
@@ -260,7 +260,7 @@ def test_a_loop_is_to_the_bit_what_it_is_alone(effects: tuple[Effect, ...]) -> N
     legs = members(effects, 6)
     loops = [Loop(PID, leg, START + 0.01 * k) for k, leg in enumerate(legs)]
     loops += [Loop(BRISK, leg, START) for leg in legs[:5]] + [Loop(JOINT, legs[0], START), Loop(wild, legs[1], START)]
-    broken = replace(legs[2], morphology=light, parameters=np.array(eq.models.morphology.pack(light)))
+    broken = replace(legs[2], morphology=light, parameters=np.array(eq.robots.elastic.morphology.pack(light)))
     loops.insert(3, Loop(PID, broken, START))
     problem = Problem(eq.Model(LEG, effects), legs, [task], Weights(), Limits())
     assert track(LEG, "swing", task, loops, 4)[3].sound < 60
@@ -269,7 +269,7 @@ def test_a_loop_is_to_the_bit_what_it_is_alone(effects: tuple[Effect, ...]) -> N
 
 def test_where_all_diverge_it_ends() -> None:
     light = LEG.with_parameters({"thigh.mass": 1e-9, "thigh.inertia": 0.0, "maa.stiffness": 1e7})
-    broken = replace(members((), 1)[0], parameters=np.array(eq.models.morphology.pack(light)))
+    broken = replace(members((), 1)[0], parameters=np.array(eq.robots.elastic.morphology.pack(light)))
     for found in track(LEG, "swing", course(200), [Loop(PID, broken, START)] * 3, 4):
         assert found.sound < 10
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import operator
 from collections.abc import Callable
@@ -21,9 +22,9 @@ from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models import codegen
 from equimus_ctrl.models.codegen import LaneRoutine, Routine, generate, generate_lanes
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import ideal_leg, nominal_leg
-from equimus_ctrl.models.morphology import Morphology, Phase, pack
 from equimus_ctrl.models.symbolic import pseudo_solve, symbolic_model
+from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack
 from equimus_ctrl.tuning import loop_kernel
 
 PLAIN = "# decorated"
@@ -190,8 +191,25 @@ def test_a_constant_that_is_no_number_is_refused(value: float) -> None:
 WIDTH = 3
 
 
+OPTIONS = "nogil=True"
+
+
 def run_lanes(source: str) -> dict[str, Any]:
-    names: dict[str, Any] = {"math": math, "LANES": WIDTH, "lane_sin": math.sin, "lane_cos": math.cos}
+    """As plain Python: what is a C function in an engine is called as it is."""
+    known: dict[str, Any] = {}
+
+    def cfunc(*signature: Any, **options: Any) -> Any:
+        return lambda function: type("C", (), {"address": staticmethod(function)})()
+
+    def carray(pointer: Any, length: int) -> Any:
+        return np.ctypeslib.as_array(pointer.data_as(ctypes.POINTER(ctypes.c_double)), (length,))
+
+    names: dict[str, Any] = {
+        "math": math, "LANES": WIDTH, "lane_sin": math.sin, "lane_cos": math.cos, "cfunc": cfunc, "carray": carray,
+        "njit": lambda **options: lambda function: function, "add_symbol": known.__setitem__,
+        "ExternalFunction": lambda symbol, signature: lambda *values: known[symbol](*values),
+        "void": lambda *kinds: None, "CPointer": lambda kind: None, "float64": None, "intp": None,
+    }  # fmt: skip
     exec(source, names)
     return names
 
@@ -204,7 +222,7 @@ def test_an_operation_gives_what_casadi_gives_in_every_lane(op: int, sides: str)
     value = OPERATIONS[op](a, b)
     output = ca.vertcat(value, 3 - value * x[0])
     routine = LaneRoutine("routine", {"x": x}, output, {"x": 1}, 4)
-    source, rows = generate_lanes([routine], p, PLAIN, 6)
+    source, rows = generate_lanes([routine], p, OPTIONS, "test", 6)
     names = run_lanes(source)
     exact = ca.Function("exact", [x, p], [output])
     for numbers in ([[1.3, -0.7, 2.0], [-2.1, 0.4, 2.0]], [[0.5, 3.0, -1.0], [0.5, -3.0, 4.0]]):
@@ -228,10 +246,10 @@ def test_lane_routines_share_rows_of_constants_made_once() -> None:
         LaneRoutine("second", {"x": x}, ca.vertcat(ca.exp(p[1]) + x, p[0]), {"x": 1}, 2),
         LaneRoutine("nothing", {"x": x}, ca.SX(0, 1), {"x": 0}, 3),
     ]
-    source, rows = generate_lanes(routines, p, PLAIN, 4)
+    source, rows = generate_lanes(routines, p, OPTIONS, "test", 4)
     assert rows == 4 + 3  # cos(p0), exp(p1) and p0
     assert "lane_sin" in source and "math.sin" not in source
-    prepare, _, rest = source.partition("def first")
+    prepare, _, rest = source.partition("def _first")
     assert "math.cos" in prepare and "math.exp" in prepare and "math." not in rest
     names = run_lanes(source)
     w = np.zeros(rows * WIDTH)

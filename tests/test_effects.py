@@ -33,8 +33,8 @@ from equimus_ctrl.effects.base import Side, check_locations
 from equimus_ctrl.effects.valves import DELAY, FILL, FLOW, POWER, RATE, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines.batch import KNOWN_KINDS, Trial, simulate
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, places
+from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 every_effect = pytest.mark.parametrize("name", sorted(REGISTRY))
 
@@ -107,7 +107,7 @@ def test_an_effect_is_frozen_hashable_and_equal_to_its_like(name: str) -> None:
 @every_place
 def test_an_effect_is_read_back_from_what_is_written_of_it(name: str, kind: str) -> None:
     one = sample(name, 1 / 3, kind)
-    assert one.location in places(nominal_leg())[kind]
+    assert one.location in nominal_leg().places()[kind]
     values = ",".join(f"{key}={value!r}" for key, value in one.parameters().items())
     assert parse(f"{name}:{one.location}:{values}") == one
     spaced = values.replace("=", " = ").replace(",", " , ")
@@ -142,13 +142,13 @@ def test_what_is_missing_or_unknown_is_named(name: str) -> None:
 def test_an_effect_cannot_sit_where_nothing_is(name: str) -> None:
     leg = nominal_leg()
     one = make(name, "nowhere", sample(name).parameters())
-    known = ", ".join(sorted(place for kind in one.sits_at for place in places(leg)[kind]))
+    known = ", ".join(sorted(place for kind in one.sits_at for place in leg.places()[kind]))
     with pytest.raises(ConfigError) as caught:
         Model(leg, (one,))
     kinds = " or ".join(one.sits_at)
     assert str(caught.value) == f"nominal_leg: effect {name}: there is no {kinds} 'nowhere' (known: {known})"
     for kind in one.sits_at:
-        check_locations((sample(name, kind=kind),), places(leg), "leg")
+        check_locations((sample(name, kind=kind),), leg.places(), "leg")
 
 
 @pytest.mark.parametrize("name", catalogue("elastic"))

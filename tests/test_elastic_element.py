@@ -12,8 +12,8 @@ import pytest
 from morphologies import integrate
 
 from equimus_ctrl.errors import ModelError
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.mjcf import SolverSettings, add_elastic_actuator, build_spec, close_elements, compile_model
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 ROD = {"mass": 0.3, "stiffness": 90.0, "damping": 2.5, "rest_length": 0.25}
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import equimus_ctrl as eq
-from equimus_ctrl.models.morphology import pack
+from equimus_ctrl.robots.elastic.morphology import pack
 from equimus_ctrl.tuning.ensemble import Member, latin_hypercube, make_ensemble
 from equimus_ctrl.tuning.study import EnsembleSettings
 

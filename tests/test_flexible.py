@@ -33,7 +33,6 @@ from equimus_ctrl.identification.parameters import free_parameters
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.outside import (
     Fade,
@@ -47,6 +46,7 @@ from equimus_ctrl.proof.outside import (
 )
 from equimus_ctrl.proof.realities import draw
 from equimus_ctrl.proof.simulation import recordings, simulate
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array
 
 LEG = nominal_leg()

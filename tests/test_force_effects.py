@@ -29,9 +29,9 @@ from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import Trial, encode, simulate
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, Phase, structure
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, structure
 from equimus_ctrl.types import Array
 
 LEG = nominal_leg()

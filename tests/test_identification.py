@@ -15,7 +15,8 @@ import pytest
 from morphologies import pendulum
 
 from equimus_ctrl.effects import TransportDelay
-from equimus_ctrl.engines.predict import Engine, predict
+from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
 from equimus_ctrl.identification import statics
 from equimus_ctrl.identification.crosscheck import cross_check
@@ -59,7 +60,7 @@ def trial(
     model: Model = TRUE,
     noise: float = 0.0,
     seed: int = 0,
-    engine: Engine = "reduced",
+    engine: EngineName = "reduced",
     duration: float = 2.0,
     **more: Any,
 ) -> Recording:
@@ -75,7 +76,7 @@ def trial(
 
 
 @lru_cache
-def trials(noise: float = 0.0, engine: Engine = "reduced") -> tuple[Recording, ...]:
+def trials(noise: float = 0.0, engine: EngineName = "reduced") -> tuple[Recording, ...]:
     return tuple(trial(steps, noise=noise, seed=k, engine=engine) for k, steps in enumerate(STEPS))
 
 

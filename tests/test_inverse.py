@@ -19,7 +19,7 @@ from equimus_ctrl.effects.valves import command_for, shaped_commands, useful_com
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.inverse import inverse_dynamics
-from equimus_ctrl.models.morphology import pack, structure
+from equimus_ctrl.robots.elastic.morphology import pack, structure
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array
 
@@ -43,7 +43,9 @@ START = eq.Start(command=np.array([12e3, 8e3]))
 
 @pytest.mark.parametrize("phase", ["swing", "stance"])
 @pytest.mark.parametrize("laws", [(), force_laws()], ids=["plain", "all laws"])
-def test_the_pressures_make_the_motion(laws: tuple[type[ForceEffect], ...], phase: eq.models.morphology.Phase) -> None:
+def test_the_pressures_make_the_motion(
+    laws: tuple[type[ForceEffect], ...], phase: eq.robots.elastic.morphology.Phase
+) -> None:
     """Put into the equations of motion, with dry friction that slides, they give the accelerations asked for."""
     m = augmented_model(structure(LEG), phase, laws)
     law = inverse_dynamics(structure(LEG), phase, laws)

@@ -21,10 +21,10 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.parameters import default_bounds, free_parameters, unit_of
 from equimus_ctrl.identification.statics import fit_static, pressed, rest_poses
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
-from equimus_ctrl.models.morphology import JointStop as Stop
-from equimus_ctrl.models.morphology import Morphology, Phase
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import JointStop as Stop
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.types import Array
 
 LEG = nominal_leg()

@@ -12,9 +12,9 @@ from scipy.optimize import minimize
 
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.linear import state_matrices
-from equimus_ctrl.models.morphology import Joint, Morphology, Point
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Joint, Morphology, Point
 from equimus_ctrl.types import Array
 
 LEG = nominal_leg()

@@ -14,9 +14,9 @@ from scipy.linalg import expm
 
 from equimus_ctrl.effects import Effect, ForceEffect, NonlinearStiffness, ParallelSpring, make, parameter
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.linear import state_matrices
-from equimus_ctrl.models.morphology import Phase
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Phase
 
 
 @pytest.mark.parametrize("phase", ["swing", "stance"])

@@ -16,10 +16,10 @@ from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import ObserverFault, ObserverSettings
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.linear import linearise
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Run

@@ -15,9 +15,8 @@ from machine_models import CRANE, PENDULUM, pendulum, refusal, slider
 from equimus_ctrl.effects import CoulombFriction
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.identification.parameters import default_names, free_parameters
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import machine_model
-from equimus_ctrl.models.model import places as places_of
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow import load_machine, parameter_rows
 
@@ -73,7 +72,7 @@ def test_every_number_of_the_file_is_read_with_its_unit() -> None:
     found = CRANE.parameters()
     assert set(found) == set(expected)
     assert {name: (pytest.approx(found[name], rel=1e-12), CRANE.unit(name)) for name in found} == expected
-    assert {row["name"]: row["unit"] for row in parameter_rows(machine_model(CRANE))} == {
+    assert {row["name"]: row["unit"] for row in parameter_rows(Model(CRANE))} == {
         name: unit for name, (_, unit) in expected.items()
     }
 
@@ -83,7 +82,7 @@ def fields_of(model: Any) -> dict[str, Array]:
     return {name: np.array(value) for name, value in found.items()} | {"gravity": np.array(model.opt.gravity)}
 
 
-def changed_fields(values: Mapping[str, float], machine: Machine = CRANE) -> set[str]:
+def changed_fields(values: Mapping[str, float], machine: MjcfRobot = CRANE) -> set[str]:
     """Fields of the model that numbers change, without those that follow from others."""
     before = fields_of(machine.mujoco_model())
     after = fields_of(machine.with_parameters(values).mujoco_model())
@@ -171,7 +170,7 @@ def test_numbers_follow_from_what_mujoco_makes_of_the_file() -> None:
       <body name="ball"><joint name="pivot" axis="0 1 0" springref="30" range="-90 45"/>
       <geom type="sphere" size="0.1" density="1000" pos="0 0 -0.4"/></body></worldbody>
       <actuator><position name="servo" joint="pivot" kp="8" dampratio="1"/></actuator></mujoco>"""
-    machine = Machine("d", text)
+    machine = MjcfRobot("d", text)
     found, mass = machine.parameters(), 1000 * 4 / 3 * math.pi * 0.1**3
     inertia = 0.4 * mass * 0.01
     assert found["pivot.damping"] == 0.7
@@ -193,7 +192,7 @@ def test_joints_and_actuators_are_told() -> None:
     ]
     assert [d.range for d in CRANE.actuators] == [(-math.inf, math.inf), (-1, 1), (-math.inf, math.inf)]
     assert CRANE.timestep == 0.001
-    assert places_of(machine_model(CRANE).morphology) == {
+    assert CRANE.places() == {
         "joint": ("shoulder", "reach"),
         "actuator": ("push", "servo", "drive"),
         "link": ("arm", "rod"),
@@ -212,19 +211,21 @@ def test_joints_and_actuators_are_told() -> None:
     ],
 )
 def test_commands_and_gains_of_a_slide_have_its_units(drive: str, unit: str, gain: str | None) -> None:
-    machine = Machine("cart", slider(drive))
+    machine = MjcfRobot("cart", slider(drive))
     assert machine.actuators[0].unit == unit
     assert gain is None or machine.unit("motor.gain") == gain
     assert gain is not None or machine.unit("motor.kp") == "N/m"
 
 
 def test_the_unit_of_a_speed_servos_command_does_not_depend_on_its_gain() -> None:
-    units = {Machine("cart", slider(f'<velocity name="m" joint="way" kv="{kv}"/>')).actuators[0].unit for kv in (1, 3)}
+    units = {
+        MjcfRobot("cart", slider(f'<velocity name="m" joint="way" kv="{kv}"/>')).actuators[0].unit for kv in (1, 3)
+    }
     assert len(units) == 1 and "N" not in units
 
 
 def test_a_speed_servo_has_one_gain() -> None:
-    machine = Machine("cart", slider('<velocity name="m" joint="way" kv="3"/>'))
+    machine = MjcfRobot("cart", slider('<velocity name="m" joint="way" kv="3"/>'))
     assert "m.gain" not in machine.parameters() and machine.parameters()["m.kv"] == 3
     changed = machine.with_parameters({"m.kv": 5.0}).mujoco_model()
     assert changed.actuator_gainprm[0, 0] == 5.0 and changed.actuator_biasprm[0, 2] == -5.0
@@ -232,7 +233,7 @@ def test_a_speed_servo_has_one_gain() -> None:
 
 def test_bounds_hold_every_number_and_nothing_negative_that_cannot_be() -> None:
     names = list(CRANE.parameters())
-    free = free_parameters(machine_model(CRANE), names)
+    free = free_parameters(Model(CRANE), names)
     assert free.names == tuple(names)
     assert np.all(free.low <= free.start) and np.all(free.low[free.start > 0] < free.start[free.start > 0])
     assert np.all(free.start < free.high)
@@ -244,10 +245,10 @@ def test_bounds_hold_every_number_and_nothing_negative_that_cannot_be() -> None:
 
 
 def test_a_motor_that_pulls_can_be_free_like_any_other() -> None:
-    machine = Machine("cart", slider('<general name="motor" joint="way" gainprm="-2"/>'))
+    machine = MjcfRobot("cart", slider('<general name="motor" joint="way" gainprm="-2"/>'))
     assert machine.parameters()["motor.gain"] == -2.0
     assert machine.with_parameters(machine.parameters()).parameters() == machine.parameters()
-    (free,) = free_parameters(machine_model(machine), ["motor.gain"]).free
+    (free,) = free_parameters(Model(machine), ["motor.gain"]).free
     assert free.low < -2.0 < free.high
 
 
@@ -256,25 +257,25 @@ def test_a_motor_that_pulls_can_be_free_like_any_other() -> None:
 
 def test_of_a_hanging_pendulum_mass_and_inertia_are_free() -> None:
     """What turns with the motor cannot be told from the arm's own inertia."""
-    assert default_names(machine_model(PENDULUM)) == ["arm.mass", "arm.inertia"]
+    assert default_names(Model(PENDULUM)) == ["arm.mass", "arm.inertia"]
 
 
 def test_without_gravity_one_number_tells_all_of_a_single_inertia() -> None:
-    weightless = Machine("p", pendulum().replace('timestep="0.001"', 'timestep="0.001" gravity="0 0 0"'))
+    weightless = MjcfRobot("p", pendulum().replace('timestep="0.001"', 'timestep="0.001" gravity="0 0 0"'))
     assert weightless.default_names() == ["arm.mass"]
     assert "gravity" not in weightless.parameters()
 
 
 @pytest.mark.parametrize("joint", ['range="-0.1 0.1"', 'frictionloss="0.4"', 'damping="0.1" stiffness="2"'])
 def test_ends_and_friction_do_not_change_which_masses_are_told(joint: str) -> None:
-    names = Machine("p", pendulum(joint)).default_names()
+    names = MjcfRobot("p", pendulum(joint)).default_names()
     assert [n for n in names if n.startswith("arm") or n.endswith("armature")] == ["arm.mass", "arm.inertia"]
     kinds = re.findall(r"(damping|frictionloss|stiffness)=", joint)
     assert names[2:] == [f"pivot.{kind}" for kind in kinds]
 
 
 def test_default_names_hold_effects_too_and_actuators_are_taken_to_be_known() -> None:
-    names = default_names(machine_model(CRANE, (CoulombFriction("reach", 0.3),)))
+    names = default_names(Model(CRANE, (CoulombFriction("reach", 0.3),)))
     assert names == [
         "arm.mass", "rod.mass", "arm.inertia", "reach.armature", "shoulder.damping", "reach.damping",
         "shoulder.frictionloss", "reach.frictionloss", "shoulder.stiffness", "reach.stiffness",
@@ -294,23 +295,9 @@ WRONG: dict[str, tuple[str, str]] = {
     "no joint": (BODY.format("", ""), "cart: has no joint"),
     "no actuator": (BODY.format("<joint name='j'/>", ""), "cart: has no actuator"),
     "unnamed actuator": (slider('<motor joint="way"/>'), "cart: actuator 0 has no name"),
-    "tendon": (
-        slider('<motor name="puller" tendon="rope"/>').replace(
-            "<actuator>", '<tendon><fixed name="rope"><joint joint="way" coef="1"/></fixed></tendon><actuator>'
-        ),
-        "cart: actuator 'puller' does not drive a joint",
-    ),
-    "dyntype": (
-        slider('<general name="slow" joint="way" dyntype="integrator"/>'),
-        "cart: actuator 'slow' has a state that recordings do not tell (dyntype), expected none or a first-order filter",
-    ),
-    "integrated velocity": (
-        slider('<intvelocity name="slow" joint="way" kp="2" actrange="-1 1"/>'),
-        "cart: actuator 'slow' has a state that recordings do not tell",
-    ),
-    "damper": (
-        slider('<damper name="brake" joint="way" kv="1" ctrlrange="0 1"/>'),
-        "cart: actuator 'brake' is neither a motor nor a servo",
+    "muscle": (
+        slider('<muscle name="puller" joint="way" lengthrange="0 1"/>'),
+        "cart: actuator 'puller' has the gain 'muscle', which neither engine takes; expected motor, position,",
     ),
     "broken": ("<mujoco><worldbody><bod></worldbody></mujoco>", "cart: MuJoCo cannot load it ("),
     "no XML": ("arm = 1", "cart: MuJoCo cannot load it ("),
@@ -320,13 +307,65 @@ WRONG: dict[str, tuple[str, str]] = {
 }
 
 
+TAKEN = {
+    "tendon": slider('<motor name="drive" tendon="rope"/>').replace(
+        "<actuator>", '<tendon><fixed name="rope"><joint joint="way" coef="1"/></fixed></tendon><actuator>'
+    ),
+    "integrator": slider('<general name="drive" joint="way" dyntype="integrator"/>'),
+    "integrated velocity": slider('<intvelocity name="drive" joint="way" kp="5" actrange="-1 1"/>'),
+    "damper": slider('<damper name="drive" joint="way" kv="1" ctrlrange="0 1"/>'),
+    "pid": slider('<pid name="drive" joint="way" kp="3" ki="1" input="pos"/>'),
+    "dcmotor": slider('<dcmotor name="drive" joint="way" resistance="1" motorconst="0.1"/>'),
+}
+
+
+@pytest.mark.parametrize("what", TAKEN)
+def test_actuators_with_laws_of_their_own_are_taken(what: str) -> None:
+    robot = MjcfRobot("cart", TAKEN[what])
+    assert robot.actuator_names == ("drive",) and robot.actuators[0].joint == "way" and not robot.obstacles
+
+
+def test_each_command_of_an_actuator_has_a_column() -> None:
+    robot = MjcfRobot("cart", slider('<pid name="drive" joint="way" kp="3" kv="0.2" input="pos vel ff"/>'))
+    assert robot.actuator_names == ("drive.pos", "drive.vel", "drive.ff")
+    assert [robot.command_unit(name) for name in robot.actuator_names] == ["m", "m/s", "N"]
+    assert robot.parameters()["drive.kp"] == 3.0 and robot.parameters()["drive.kv"] == 0.2
+
+
+SICK = {
+    "step": ('timestep="0"', "timestep is 0 s, expected 1e-06 to 0.1 s"),
+    "step nan": ('timestep="nan"', "timestep is nan s, expected"),
+    "long step": ('timestep="0.5"', "timestep is 0.5 s, expected"),
+    "gravity": ('gravity="0 0 nan"', "gravity is [0.0, 0.0, nan], expected three finite numbers"),
+}
+
+
+@pytest.mark.parametrize("what", SICK)
+def test_numbers_that_are_none_are_refused(what: str) -> None:
+    option, told = SICK[what]
+    assert told in refusal(lambda: MjcfRobot("cart", slider().replace("<worldbody>", f"<option {option}/><worldbody>")))
+
+
+def test_a_joint_without_an_axis_or_with_no_stiffness_is_told_by_its_name() -> None:
+    for wrong in ('axis="1 0 nan"', 'axis="1 0 0" stiffness="nan"'):
+        told = refusal(lambda: MjcfRobot("cart", slider().replace('axis="1 0 0"', wrong)))  # noqa: B023
+        assert "of joint 'way' is nan, expected a number" in told
+
+
+@pytest.mark.filterwarnings("ignore:.*flex")
+def test_what_neither_engine_takes_is_told_with_its_line() -> None:
+    soft = '<flexcomp name="f" type="grid" count="3 3 1" spacing=".1 .1 .1" pos="0 0 1" radius=".01"/></worldbody>'
+    text = slider().replace("</worldbody>", f"\n\n{soft}")
+    assert "line 4 of the XML has <flexcomp>, which neither engine takes" in refusal(lambda: MjcfRobot("cart", text))
+
+
 @pytest.mark.parametrize("what", WRONG)
 def test_an_xml_that_is_no_machine_is_refused_in_one_sentence(what: str, tmp_path: Path) -> None:
     text, message = WRONG[what]
-    told = refusal(lambda: Machine("cart", text))
+    told = refusal(lambda: MjcfRobot("cart", text))
     assert told.startswith("cart: ") and message in told
     with pytest.raises(ModelError):
-        Machine("cart", text)
+        MjcfRobot("cart", text)
     (tmp_path / "cart.xml").write_text(text)
     told = refusal(lambda: load_machine(tmp_path / "cart.xml"))
     assert told.startswith(f"{tmp_path / 'cart.xml'}: ")
@@ -337,7 +376,7 @@ def test_a_number_that_does_not_exist_is_told_with_those_that_do() -> None:
     told = refusal(lambda: CRANE.with_parameters({"arm.mas": 1.0}))
     assert told.startswith("crane: there is no parameter 'arm.mas'; did you mean 'arm.mass'? (known: arm.com_x, ")
     assert all(name in told for name in CRANE.parameters())
-    assert refusal(lambda: machine_model(CRANE).with_parameters({"elbow.damping": 1.0})).startswith(
+    assert refusal(lambda: Model(CRANE).with_parameters({"elbow.damping": 1.0})).startswith(
         "crane: there is no parameter 'elbow.damping'; did you mean"
     )
     assert CRANE.has_parameters(["arm.mass", "tilt"]) and not CRANE.has_parameters(["arm.mass", "arm.mas"])

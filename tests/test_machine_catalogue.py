@@ -16,7 +16,7 @@ from equimus_ctrl.effects import REGISTRY, Effect, ForceEffect, ShapingEffect, c
 from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.identification.parameters import unit_of
-from equimus_ctrl.models.model import Model, machine_model
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_sentences import SENTENCES, sentence
 from equimus_ctrl.types import Array
 
@@ -68,7 +68,7 @@ def seen(model: Model) -> Array:
 @pytest.mark.parametrize("name", sorted(catalogue("mjcf")))
 def test_every_effect_is_seen(name: str) -> None:
     effect = strong(name, "shoulder")
-    change = np.abs(seen(machine_model(RIG, (effect,))) - seen(machine_model(RIG)))
+    change = np.abs(seen(Model(RIG, (effect,))) - seen(Model(RIG)))
     assert change[:, 0].max() > 0.03
 
 
@@ -83,7 +83,7 @@ def test_effects_that_are_nothing_change_nothing(name: str) -> None:
     if issubclass(cls, ForceEffect):
         values |= dict(cls.neutral)
     effect = cls(AT["shoulder"][cls.sits_at[0]], **values)
-    change = np.abs(seen(machine_model(RIG, (effect,))) - seen(machine_model(RIG)))
+    change = np.abs(seen(Model(RIG, (effect,))) - seen(Model(RIG)))
     # A drive without play still has a spring, of a few physics steps.
     assert change.max() < (5e-3 if name == "drive_play" else 1e-10)
 
@@ -100,7 +100,7 @@ def finding(model: Model) -> Finding:
 @pytest.mark.parametrize("name", sorted(catalogue("mjcf")))
 def test_every_effect_has_a_sentence_in_its_units(name: str, joint: str) -> None:
     assert name in SENTENCES
-    model = machine_model(RIG, (strong(name, joint),))
+    model = Model(RIG, (strong(name, joint),))
     text = sentence(finding(model), model)
     assert text.endswith(".") and "_" not in text and "nan" not in text
     assert model.effects[0].location in text or name == "gravity_tilt"

@@ -24,7 +24,7 @@ from equimus_ctrl.effects import (
     TransportDelay,
 )
 from equimus_ctrl.engines.machine import realise
-from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 SERVO = '<position name="motor" joint="way" kp="200" kv="30"/>'
@@ -120,7 +120,7 @@ def test_at_the_antiresonance_the_drive_stands_still() -> None:
     times = np.arange(0, 2, DT)
     rows = [(t, force * math.sin(omega * (t + DT / 2))) for t in times]
     # Begun as it would swing for ever: the drive at rest, the mass passing through the middle.
-    own = realise(machine_model(cart(f'armature="{armature}"'), (DriveCompliance("way", k, 0.0),)))
+    own = realise(Model(cart(f'armature="{armature}"'), (DriveCompliance("way", k, 0.0),)))
     data = mujoco.MjData(own.mujoco)
     place, dof, rotor = own.places[0, 0], own.places[0, 1], own.rotors[0, 0]
     data.qvel[dof] = -force * omega / k

@@ -30,9 +30,9 @@ from equimus_ctrl.effects import (
     catalogue,
 )
 from equimus_ctrl.identification.parameters import free_parameters, unit_of
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import Model, machine_model
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 
 # --- units and places -------------------------------------------------------------------------------------------
@@ -58,7 +58,7 @@ UNITS: dict[Effect, dict[str, str]] = {
 
 @pytest.mark.parametrize("effect", UNITS, ids=lambda e: f"{e.name}:{e.location}")
 def test_effects_at_slides_and_hinges_have_their_units(effect: Effect) -> None:
-    model = machine_model(CRANE, (effect,))
+    model = Model(CRANE, (effect,))
     prefix = f"{effect.location}.{effect.name}."
     assert {key: unit_of(model, prefix + key) for key in effect.parameter_info()} == UNITS[effect]
 
@@ -72,7 +72,7 @@ def middle(name: str, place: str) -> Effect:
 @pytest.mark.parametrize("name", sorted(set(catalogue("elastic")) - set(catalogue("mjcf"))))
 def test_effects_of_elastic_robots_are_refused_on_machines(name: str) -> None:
     place = {"joint": "shoulder", "actuator": "push", "link": "arm", "foot": "tip", "base": "base"}
-    told = refusal(lambda: machine_model(CRANE, (middle(name, place[REGISTRY[name].sits_at[0]]),)))
+    told = refusal(lambda: Model(CRANE, (middle(name, place[REGISTRY[name].sits_at[0]]),)))
     assert told.startswith(f"crane: a robot from MuJoCo's XML cannot have effect {name} (it can: ")
     assert all(other in told for other in catalogue("mjcf"))
 
@@ -107,17 +107,17 @@ def test_effects_of_machines_are_refused_on_elastic_robots(name: str) -> None:
     ],
 )
 def test_effects_sit_where_they_can(effects: tuple[Effect, ...], message: str) -> None:
-    assert refusal(lambda: machine_model(CRANE, effects)).startswith(f"crane: {message}")
+    assert refusal(lambda: Model(CRANE, effects)).startswith(f"crane: {message}")
 
 
 def test_dry_friction_sits_at_joints_of_machines_alone() -> None:
     """On elastic robots it can rub along an actuator, which has no coordinate of its own here."""
-    assert "coulomb_friction" in refusal(lambda: machine_model(CRANE, (CoulombFriction("push", 1.0),)))
+    assert "coulomb_friction" in refusal(lambda: Model(CRANE, (CoulombFriction("push", 1.0),)))
 
 
 @pytest.mark.parametrize("effect", [DriveCompliance("way", 10.0, 0.1), DrivePlay("way", 0.1)], ids=lambda e: e.name)
 def test_a_drive_that_gives_way_needs_something_that_turns_with_it(effect: Effect) -> None:
-    told = refusal(lambda: machine_model(Machine("cart", slider()), (effect,)))
+    told = refusal(lambda: Model(MjcfRobot("cart", slider()), (effect,)))
     assert told.startswith("cart: way has no armature, expected more than 0")
 
 
@@ -190,10 +190,10 @@ BALANCED = 'mass="1" pos="0 0 0" diaginertia="0.01 0.01 0.01"'
     [lambda m: m.with_payload("tip", 0.5), lambda m: m.with_parameters({"arm.com_x": 0.1})],
     ids=["load", "com"],
 )
-def test_a_balanced_wheel_can_be_unbalanced(change: Callable[[Machine], Machine]) -> None:
+def test_a_balanced_wheel_can_be_unbalanced(change: Callable[[MjcfRobot], MjcfRobot]) -> None:
     """MuJoCo takes bodies whose centre lies in their joint for simple ones, unless it is told otherwise."""
     q = np.array([-0.3])
-    whole, weight = mass_matrix(change(Machine("wheel", pendulum(inertial=BALANCED))).mujoco_model(), q)
+    whole, weight = mass_matrix(change(MjcfRobot("wheel", pendulum(inertial=BALANCED))).mujoco_model(), q)
     shift = PENDULUM.with_parameters({"arm.com_z": 0.0})
     reference = mass_matrix(change(shift).mujoco_model(), q)
     np.testing.assert_allclose(whole, reference[0], atol=1e-12)
@@ -206,7 +206,7 @@ TOOL = '<body name="tool" pos="0 0 -0.6"><site name="end"/></body>'
 
 @pytest.mark.parametrize("mass", [0.0, 0.4])
 def test_a_frame_without_mass_can_carry_a_payload(mass: float) -> None:
-    machine = Machine("p", pendulum(body=TOOL)).with_payload("end", mass)
+    machine = MjcfRobot("p", pendulum(body=TOOL)).with_payload("end", mass)
     whole, _ = mass_matrix(machine.mujoco_model(), np.zeros(1))
     assert whole[0, 0] == pytest.approx(0.02 + 0.01 + 0.09 + mass * 0.36)
 
@@ -214,11 +214,11 @@ def test_a_frame_without_mass_can_carry_a_payload(mass: float) -> None:
 def test_a_point_mass_has_no_inertia_of_its_own() -> None:
     """No warning either, of which tests make errors."""
     point = '<body name="ball" pos="0 0 -0.6"><inertial mass="0.3" pos="0 0 0" diaginertia="0 0 0"/></body>'
-    machine = Machine("p", pendulum(body=point))
+    machine = MjcfRobot("p", pendulum(body=point))
     assert machine.parameters()["ball.mass"] == 0.3
     whole, _ = mass_matrix(machine.with_parameters({"ball.mass": 0.5}).mujoco_model(), np.zeros(1))
     assert whole[0, 0] == pytest.approx(0.02 + 0.01 + 0.09 + 0.5 * 0.36)
-    free = free_parameters(machine_model(machine))
+    free = free_parameters(Model(machine))
     assert np.all(np.isfinite(free.low)) and "ball.inertia" not in free.names
 
 
@@ -241,7 +241,7 @@ def test_gravity_tilts_about_an_axis_that_matters(what: str) -> None:
     text = f"""<mujoco><worldbody><body name="b"><joint name="j" {joint}/>
       <inertial mass="2" pos="0.1 0.2 -0.3" diaginertia="0.1 0.1 0.1"/></body></worldbody>
       <actuator><motor name="m" joint="j"/></actuator></mujoco>"""
-    machine = Machine("m", text)
+    machine = MjcfRobot("m", text)
     models = [machine.with_parameters({"tilt": t}).mujoco_model() for t in (-0.1, 0.1)]
     forces = [float(mass_matrix(m, np.zeros(1))[1][0]) for m in models]
     arm = {"hinge": 0.22, "slide": 1.0}[joint.split('"')[1]]
@@ -266,7 +266,7 @@ def test_where_nothing_moves_the_first_joint_the_next_decides() -> None:
       <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><body name="flap"><joint name="x" axis="1 0 0"/>
       <inertial mass="1" pos="0 0 -0.2" diaginertia="0.1 0.1 0.1"/></body></body></worldbody>
       <actuator><motor name="m" joint="x"/></actuator></mujoco>"""
-    machine = Machine("lift", text)
+    machine = MjcfRobot("lift", text)
     np.testing.assert_allclose(np.abs(machine.plan.tilt_axis), [1, 0, 0], atol=1e-12)
     weight = mass_matrix(machine.with_parameters({"tilt": 0.1}).mujoco_model(), np.zeros(2))[1]
     assert abs(weight[1]) == pytest.approx(0.2 * 9.81 * math.sin(0.1))

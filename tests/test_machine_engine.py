@@ -31,20 +31,21 @@ from equimus_ctrl.effects import (
     TransportDelay,
     ViscousFriction,
 )
+from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.machine import pushes, realise, simulate_machines
 from equimus_ctrl.engines.machine_motion import machine_motion, pushed
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.segments import cut
-from equimus_ctrl.identification.simulators import machine_simulator
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
 
 
-def hung(joint: str = "", *, head: str = "", option: str = "") -> Machine:
+def hung(joint: str = "", *, head: str = "", option: str = "") -> MjcfRobot:
     """A pendulum of 1 kg at 0.3 m, 0.1 kg·m² about its pivot."""
-    return Machine(
+    return MjcfRobot(
         "pendulum",
         f"""<mujoco>{head}<option timestep="{DT}" {option}/><worldbody><body name="arm">
         <joint name="pivot" axis="0 1 0" {joint}/>
@@ -88,7 +89,7 @@ def crossings(found: Ran, level: float = 0.0) -> Array:
 
 def test_a_torsion_pendulum_has_the_period_of_its_inertia_and_stiffness() -> None:
     inertia, stiffness, rest = 0.1, 8.0, 0.3
-    machine = Machine(
+    machine = MjcfRobot(
         "torsion",
         f"""<mujoco><compiler angle="radian"/><option timestep="{DT}" gravity="0 0 0"/><worldbody><body name="disc">
         <joint name="wire" axis="0 0 1" stiffness="{stiffness}" springref="{rest}"/>
@@ -125,7 +126,7 @@ def test_a_trial_may_begin_at_any_time() -> None:
 
 
 def test_starts_may_be_given_beside_the_trials() -> None:
-    model, one = machine_model(cart()), trial_of(1.0)
+    model, one = Model(cart()), trial_of(1.0)
     both = simulate_machines([model, model], [one], starts=[np.array([[0.5, 2.0], [0.3, 0.0]])], threads=1)[0]
     still = simulate_machines([model, model], [one], starts=[np.array([[0.5], [0.3]])], threads=1)[0]
     expected = [run(cart(), u=1.0, q=q, v=v).x for q, v in ((0.5, 2.0), (0.3, 0.0), (0.5, 0.0))]
@@ -137,7 +138,7 @@ def test_starts_may_be_given_beside_the_trials() -> None:
 @pytest.mark.parametrize("dt", [0.0, -1e-3, math.nan, math.inf])
 def test_a_step_that_is_none_is_refused(dt: float) -> None:
     with pytest.raises(ConfigError, match=r"the physics step is .* s, expected more than 0"):
-        simulate_machines([machine_model(cart())], [trial_of()], dt=dt)
+        simulate_machines([Model(cart())], [trial_of()], dt=dt)
 
 
 def test_another_physics_step_can_be_asked_for() -> None:
@@ -158,7 +159,7 @@ VARIED: tuple[tuple[Effect, ...], ...] = (
 
 
 def test_results_do_not_depend_on_threads_or_on_what_is_simulated_beside() -> None:
-    models = [machine_model(RIG, effects) for effects in VARIED]
+    models = [Model(RIG, effects) for effects in VARIED]
     trials = [swinging(k) for k in range(3)]
     together = simulate_machines(models, trials, threads=1)
     assert all(found.sound.all() for found in together)
@@ -185,7 +186,7 @@ def test_a_model_that_diverges_says_how_far_it_came(
     threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    sound, wild = machine_model(HUGE), machine_model(HUGE, (ConstantForce("way", 1e3),))
+    sound, wild = Model(HUGE), Model(HUGE, (ConstantForce("way", 1e3),))
     one = trial_of(until=0.1, every=0.01)
     found, again = simulate_machines([sound, wild, sound], [one, one], threads=threads)
     assert found.reached.tolist() == [11, 1, 11] == again.reached.tolist()
@@ -199,7 +200,7 @@ def test_a_model_that_diverges_says_how_far_it_came(
 def test_a_divergence_is_found_where_speeds_mean_nothing_any_more() -> None:
     """After two seconds at 500 m/s²."""
     one = trial_of(until=4.0, every=0.25)
-    (found,) = simulate_machines([machine_model(cart(), (ConstantForce("way", 1e3),))], [one], threads=1)
+    (found,) = simulate_machines([Model(cart(), (ConstantForce("way", 1e3),))], [one], threads=1)
     assert found.reached.tolist() == [8]
     np.testing.assert_allclose(found.position[0, :8, 0], 250 * one.sample_times[:8] ** 2, atol=500 * 2 * DT)
 
@@ -208,7 +209,7 @@ def test_warnings_of_mujoco_are_heard_again_after_a_simulation() -> None:
     heard: list[str] = []
     mujoco.set_mju_user_warning(heard.append)
     try:
-        simulate_machines([machine_model(HUGE, (ConstantForce("way", 1e3),))], [trial_of()], threads=1)
+        simulate_machines([Model(HUGE, (ConstantForce("way", 1e3),))], [trial_of()], threads=1)
         assert heard == []
         assert mujoco.get_mju_user_warning() is not None
         data = mujoco.MjData(HUGE.plan.base)
@@ -221,7 +222,7 @@ def test_warnings_of_mujoco_are_heard_again_after_a_simulation() -> None:
 
 def test_trials_may_have_other_numbers() -> None:
     """Each from the same model, and none with what another was given."""
-    model = machine_model(RIG.with_parameters({"arm.mass": 1.8}), (CoulombFriction("shoulder", 0.1),))
+    model = Model(RIG.with_parameters({"arm.mass": 1.8}), (CoulombFriction("shoulder", 0.1),))
     plain = swinging()
     given: list[tuple[dict[str, float], dict[str, float], dict[str, float]]] = [
         ({}, {}, {}),
@@ -249,7 +250,7 @@ def test_trials_may_have_other_numbers() -> None:
 
 def test_the_motion_inside_is_what_is_simulated() -> None:
     trial = swinging()
-    model = machine_model(RIG, (SensorOffset("shoulder", 0.2), FirstOrderLag("lift", 0.05)))
+    model = Model(RIG, (SensorOffset("shoulder", 0.2), FirstOrderLag("lift", 0.05)))
     start = np.concatenate([trial.position, trial.velocity])
     motion = machine_motion(model, trial, start)
     seen = simulate_machines([model], [trial], threads=1)[0].position[0]
@@ -257,21 +258,21 @@ def test_the_motion_inside_is_what_is_simulated() -> None:
     slopes = np.diff(motion.position, axis=0) / np.diff(trial.sample_times)[:, None]
     np.testing.assert_allclose(motion.between.velocity, slopes, rtol=0, atol=0.02 * np.abs(slopes).max())
     np.testing.assert_allclose(motion.between.time, trial.sample_times[:-1] + 0.005)
-    steady = machine_motion(machine_model(RIG), trial, start).between.pressure
+    steady = machine_motion(Model(RIG), trial, start).between.pressure
     held = trial.commands[np.searchsorted(trial.times, trial.sample_times[:-1] + 0.005) - 1]
     np.testing.assert_allclose(steady, held, rtol=0, atol=1e-9)
 
 
 def test_a_motion_that_diverges_is_told() -> None:
     with pytest.raises(SimulationDiverged, match="t: the simulation of cart diverged"):
-        machine_motion(machine_model(cart(), (ConstantForce("way", 1e3),)), trial_of(until=3.0), np.zeros(2))
+        machine_motion(Model(cart(), (ConstantForce("way", 1e3),)), trial_of(until=3.0), np.zeros(2))
 
 
 def test_the_answer_to_a_push_of_a_free_mass_is_known() -> None:
     one = trial_of(until=1.0, every=0.01)
     push = np.ones((100, 1, 2))
     push[:, 0, 1] = np.where(np.arange(100) < 30, -2.0, 0.0)
-    (found,) = pushed(machine_model(cart()), [one], [np.array([0.1, 0.5])], np.array([1.0])).response([push])
+    (found,) = pushed(Model(cart()), [one], [np.array([0.1, 0.5])], np.array([1.0])).response([push])
     t = one.sample_times
     np.testing.assert_allclose(found[:, 0, 0], t**2 / 2 / M, rtol=0, atol=DT / M)
     later = np.maximum(t - 0.3, 0)
@@ -293,12 +294,12 @@ def test_the_answer_to_a_push_is_the_difference_of_two_simulations(effects: tupl
     starts = [np.concatenate([t.position, t.velocity]) for t in trials]
     push = np.zeros((len(trials[0].sample_times) - 1, 2, 3))
     push[:, 0, 0], push[:, 1, 2] = 1.0, 1.0
-    model = machine_model(RIG, effects)
+    model = Model(RIG, effects)
     found = pushed(model, trials, starts, np.array([1.0, 1.0])).response([push, push])
     h = 1e-3
     for k, trial in enumerate(trials):
         for joint, column in (("shoulder", 0), ("reach", 2)):
-            either = [machine_model(RIG, (*effects, ConstantForce(joint, sign * h))) for sign in (1, -1)]
+            either = [Model(RIG, (*effects, ConstantForce(joint, sign * h))) for sign in (1, -1)]
             more, less = simulate_machines(either, [trial], threads=1)[0].position
             slope = (more - less) / (2 * h)
             # One side alone is off by the curvature: a thousandth of a push, on an answer of some tenths.
@@ -310,11 +311,11 @@ def test_the_answer_to_a_push_is_the_difference_of_two_simulations(effects: tupl
 def test_pushes_belong_to_trials() -> None:
     one = trial_of(until=0.5, every=0.1)
     with pytest.raises(ConfigError, match="torques are for 2 trials, expected 1"):
-        pushed(machine_model(cart()), [one], [np.zeros(2)], np.ones(1)).response([np.ones((5, 1, 1))] * 2)
+        pushed(Model(cart()), [one], [np.zeros(2)], np.ones(1)).response([np.ones((5, 1, 1))] * 2)
 
 
 def test_what_drives_and_gravity_push_is_told() -> None:
-    own = realise(machine_model(hung(), (ActuatorGain("motor", 2.0), TorqueSaturation("motor", 5.0))))
+    own = realise(Model(hung(), (ActuatorGain("motor", 2.0), TorqueSaturation("motor", 5.0))))
     angles = np.array([[0.0], [math.pi / 2], [-0.4]])
     drives, weights = pushes(own, angles, np.zeros((3, 1)), np.array([[1.0], [-2.0], [4.0]]))
     np.testing.assert_allclose(drives[:, 0], [2.0, -4.0, 5.0], atol=1e-12)
@@ -324,7 +325,7 @@ def test_what_drives_and_gravity_push_is_told() -> None:
 # --- recordings of machines -------------------------------------------------------------------------------------
 
 
-def recorded(machine: Machine, *effects: Effect, until: float = 3.0) -> Recording:
+def recorded(machine: MjcfRobot, *effects: Effect, until: float = 3.0) -> Recording:
     one = trial_of([(0.0, 0.0), (0.5, 1.0), (1.5, -1.0)], q=0.4, until=until, every=0.01)
     found = run(machine, *effects, trial=one)
     command = np.array([0.0 if t < 0.5 else 1.0 if t < 1.5 else -1.0 for t in one.sample_times])[:, None]
@@ -334,14 +335,15 @@ def recorded(machine: Machine, *effects: Effect, until: float = 3.0) -> Recordin
 def test_a_recording_is_predicted_from_where_and_how_fast_it_begins() -> None:
     machine = hung('damping="0.1"')
     recording = recorded(machine)
-    found = predict(machine_model(machine), recording)
+    found = predict(Model(machine), recording, engine="mujoco")
     np.testing.assert_allclose(found, recording.position, rtol=0, atol=5e-3)
-    exact = predict(machine_model(machine), recording, start=np.array([0.4, 0.0]))
+    exact = predict(Model(machine), recording, engine="mujoco", start=np.array([0.4, 0.0]))
     np.testing.assert_allclose(exact, recording.position, rtol=0, atol=1e-12)
     late = replace(
         recording, time=recording.time[40:], command=recording.command[40:], position=recording.position[40:]
     )
-    np.testing.assert_allclose(predict(machine_model(machine), late), late.position, rtol=0, atol=0.02)
+    for engine in ("mujoco", "reduced"):
+        np.testing.assert_allclose(predict(Model(machine), late, engine=engine), late.position, rtol=0, atol=0.02)
 
 
 def test_a_window_of_a_late_sensor_begins_in_motion() -> None:
@@ -350,30 +352,31 @@ def test_a_window_of_a_late_sensor_begins_in_motion() -> None:
     time = np.arange(0, 2.001, 0.01)
     rolled = 0.8 * np.maximum(time - 0.1, 0.0)
     recording = Recording("r", time, np.zeros((len(time), 1)), rolled[:, None], ("motor",), ("way",))
-    model = machine_model(machine, (effect,))
+    model = Model(machine, (effect,))
     segments = cut(model, [recording], window=(0.5, 2.0), shoot=0.5)
-    found = machine_simulator(threads=1)([model], segments, [s.start[None, :] for s in segments])
     assert len(segments) == 3
-    for segment, predicted in zip(segments, found, strict=True):
+    both = [Simulator(engine_for(model, name), 1) for name in ("reduced", "mujoco")]
+    found = [p for own in both for p in own([model], segments, [s.start[None, :] for s in segments])]
+    for segment, predicted in zip(segments * 2, found, strict=True):
         np.testing.assert_allclose(predicted.position[0], segment.measured, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("start", [np.zeros(5), np.array([math.nan])], ids=["too long", "nan"])
 def test_a_start_that_is_none_is_refused_in_a_sentence(start: Array) -> None:
     with pytest.raises(ConfigError, match="r: the start is "):
-        predict(machine_model(hung()), recorded(hung()), start=start)
+        predict(Model(hung()), recorded(hung()), start=start)
 
 
 def test_whole_trials_are_compared_where_a_model_can_follow_them() -> None:
     machine = hung('damping="0.1"')
     recording = recorded(machine)
-    assert window_length(machine_model(machine), [recording], None) is None
-    off = machine_model(machine.with_parameters({"arm.com_z": -0.15}))
+    assert window_length(Model(machine), [recording], None) is None
+    off = Model(machine.with_parameters({"arm.com_z": -0.15}))
     length = window_length(off, [recording], None)
     assert length is not None and 0.5 <= length < 3.0
 
 
 def test_a_model_that_diverges_in_the_shortest_windows_is_told() -> None:
-    wild = machine_model(hung(), (AsymmetricDamping("pivot", -1e4),))
+    wild = Model(hung(), (AsymmetricDamping("pivot", -1e4),))
     with pytest.raises(SimulationDiverged, match="pendulum: the model diverges on the recorded commands"):
         window_length(wild, [recorded(hung())], None)

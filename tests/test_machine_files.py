@@ -32,9 +32,9 @@ from equimus_ctrl.effects import (
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.identification.parameters import default_names, free_parameters
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import FORMAT, Model, machine_model, machine_of, model_from_dict, model_to_dict
+from equimus_ctrl.models.model import FORMAT, Model, model_from_dict, model_to_dict
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow import load_machine, load_model, offer, read_free, save_model
 from equimus_ctrl.workflow.machines import corrected_xml, write_corrected
@@ -42,7 +42,7 @@ from equimus_ctrl.workflow.machines import corrected_xml, write_corrected
 # --- model files ------------------------------------------------------------------------------------------------
 
 
-def driven(machine: Machine, until: float = 1.0) -> Trial:
+def driven(machine: MjcfRobot, until: float = 1.0) -> Trial:
     """Commands that jump on the physics' grid, and a start away from rest."""
     times = np.arange(0.0, until - 0.05, 0.125)
     k, i = np.meshgrid(np.arange(len(times)), np.arange(len(machine.actuators)), indexing="ij")
@@ -52,14 +52,14 @@ def driven(machine: Machine, until: float = 1.0) -> Trial:
 
 
 def moved(model: Model, trial: Trial | None = None) -> Array:
-    machine = machine_of(model)
+    machine = model.robot
     assert machine is not None
     found = simulate_machines([model], [trial or driven(machine)], threads=1)[0]
     assert found.sound.all()
     return found.position[0]
 
 
-def stepped(model: Any, machine: Machine, trial: Trial) -> Array:
+def stepped(model: Any, machine: MjcfRobot, trial: Trial) -> Array:
     """The same trial, by MuJoCo alone."""
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in machine.joint_names]
@@ -111,7 +111,7 @@ HELD["all of them"] = tuple(effect for effects in HELD.values() for effect in ef
 @pytest.mark.parametrize("name", HELD)
 def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_file: Path, tmp_path: Path) -> None:
     machine = load_machine(crane_file).with_parameters({"arm.mass": 2.25, "reach.damping": 2.0, "tilt": 0.05})
-    model = machine_model(machine, HELD[name])
+    model = Model(machine, HELD[name])
     path = tmp_path / "found" / "deep" / "model.toml"
     assert save_model(path, model, crane_file) == [path, path.with_suffix(".xml")]
     back = load_model(path)
@@ -122,7 +122,7 @@ def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_fil
     written = mujoco.MjModel.from_xml_path(str(path.with_suffix(".xml")))
     trial = driven(machine)
     own = stepped(written, machine, trial)
-    plain = moved(machine_model(machine))
+    plain = moved(Model(machine))
     # Six digits are written of each number.
     np.testing.assert_allclose(own, moved(model), rtol=0, atol=2e-5)
     assert name == "nothing" or np.abs(own - plain).max() > 2e-3
@@ -132,7 +132,7 @@ def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: 
     """To the six digits that are written; what gravity leans by is in its direction."""
     machine = load_machine(crane_file)
     changed = {name: 1.2345 * value + 0.0123 for name, value in machine.parameters().items() if name != "tilt"}
-    model = machine_model(machine.with_parameters(changed))
+    model = Model(machine.with_parameters(changed))
     save_model(tmp_path / "found.toml", model, crane_file)
     again = load_machine(tmp_path / "found.xml").parameters()
     assert again == {name: pytest.approx(value, rel=1e-5) for name, value in (changed | {"tilt": 0.0}).items()}
@@ -145,16 +145,16 @@ def test_a_lag_is_a_filter_of_the_actuator(late: tuple[Effect, ...], tau: float,
     """MuJoCo's is half a step from the mean over a step, and as prompt as the command where it takes no time."""
     machine = load_machine(crane_file)
     lag = FirstOrderLag("servo", tau)
-    xml, left = corrected_xml(machine_model(machine, (lag, *late)))
+    xml, left = corrected_xml(Model(machine, (lag, *late)))
     assert left == ()
     trial = replace(driven(machine), before=np.zeros(len(machine.actuators)))
     own = stepped(mujoco.MjModel.from_xml_string(xml), machine, trial)
-    off = np.abs(own - moved(machine_model(machine, (lag, *late)), trial)).max()
-    changed = np.abs(own - moved(machine_model(machine, late), trial)).max()
+    off = np.abs(own - moved(Model(machine, (lag, *late)), trial)).max()
+    changed = np.abs(own - moved(Model(machine, late), trial)).max()
     assert off < (0.02 * changed if tau else 2e-5)
-    again = Machine("again", xml)
+    again = MjcfRobot("again", xml)
     assert again.parameters()["servo.time_constant"] == pytest.approx(tau)
-    np.testing.assert_allclose(moved(machine_model(again), trial), own, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(moved(Model(again), trial), own, rtol=0, atol=2e-5)
 
 
 def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> 
         ViscousFriction("reach", 1.0), FirstOrderLag("servo", 0.1), ConstantForce("reach", 1.0),
         SensorOffset("shoulder", 0.1), Backlash("reach", 0.01), TransportDelay("drive", 1e-5),
     )  # fmt: skip
-    model = machine_model(load_machine(crane_file), effects)
+    model = Model(load_machine(crane_file), effects)
     told = [f"{e.name} at {e.location}" for e in effects[2:]]
     xml, left = corrected_xml(model)
     assert list(left) == told and f"<!-- Not in here: {', '.join(told)}. -->" in xml
@@ -189,7 +189,7 @@ def test_the_xml_is_found_beside_the_model_file_from_anywhere(
 
 
 def test_a_model_that_is_saved_again_still_finds_its_xml(crane_file: Path, tmp_path: Path) -> None:
-    model = machine_model(load_machine(crane_file), (ViscousFriction("reach", 1.0),))
+    model = Model(load_machine(crane_file), (ViscousFriction("reach", 1.0),))
     first, second = tmp_path / "a" / "one.toml", tmp_path / "b" / "c" / "two.toml"
     save_model(first, model, crane_file)
     save_model(second, load_model(first), first)
@@ -198,14 +198,14 @@ def test_a_model_that_is_saved_again_still_finds_its_xml(crane_file: Path, tmp_p
 
 def test_saving_beside_the_xml_leaves_it_as_it_is(crane_file: Path) -> None:
     """The corrected XML must not take the place of the one that the model file changes."""
-    model = machine_model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    model = Model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
     save_model(crane_file.with_suffix(".toml"), model, crane_file)
     assert crane_file.read_text() == ARM
     np.testing.assert_array_equal(moved(load_model(crane_file.with_suffix(".toml"))), moved(model))
 
 
 def test_an_xml_of_somebody_else_stays(crane_file: Path, tmp_path: Path) -> None:
-    model = machine_model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    model = Model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
     (tmp_path / "keep.xml").write_text("<mujoco/>")
     assert save_model(tmp_path / "keep.toml", model, crane_file)[1].name == "keep_whole.xml"
     assert (tmp_path / "keep.xml").read_text() == "<mujoco/>"
@@ -214,7 +214,7 @@ def test_an_xml_of_somebody_else_stays(crane_file: Path, tmp_path: Path) -> None
 
 
 def test_a_model_is_its_dictionary() -> None:
-    model = machine_model(CRANE.with_parameters({"arm.mass": 3.0}), (TransportDelay("push", 0.05),))
+    model = Model(CRANE.with_parameters({"arm.mass": 3.0}), (TransportDelay("push", 0.05),))
     data = model_to_dict(model)
     assert data == {
         "format": FORMAT,
@@ -225,7 +225,7 @@ def test_a_model_is_its_dictionary() -> None:
     }
     asked: list[str] = []
 
-    def read(name: str) -> Machine:
+    def read(name: str) -> MjcfRobot:
         asked.append(name)
         return CRANE
 
@@ -275,7 +275,7 @@ def test_without_a_file_to_read_from_an_xml_cannot_be_named() -> None:
 
 def test_an_xml_is_a_model_by_itself(crane_file: Path) -> None:
     model = load_model(crane_file)
-    machine = machine_of(model)
+    machine = model.robot
     assert machine is not None and machine.source == "robot.xml"
     assert model.effects == () and model.parameters() == CRANE.parameters()
     assert load_model(str(crane_file)).name == "crane"
@@ -313,7 +313,7 @@ def test_meshes_are_kept_with_the_machine_and_found_from_what_is_saved(tmp_path:
     (tmp_path / "robot" / "meshed.xml").write_text(MESHED)
     model = load_model(tmp_path / "robot" / "meshed.xml")
     assert model.parameters()["arm.mass"] == pytest.approx(1000 * 0.2**3 / 6, rel=1e-5)
-    softer = machine_model(model.morphology, (DriveCompliance("pivot", 5.0, 0.1),))  # type: ignore[arg-type]
+    softer = Model(model.robot, (DriveCompliance("pivot", 5.0, 0.1),))
     assert np.abs(moved(softer) - moved(model)).max() > 1e-3
     save_model(tmp_path / "found" / "new.toml", softer, tmp_path / "robot" / "meshed.xml")
     np.testing.assert_array_equal(moved(load_model(tmp_path / "found" / "new.toml")), moved(softer))
@@ -332,7 +332,7 @@ def test_a_mesh_is_taken_from_where_mujoco_takes_it(tmp_path: Path) -> None:
 
 def test_machines_that_differ_in_a_mesh_alone_are_two() -> None:
     small, large = (
-        Machine("meshed", MESHED, {"shape.obj": SHAPE.replace(".2", size).encode()}) for size in (".2", ".4")
+        MjcfRobot("meshed", MESHED, {"shape.obj": SHAPE.replace(".2", size).encode()}) for size in (".2", ".4")
     )
     assert large.parameters()["arm.mass"] == pytest.approx(8 * small.parameters()["arm.mass"], rel=1e-5)
     assert small.digest == replace(small, name="again").digest != large.digest
@@ -366,15 +366,15 @@ NAMELESS = '<body pos="0 0 -0.6"><inertial mass="0.3" pos="0 0 0" diaginertia="0
 )
 @pytest.mark.parametrize("effect", [PayloadMass("tip", 0.5), DriveCompliance("pivot", 20.0, 0.1)], ids=lambda e: e.name)
 def test_any_machine_can_be_written(text: str, effect: Effect) -> None:
-    model = machine_model(Machine("p", text), (effect,))
-    machine = machine_of(model)
+    model = Model(MjcfRobot("p", text), (effect,))
+    machine = model.robot
     assert machine is not None
     xml, left = corrected_xml(model)
     assert left == ()
     trial = driven(machine)
     own = stepped(mujoco.MjModel.from_xml_string(xml), machine, trial)
     np.testing.assert_allclose(own, moved(model, trial), rtol=0, atol=2e-5)
-    assert np.abs(own - moved(machine_model(machine), trial)).max() > 1e-3
+    assert np.abs(own - moved(Model(machine), trial)).max() > 1e-3
 
 
 def test_elastic_robots_are_not_written_as_machines(tmp_path: Path) -> None:
@@ -386,7 +386,7 @@ def test_elastic_robots_are_not_written_as_machines(tmp_path: Path) -> None:
 
 
 def test_a_file_of_free_parameters_offers_what_is_free_by_default(tmp_path: Path) -> None:
-    model = machine_model(CRANE, (CoulombFriction("reach", 0.3),))
+    model = Model(CRANE, (CoulombFriction("reach", 0.3),))
     path = tmp_path / "free.toml"
     offer(path, model)
     text = path.read_text()
@@ -405,7 +405,7 @@ def free_of(tmp_path: Path, text: str, model: Model) -> Any:
 
 
 def test_numbers_are_freed_between_bounds_of_ones_own_or_of_their_kind(tmp_path: Path) -> None:
-    model = machine_model(CRANE)
+    model = Model(CRANE)
     given = free_of(tmp_path, '[free]\n"arm.mass" = [1, 3]\n"*.damping" = true\n"rod.mass" = false\n', model)
     assert set(given.names) == {"arm.mass", "shoulder.damping", "reach.damping"}
     assert given.bounds == {"arm.mass": (1.0, 3.0)}
@@ -414,7 +414,7 @@ def test_numbers_are_freed_between_bounds_of_ones_own_or_of_their_kind(tmp_path:
 
 
 def test_a_pattern_frees_nothing_that_is_said_to_stay(tmp_path: Path) -> None:
-    given = free_of(tmp_path, '[free]\n"*.damping" = true\n"reach.damping" = false\n', machine_model(CRANE))
+    given = free_of(tmp_path, '[free]\n"*.damping" = true\n"reach.damping" = false\n', Model(CRANE))
     assert given.names == ("shoulder.damping",)
 
 
@@ -438,7 +438,7 @@ WRONG_FREE: dict[str, str] = {
 
 @pytest.mark.parametrize("text", WRONG_FREE, ids=lambda text: re.sub(r"\W+", " ", text)[:60])
 def test_what_is_wrong_in_a_file_of_free_parameters_is_said_with_its_name(text: str, tmp_path: Path) -> None:
-    told = refusal(lambda: free_of(tmp_path, text, machine_model(CRANE)))
+    told = refusal(lambda: free_of(tmp_path, text, Model(CRANE)))
     assert told.startswith(f"{tmp_path / 'free.toml'}: ") and WRONG_FREE[text] in told
 
 
@@ -452,7 +452,7 @@ def test_what_is_wrong_in_a_file_of_free_parameters_is_said_with_its_name(text: 
     ],
 )
 def test_bounds_that_cannot_be_are_refused_before_anything_is_fitted(pair: str, message: str, tmp_path: Path) -> None:
-    model = machine_model(CRANE)
+    model = Model(CRANE)
 
     def chosen() -> None:
         given = free_of(tmp_path, f'[free]\n"arm.mass" = {pair}', model)

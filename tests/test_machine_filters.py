@@ -13,8 +13,8 @@ from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import filled, pushes, realise, simulate_machines
 from equimus_ctrl.errors import ModelError
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.machines import corrected_xml
 
@@ -26,8 +26,8 @@ PLAIN, DELAY = '<motor name="motor" joint="way"/>', 0.03
 LATE = f'<motor name="motor" joint="way" nsample="{round(DELAY / DT)}" delay="{DELAY}"/>'
 
 
-def cart(drive: str = FORCE) -> Machine:
-    return Machine(
+def cart(drive: str = FORCE) -> MjcfRobot:
+    return MjcfRobot(
         "cart",
         f"""<mujoco><option timestep="{DT}" gravity="0 0 0" integrator="implicitfast"/><worldbody>
         <body name="box"><joint name="way" type="slide" axis="1 0 0"/>
@@ -36,8 +36,8 @@ def cart(drive: str = FORCE) -> Machine:
     )
 
 
-def moved(machine: Machine, trial: Trial, *effects: object) -> Array:
-    (found,) = simulate_machines([machine_model(machine, effects)], [trial], threads=1)  # type: ignore[arg-type]
+def moved(machine: MjcfRobot, trial: Trial, *effects: object) -> Array:
+    (found,) = simulate_machines([Model(machine, effects)], [trial], threads=1)  # type: ignore[arg-type]
     assert found.sound.all()
     return np.asarray(found.position[0, :, 0])
 
@@ -72,7 +72,7 @@ def test_a_window_begins_with_what_the_filter_came_to(drive: str) -> None:
 
 
 def test_a_filter_sees_commands_as_they_arrive() -> None:
-    own = realise(machine_model(cart(), [TransportDelay("motor", 0.05)]))
+    own = realise(Model(cart(), [TransportDelay("motor", 0.05)]))
     time = np.arange(0, 1, 0.01)
     trial = Trial("t", time, np.ones((100, 1)), np.zeros(1), 0.4, np.zeros(1), time[41:], np.zeros(1))
     assert filled(own, trial)[0] == pytest.approx(1 - np.exp(-0.35 / TAU), abs=2e-3)
@@ -81,13 +81,13 @@ def test_a_filter_sees_commands_as_they_arrive() -> None:
 
 
 def test_commands_beyond_their_range_fill_no_further() -> None:
-    own = realise(machine_model(cart(FORCE.replace("/>", ' ctrllimited="true" ctrlrange="-0.5 0.5"/>'))))
+    own = realise(Model(cart(FORCE.replace("/>", ' ctrllimited="true" ctrlrange="-0.5 0.5"/>'))))
     time = np.arange(0, 1, 0.01)
     trial = Trial("t", time, np.full((100, 1), 3.0), np.zeros(1), 0.9, np.zeros(1), time[91:], np.zeros(1))
     assert filled(own, trial)[0] == pytest.approx(0.5, rel=1e-3)
 
 
-def recorded(machine: Machine, *effects: object) -> list[Recording]:
+def recorded(machine: MjcfRobot, *effects: object) -> list[Recording]:
     rng, found = np.random.default_rng(0), []
     for k in range(3):
         time = np.arange(0, 3, 0.01)
@@ -101,7 +101,7 @@ def recorded(machine: Machine, *effects: object) -> list[Recording]:
 def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
     machine = cart(SERVO)
     assert machine.parameters()["motor.time_constant"] == TAU and machine.unit("motor.time_constant") == "s"
-    model = machine_model(machine.with_parameters({"motor.time_constant": 0.03}))
+    model = Model(machine.with_parameters({"motor.time_constant": 0.03}))
     found = workflow.identify_recordings(recorded(machine), model, free=["motor.time_constant"], folds=0)
     assert found.fit.model.parameters()["motor.time_constant"] == pytest.approx(TAU, rel=0.02)
     machine = machine.with_parameters({"motor.time_constant": 0.05})
@@ -111,7 +111,7 @@ def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
 
 def test_a_lag_beside_the_filter_is_found() -> None:
     found = workflow.diagnose_recordings(
-        recorded(cart(SERVO), FirstOrderLag("motor", 0.05)), machine_model(cart(SERVO)), most=1
+        recorded(cart(SERVO), FirstOrderLag("motor", 0.05)), Model(cart(SERVO)), most=1
     )
     names = {f.named.effect for f in found.findings} | {e.effect for f in found.findings for e in f.equivalent}
     assert found.verdict == "explained" and "first_order_lag" in names
@@ -138,18 +138,20 @@ def test_a_delay_of_the_xml_is_a_number_that_can_be_found() -> None:
     assert machine.parameters()["motor.delay"] == DELAY and machine.unit("motor.delay") == "s"
     real = recorded(machine.with_parameters({"motor.delay": 0.07}))
     found = workflow.identify_recordings(
-        real, machine_model(machine), free=["motor.delay", "box.mass"], folds=0, fit_start=True
+        real, Model(machine), free=["motor.delay", "box.mass"], folds=0, fit_start=True
     )
     assert found.fit.model.parameters()["motor.delay"] == pytest.approx(0.07, abs=1e-3)
 
 
 def test_a_delay_of_the_xml_stays_one_where_it_is_written() -> None:
     machine = cart(LATE).with_parameters({"motor.delay": 0.0475})
-    xml, left = corrected_xml(machine_model(machine, [TransportDelay("motor", 0.02)]))
+    xml, left = corrected_xml(Model(machine, [TransportDelay("motor", 0.02)]))
     written = mujoco.MjModel.from_xml_string(xml)
     assert left == () and written.actuator_delay[0] == pytest.approx(0.0675) and written.actuator_history[0, 0] == 68
     trial = square()
-    np.testing.assert_array_equal(moved(Machine("c", xml), trial), moved(machine, trial, TransportDelay("motor", 0.02)))
+    np.testing.assert_array_equal(
+        moved(MjcfRobot("c", xml), trial), moved(machine, trial, TransportDelay("motor", 0.02))
+    )
 
 
 def test_models_and_trials_with_delays_of_their_own_run_side_by_side() -> None:
@@ -157,7 +159,7 @@ def test_models_and_trials_with_delays_of_their_own_run_side_by_side() -> None:
         cart(LATE),
         [replace(square(before=b), settings=s) for b in (0.0, 1.0) for s in ({}, {"motor.delay": 0.1})],
     )
-    models = [machine_model(machine.with_parameters({"motor.delay": late})) for late in (0.01, 0.04, 0.07)]
+    models = [Model(machine.with_parameters({"motor.delay": late})) for late in (0.01, 0.04, 0.07)]
     found = simulate_machines(models, trials, threads=2)
     for k, model in enumerate(models):
         for trial, together in zip(trials, found, strict=True):
@@ -167,7 +169,7 @@ def test_models_and_trials_with_delays_of_their_own_run_side_by_side() -> None:
 
 
 def test_a_delay_shorter_than_a_step_is_told_where_it_is_written() -> None:
-    model = machine_model(cart(LATE).with_parameters({"motor.delay": 0.7 * DT}))
+    model = Model(cart(LATE).with_parameters({"motor.delay": 0.7 * DT}))
     xml, left = corrected_xml(model)
     assert left == ("transport_delay at motor",) and not mujoco.MjModel.from_xml_string(xml).actuator_delay.any()
 
@@ -178,7 +180,7 @@ def test_a_buffer_that_is_too_short_is_refused() -> None:
 
 
 def test_a_lag_beside_the_filter_is_told_where_it_is_written() -> None:
-    xml, left = corrected_xml(machine_model(cart(), [FirstOrderLag("motor", 0.02)]))
+    xml, left = corrected_xml(Model(cart(), [FirstOrderLag("motor", 0.02)]))
     assert left == ("first_order_lag at motor",)
     assert mujoco.MjModel.from_xml_string(xml).actuator_dynprm[0, 0] == TAU
 
@@ -190,6 +192,6 @@ def test_keyframes_fill_filters_that_are_new() -> None:
         machine,
         xml=machine.xml.replace("</mujoco>", '<keyframe><key act="0.3" ctrl="0.1 0.3"/><key/></keyframe></mujoco>'),
     )
-    written = mujoco.MjModel.from_xml_string(corrected_xml(machine_model(keyed, [FirstOrderLag("motor", 0.1)]))[0])
+    written = mujoco.MjModel.from_xml_string(corrected_xml(Model(keyed, [FirstOrderLag("motor", 0.1)]))[0])
     assert written.key_act.tolist() == [[0.1, 0.3], [0.0, 0.0]]
-    assert mujoco.MjModel.from_xml_string(corrected_xml(machine_model(keyed))[0]).key_act.tolist() == [[0.3], [0.0]]
+    assert mujoco.MjModel.from_xml_string(corrected_xml(Model(keyed))[0]).key_act.tolist() == [[0.3], [0.0]]

@@ -16,14 +16,14 @@ from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.identification.parameters import free_parameters
 from equimus_ctrl.identification.segments import cut
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import Model, machine_model
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
-from equimus_ctrl.workflow.machines import read_machine_set
+from equimus_ctrl.workflow.machines import read_trials
 
 
-def recording(notes: Mapping[str, str] | None = None, name: str = "trial", machine: Machine = PENDULUM) -> Recording:
+def recording(notes: Mapping[str, str] | None = None, name: str = "trial", machine: MjcfRobot = PENDULUM) -> Recording:
     """Two seconds of a swinging pendulum."""
     time = np.arange(0, 2.001, 0.01)
     na, nj = len(machine.actuators), len(machine.joints)
@@ -45,7 +45,7 @@ NOTED = [
 @pytest.mark.parametrize(("notes", "values"), NOTED)
 def test_numbers_in_notes_reach_the_simulation(notes: dict[str, str], values: dict[str, float]) -> None:
     """The factors count from what the model has, whatever that is."""
-    model = machine_model(PENDULUM, (ViscousFriction("pivot", 0.1),))
+    model = Model(PENDULUM, (ViscousFriction("pivot", 0.1),))
     (segment,) = cut(model, [recording(notes)])
     (plain,) = cut(model.with_parameters(values), [recording()])
     found, expected, unchanged = (
@@ -58,7 +58,7 @@ def test_numbers_in_notes_reach_the_simulation(notes: dict[str, str], values: di
 
 
 def test_windows_of_one_recording_have_its_notes() -> None:
-    segments = cut(machine_model(PENDULUM), [recording({"set.arm.mass": "1.7"}), recording()], shoot=0.5)
+    segments = cut(Model(PENDULUM), [recording({"set.arm.mass": "1.7"}), recording()], shoot=0.5)
     assert [dict(s.trial.settings) for s in segments] == [{"arm.mass": 1.7}] * 4 + [{}] * 4
 
 
@@ -75,7 +75,7 @@ WRONG_NOTES = [
 
 @pytest.mark.parametrize(("notes", "message"), WRONG_NOTES, ids=[str(notes) for notes, _ in WRONG_NOTES])
 def test_notes_that_say_nothing_usable_are_told_with_the_recordings_name(notes: dict[str, str], message: str) -> None:
-    told = refusal(lambda: cut(machine_model(PENDULUM), [recording(notes, "third trial")]))
+    told = refusal(lambda: cut(Model(PENDULUM), [recording(notes, "third trial")]))
     assert message in told
     assert told.startswith("third trial: ")
 
@@ -91,7 +91,7 @@ def test_notes_of_numbers_are_for_machines_alone() -> None:
 
 
 def test_a_number_that_every_recording_gives_cannot_be_free() -> None:
-    model = machine_model(PENDULUM)
+    model = Model(PENDULUM)
     free = free_parameters(model, ["arm.mass", "arm.inertia"])
     noted = [recording({"set.arm.mass": "1.2"}, f"trial {k}") for k in range(3)]
     told = refusal(lambda: check_settings(free, split(model, noted, shoot=1.0)))
@@ -104,7 +104,7 @@ def test_a_number_that_every_recording_gives_cannot_be_free() -> None:
 
 
 def test_recordings_with_other_names_are_told_with_the_right_ones() -> None:
-    told = refusal(lambda: cut(machine_model(CRANE), [recording(machine=PENDULUM)]))
+    told = refusal(lambda: cut(Model(CRANE), [recording(machine=PENDULUM)]))
     assert all(name in told for name in (*CRANE.joint_names, *CRANE.actuator_names, "pivot", "motor"))
 
 
@@ -130,10 +130,10 @@ def written(path: Path, header: str) -> Path:
 )
 def test_wrong_columns_are_told_with_the_right_ones(header: str, parts: tuple[str, ...], tmp_path: Path) -> None:
     path = written(tmp_path / "trial.csv", header)
-    told = refusal(lambda: read_machine_set([path], CRANE))
+    told = refusal(lambda: read_trials([path], CRANE))
     assert told.startswith(str(path)) and all(part in told for part in parts)
     with pytest.raises(RecordingError):
-        read_machine_set([path], CRANE)
+        read_trials([path], CRANE)
 
 
 def test_columns_come_in_the_machines_order_whatever_the_files(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_columns_come_in_the_machines_order_whatever_the_files(tmp_path: Path) -
     path = tmp_path / "trial.csv"
     rows = [f"{k * 0.01:.2f},{100 * k},{-0.1 * k:g},3,-2,1e6" for k in range(50)]
     path.write_text("\n".join([header, *rows]) + "\n")
-    (found,) = read_machine_set([path], CRANE)
+    (found,) = read_trials([path], CRANE)
     assert (found.joints, found.actuators) == (CRANE.joint_names, CRANE.actuator_names)
     np.testing.assert_array_equal(found.command[0], [1e6, -2, 3])
     np.testing.assert_array_equal(found.position[2], [-0.2, 200])

@@ -12,9 +12,9 @@ from pendulum_runs import MOTOR, PENDULUM, SERVO, recorded
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.effects import CoulombFriction
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import write
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
 
 
@@ -29,7 +29,7 @@ def files(folder: Path, xml: str, trials: Sequence[Recording]) -> tuple[Path, Pa
 def test_what_makes_an_answer_doubtful_is_told() -> None:
     """Nothing that judges, and commands that MuJoCo clips."""
     drive = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-0.3 0.3"/>')
-    real, model = (machine_model(Machine("robot", PENDULUM.format(drive=d))) for d in (MOTOR, drive))
+    real, model = (Model(MjcfRobot("robot", PENDULUM.format(drive=d))) for d in (MOTOR, drive))
     trials = recorded(real, count=1, seconds=2.0)
     found = workflow.diagnose_recordings(trials, model, shoot=2.0, most=1)
     assert not found.heldout
@@ -38,15 +38,15 @@ def test_what_makes_an_answer_doubtful_is_told() -> None:
 
 
 def test_a_recording_of_three_rows_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
-    xml, runs = files(tmp_path, machine.xml, recorded(machine_model(machine), count=1, seconds=0.03))
+    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    xml, runs = files(tmp_path, machine.xml, recorded(Model(machine), count=1, seconds=0.03))
     assert main(["score", str(runs), "--model", str(xml), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rmse_rad"]["hinge"] < 0.05
 
 
 def test_the_verbs_write_a_model_that_predicts_better(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    machine = Machine("robot", PENDULUM.format(drive=MOTOR))
-    xml, runs = files(tmp_path, machine.xml, recorded(machine_model(machine, [CoulombFriction("hinge", 0.08)])))
+    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    xml, runs = files(tmp_path, machine.xml, recorded(Model(machine, [CoulombFriction("hinge", 0.08)])))
     out = tmp_path / "corrected.toml"
     assert main(["diagnose", str(runs), "--model", str(xml), "--write-model", str(out), "--most", "1", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
@@ -85,7 +85,7 @@ def test_models_that_cannot_be_are_told_in_a_sentence(
     case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     xml, message = WRONG[case]
-    path, runs = files(tmp_path, xml, recorded(machine_model(Machine("robot", PENDULUM.format(drive=MOTOR))), count=2))
+    path, runs = files(tmp_path, xml, recorded(Model(MjcfRobot("robot", PENDULUM.format(drive=MOTOR))), count=2))
     assert main(["diagnose", str(runs), "--model", str(path)]) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert message in said and "Traceback" not in said
@@ -102,14 +102,14 @@ def test_identify_refuses_what_it_cannot_do(
     options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     xml = PENDULUM.format(drive=MOTOR)
-    path, runs = files(tmp_path, xml, recorded(machine_model(Machine("robot", xml)), count=2))
+    path, runs = files(tmp_path, xml, recorded(Model(MjcfRobot("robot", xml)), count=2))
     assert main(["identify", str(runs), "--model", str(path), "-o", str(tmp_path / "out"), *options]) == 2
     assert message in " ".join(capsys.readouterr().err.split()) and not (tmp_path / "out").exists()
 
 
 def test_a_model_that_diverges_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    unstable = PENDULUM.format(drive='<position name="drive" joint="hinge" kp="1e7"/>')
-    real = machine_model(Machine("robot", PENDULUM.format(drive=SERVO)))
+    unstable = PENDULUM.format(drive='<general name="drive" joint="hinge" biastype="affine" biasprm="0 1e6 0"/>')
+    real = Model(MjcfRobot("robot", PENDULUM.format(drive=SERVO)))
     path, runs = files(tmp_path, unstable, recorded(real, count=2))
     assert main(["diagnose", str(runs), "--model", str(path)]) != 0
     assert "diverges on the recorded commands" in " ".join(capsys.readouterr().err.split())

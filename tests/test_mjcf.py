@@ -14,10 +14,10 @@ from morphologies import STRUCTURES, integrate, newton_acceleration, pendulum, r
 from equimus_ctrl.engines.batch import Trial, simulate
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import ideal_leg, nominal_leg
 from equimus_ctrl.models.mjcf import SolverSettings, build_spec, close_elements, compile_model
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import JointStop, Morphology, Phase, Point
+from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
+from equimus_ctrl.robots.elastic.morphology import JointStop, Morphology, Phase, Point
 from equimus_ctrl.types import Array
 
 PHASES: tuple[Phase, ...] = ("swing", "stance")

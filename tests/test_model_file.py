@@ -17,9 +17,9 @@ from morphologies import STRUCTURES, random_morphology
 
 from equimus_ctrl.effects import AsymmetricLag, FirstOrderLag, TransportDelay
 from equimus_ctrl.errors import ConfigError, EquimusError, ModelError
-from equimus_ctrl.models.leg import MORPHOLOGIES, ideal_leg, nominal_leg
 from equimus_ctrl.models.model import FORMAT, Model, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.presets import toml_text
+from equimus_ctrl.robots.elastic.leg import MORPHOLOGIES, ideal_leg, nominal_leg
 from equimus_ctrl.workflow import load_model, save_model
 
 

@@ -14,8 +14,9 @@ from morphologies import STRUCTURES, random_morphology
 
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import ideal_leg, nominal_leg
-from equimus_ctrl.models.morphology import (
+from equimus_ctrl.models.symbolic import N_ACTUATOR, N_GLOBAL, N_JOINT
+from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
+from equimus_ctrl.robots.elastic.morphology import (
     ElasticActuator,
     Joint,
     JointStop,
@@ -25,7 +26,6 @@ from equimus_ctrl.models.morphology import (
     pack,
     structure,
 )
-from equimus_ctrl.models.symbolic import N_ACTUATOR, N_GLOBAL, N_JOINT
 
 LEG = nominal_leg()
 THIGH, CALF = LEG.links

@@ -16,9 +16,9 @@ from mujoco_runs import FINE, rms, varied
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import ideal_leg, nominal_leg
 from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place
-from equimus_ctrl.models.morphology import JointStop, Morphology, Phase
+from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
+from equimus_ctrl.robots.elastic.morphology import JointStop, Morphology, Phase
 from equimus_ctrl.types import Array
 
 PHASES: tuple[Phase, ...] = ("swing", "stance")

@@ -15,9 +15,9 @@ from equimus_ctrl.engines.limits import FOLLOWED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch, near_stop, stop_divisor
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.steps import rates_at
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import JointStop, Morphology, Phase
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import JointStop, Morphology, Phase
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation import reference
 from equimus_ctrl.validation.experiment import Experiment

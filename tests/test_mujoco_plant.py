@@ -13,9 +13,9 @@ from plant_runs import LEG, STEP, drive, positions
 from equimus_ctrl.effects import AsymmetricLag, FirstOrderLag, TransportDelay
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import ideal_leg
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates, make_spec, whole_ratio
+from equimus_ctrl.robots.elastic.leg import ideal_leg
 from equimus_ctrl.types import Start
 
 # --- motion -----------------------------------------------------------------------------------------------------

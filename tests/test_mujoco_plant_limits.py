@@ -12,8 +12,8 @@ from plant_runs import LEG, STEP, drive, positions
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import ElasticActuator, Joint, Link, Morphology, Point
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.robots.elastic.morphology import ElasticActuator, Joint, Link, Morphology, Point
 from equimus_ctrl.types import Start
 
 # --- commands ---------------------------------------------------------------------------------------------------

@@ -16,9 +16,9 @@ from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import ObserverFault
 from equimus_ctrl.models.inverse import holding_pressure
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Observation, Run, Start

@@ -12,9 +12,9 @@ from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverFault, ObserverSettings, ObserverState
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, Observation, PlantSpec
 
 LEG, NOISE, DT = nominal_leg(), 2e-3, 1 / 120

@@ -26,17 +26,18 @@ from equimus_ctrl.effects import (
     StribeckFriction,
     TransportDelay,
 )
-from equimus_ctrl.engines.predict import Engine, check_columns, measured_start, predict
+from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.engines.predict import check_columns, measured_start, predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import ideal_leg, nominal_leg
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import JointStop, Morphology, Phase
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.recordings import read_set
+from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
+from equimus_ctrl.robots.elastic.morphology import JointStop, Morphology, Phase
 from equimus_ctrl.types import Array, Recording, Start
 
-ENGINES: tuple[Engine, ...] = ("reduced", "mujoco")
+ENGINES: tuple[EngineName, ...] = ("reduced", "mujoco")
 LEG = nominal_leg()
 COLUMNS = (LEG.actuator_names, LEG.joint_names)
 
@@ -173,7 +174,7 @@ def case(name: str, on_the_step: bool = False) -> tuple[Model, Recording, Array]
 
 @every_engine
 @pytest.mark.parametrize("name", EFFECTS)
-def test_both_engines_follow_an_independent_integration(name: str, engine: Engine) -> None:
+def test_both_engines_follow_an_independent_integration(name: str, engine: EngineName) -> None:
     model, recording, expected = case(name)
     np.testing.assert_allclose(predict(model, recording, start=START, engine=engine), expected, atol=1e-4)
 
@@ -278,7 +279,7 @@ def test_the_engines_and_the_plant_agree_on_what_pushes(name: str) -> None:
 
 
 @every_engine
-def test_an_equilibrium_stays_where_it_is(engine: Engine) -> None:
+def test_an_equilibrium_stays_where_it_is(engine: EngineName) -> None:
     pressure = (12e3, 3e3)
     rest = Kinematics(LEG).equilibrium(pressure)
     recording = made_up([(0.0, pressure)], start=tuple(rest))
@@ -286,7 +287,7 @@ def test_an_equilibrium_stays_where_it_is(engine: Engine) -> None:
 
 
 @every_engine
-def test_the_same_call_gives_the_same_bits_and_leaves_the_recording_alone(engine: Engine) -> None:
+def test_the_same_call_gives_the_same_bits_and_leaves_the_recording_alone(engine: EngineName) -> None:
     recording = made_up(STEPS, duration=0.5)
     position = recording.position.copy()
     model = Model(LEG, EFFECTS["delay and lag"])
@@ -297,7 +298,7 @@ def test_the_same_call_gives_the_same_bits_and_leaves_the_recording_alone(engine
 
 
 @every_engine
-def test_only_commands_and_times_matter_not_what_was_measured_later(engine: Engine) -> None:
+def test_only_commands_and_times_matter_not_what_was_measured_later(engine: EngineName) -> None:
     recording = made_up(STEPS, duration=0.5)
     moved = recording.position.copy()
     moved[len(moved) // 2 :] += 0.7
@@ -308,7 +309,7 @@ def test_only_commands_and_times_matter_not_what_was_measured_later(engine: Engi
 
 
 @every_engine
-def test_a_trial_may_be_one_row(engine: Engine) -> None:
+def test_a_trial_may_be_one_row(engine: EngineName) -> None:
     recording = Recording("one", [2.0], [[1e4, 0.0]], [[1.4, 0.3]], *COLUMNS)  # type: ignore[arg-type]
     np.testing.assert_array_equal(predict(Model(LEG), recording, engine=engine), [[1.4, 0.3]])
 
@@ -372,7 +373,7 @@ def test_a_trial_that_says_it_had_not_settled_starts_at_its_first_row() -> None:
 
 
 @every_engine
-def test_the_measured_start_is_where_the_prediction_starts(engine: Engine) -> None:
+def test_the_measured_start_is_where_the_prediction_starts(engine: EngineName) -> None:
     recording = noisy(None, 0.05)
     found = predict(Model(LEG), recording, engine=engine)
     np.testing.assert_allclose(found[0], measured_start(recording), rtol=1e-12)
@@ -390,7 +391,7 @@ def test_the_measured_start_is_where_the_prediction_starts(engine: Engine) -> No
     ids=lambda change: next(iter(change)),
 )
 def test_a_diverging_simulation_raises(
-    engine: Engine,
+    engine: EngineName,
     change: dict[str, float],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -411,7 +412,7 @@ def test_a_diverging_simulation_raises(
 @every_engine
 @pytest.mark.filterwarnings("ignore:.*physics step")
 @pytest.mark.parametrize("n", [2, 3, 5, 9])
-def test_numbers_are_never_returned_from_beyond_the_divergence(engine: Engine, n: int) -> None:
+def test_numbers_are_never_returned_from_beyond_the_divergence(engine: EngineName, n: int) -> None:
     """A short trial of the last stable and the first unstable stiffnesses: angles of a leg, or none."""
     time = np.arange(n) / 480 + 1e-6 * np.arange(n)
     for stiffness in np.geomspace(1e6, 1e9, 13):
@@ -425,7 +426,7 @@ def test_numbers_are_never_returned_from_beyond_the_divergence(engine: Engine, n
 
 
 @every_engine
-def test_other_columns_are_refused_with_both_lists(engine: Engine) -> None:
+def test_other_columns_are_refused_with_both_lists(engine: EngineName) -> None:
     swapped = replace(made_up(STEPS, duration=0.2), actuators=("baa", "maa"))
     with pytest.raises(ConfigError) as caught:
         predict(Model(LEG), swapped, engine=engine)

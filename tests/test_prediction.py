@@ -9,9 +9,9 @@ from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.engines.batch import Trial, simulate
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import Prediction, prediction
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 LEG = nominal_leg()
 BEFORE, GIVEN = np.array([9e3, 4e3]), np.array([16e3, 7e3])

@@ -13,13 +13,13 @@ from equimus_ctrl.effects import make
 from equimus_ctrl.engines import native as native_code
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.inverse import holding_pressure
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import prediction
 from equimus_ctrl.predictive.condensing import fold, steepest, weigh
 from equimus_ctrl.predictive.costs import Wanted, Weights
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS, QuadraticProgram
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array
 
 LEG = nominal_leg()

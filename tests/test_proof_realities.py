@@ -30,8 +30,7 @@ from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.model import Model, places
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import outside, sizes
 from equimus_ctrl.proof.designs import DURATION, JITTER, SAMPLE_RATE, TOP, design, sample_times
 from equimus_ctrl.proof.outside import OUTSIDE, Motion, acts_on
@@ -52,6 +51,7 @@ from equimus_ctrl.proof.simulation import noise, simulate
 from equimus_ctrl.proof.simulation import recordings as recorded
 from equimus_ctrl.proof.store import Request, make_case, make_cases, open_truth
 from equimus_ctrl.proof.strength import excess
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array
 
 JOINTS, ACTUATORS = ("hip", "knee"), ("maa", "baa")
@@ -177,7 +177,7 @@ def test_the_table_has_one_row_for_each_parameter_at_each_place(known: dict[str,
     }
     for cls in shipped:
         for kind in cls.sits_at:
-            for location in places(nominal_leg())[kind]:
+            for location in nominal_leg().places()[kind]:
                 for key, meta in cls.parameter_info().items():
                     row = sizes.size_of(cls.name, key, kind, location)
                     assert 0 < row.low < row.high or row.law == "linear"

@@ -20,7 +20,6 @@ from equimus_ctrl.effects import make
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.parameters import free_parameters
 from equimus_ctrl.identification.simulators import reduced_simulator
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.baselines import TITLES, baselines
@@ -31,6 +30,7 @@ from equimus_ctrl.proof.simulation import recordings, simulate
 from equimus_ctrl.proof.sparse import sparse_regression
 from equimus_ctrl.proof.torques import Smooth, missing_torque
 from equimus_ctrl.recordings.folders import write_folder
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow import prove as workflow
 
@@ -41,7 +41,7 @@ def made_case(*effects: tuple[str, str, dict[str, float]], trials: int = 3, dura
     """Of the nominal leg, so that nothing but the effects is off."""
     base = draw(1, 4, kind="none", trials=trials, duration=duration)
     concealed = tuple(make(name, where, values) for name, where, values in effects)
-    reality = type(base)(**{**vars(base), "leg": nominal_leg(), "effects": concealed})
+    reality = type(base)(**{**vars(base), "robot": nominal_leg(), "effects": concealed})
     return recordings(reality, simulate(reality, 480.0))
 
 

@@ -16,7 +16,7 @@ from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.model import Model, machine_model, nominal_model, places
+from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.machine_simulation import FINER, machine_excess, simulate_machine, trials_of
 from equimus_ctrl.proof.machine_sizes import machine_sizes
 from equimus_ctrl.proof.machines import Experiment, MachineReality, draw_machine, machine_recordings
@@ -43,7 +43,7 @@ def pendulum() -> Experiment:
 def two_joints() -> Experiment:
     """A double pendulum, three trials of two seconds."""
     model = load_model(TWO)
-    robot, rng = model.morphology, np.random.default_rng(3)
+    robot, rng = model.robot, np.random.default_rng(3)
     time = np.arange(0, 2, 0.01)
     trials = []
     for k in range(3):
@@ -60,7 +60,7 @@ def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Eff
     from equimus_ctrl.proof.designs import TrialDesign
 
     return MachineReality(
-        0, 0, "single", model.morphology, effects, (), (1e-3,) * len(model.morphology.joints), 0.0,
+        0, 0, "single", model.robot, effects, (), (1e-3,) * len(model.robot.joints), 0.0,
         tuple(TrialDesign(r.name, "as recorded", r.time, r.command) for r in recordings),
         np.zeros((len(recordings), 0)), starts=tuple(np.array(r.position[0]) for r in recordings),
         notes=tuple(dict(r.notes) for r in recordings),
@@ -80,7 +80,7 @@ def test_there_is_a_size_for_every_effect_of_machines(two_joints: Experiment) ->
 
 def without_steps(model: Model, trials: Sequence[Trial]) -> list[Array]:
     """What the diagnosis' engine says of a step of nothing, from two."""
-    dt = model.morphology.timestep / FINER  # type: ignore[attr-defined]
+    dt = model.robot.timestep / FINER
     fine, coarse = (simulate_machines([model], trials, dt=step, threads=1) for step in (dt, 2 * dt))
     return [2 * a.position[0] - b.position[0] for a, b in zip(fine, coarse, strict=True)]
 
@@ -90,13 +90,13 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
     model, cls = two_joints.model, REGISTRY[name]
     seen = seen_places(model, two_joints.segments)
     table = machine_sizes(model, seen)
-    site = next(row.at for row in table if row.effect == name) or places(model.morphology)[cls.sits_at[0]][0]
+    site = next(row.at for row in table if row.effect == name) or model.robot.places()[cls.sits_at[0]][0]
     rows = [row for row in table if row.effect == name and row.at in ("", site)]
     rng = np.random.default_rng(1)
     for _ in range(50):
         try:
             effect = cls(site, **{row.parameter: row.draw(rng) for row in rows})
-            real = Model(model.morphology, (effect,))
+            real = Model(model.robot, (effect,))
             break
         except ConfigError:
             continue
@@ -110,9 +110,9 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
 
 def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
     first, again = (draw_machine(pendulum, 3, 1) for _ in range(2))
-    assert first.leg.parameters() == again.leg.parameters()
+    assert first.robot.parameters() == again.robot.parameters()
     assert first.effects == again.effects and first.noise == again.noise
-    assert first.leg.parameters() != draw_machine(pendulum, 3, 2).leg.parameters()
+    assert first.robot.parameters() != draw_machine(pendulum, 3, 2).robot.parameters()
     one, two = simulate_machine(first), simulate_machine(again)
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
     assert all(np.array_equal(a, b) for a, b in zip(noise(first), noise(again), strict=True))
@@ -123,7 +123,7 @@ def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experimen
         reality = draw_machine(pendulum, 1, case, "pair")
         for effect in reality.effects:
             for key in effect.parameter_info():
-                low, high = effect.bounds(key, reality.leg)
+                low, high = effect.bounds(key, reality.robot)
                 assert low <= getattr(effect, key) <= high, (case, effect, key)
 
 
@@ -136,7 +136,7 @@ def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) ->
         assert len(names) == {"none": 0, "single": 1, "pair": 2, "outside": 0}[reality.kind]
         assert (len(reality.outside) > 0) == (reality.kind == "outside")
         assert not names & set(OUTSIDE)
-        shares = {n: reality.leg.parameters()[n] / two_joints.model.parameters()[n] for n in reality.drawn}
+        shares = {n: reality.robot.parameters()[n] / two_joints.model.parameters()[n] for n in reality.drawn}
         assert shares and all(0.55 < share < 1.45 for share in shares.values())
     assert kinds == {"none", "single", "pair", "outside"}
 
@@ -167,7 +167,7 @@ def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experi
     reality = draw_machine(experiment, 2, 0, "none")
     heavy = reality.model.with_parameters({"arm.mass": 0.9})
     bare = [replace(t, settings={}) for t in trials_of(reality)]
-    light, right = (without_steps(m, bare) for m in (machine_model(reality.machine), heavy))
+    light, right = (without_steps(m, bare) for m in (Model(reality.machine), heavy))
     for own, wrong, other in zip(simulate_machine(reality), light, right, strict=True):
         assert np.abs(own - other).max() < ALIKE < np.abs(own - wrong).max()
     assert machine_recordings(reality, simulate_machine(reality), noise(reality))[0].notes == noted[0].notes

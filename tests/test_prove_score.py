@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from proof_answers import LAG, RUB, SAID_LAG, SAID_RUB, effect, finding, left, report, scored, truth
 
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.proof.answers import BINS, Places, bin_of
 from equimus_ctrl.proof.baselines import TITLES
 from equimus_ctrl.proof.estimates import measure_of
@@ -19,6 +18,7 @@ from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import CONSISTENT, NOTHING, UNEXPLAINED, confusion
 from equimus_ctrl.report.proof_figures import save_proof_figures
 from equimus_ctrl.report.proof_tables import markdown, sheets
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 # --- counts
 

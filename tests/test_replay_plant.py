@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.plants.replay import ReplayPlant
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Recording, Start
 
 LEG = nominal_leg()

@@ -16,11 +16,11 @@ from PIL import Image
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.morphology import ElasticActuator, Joint, JointStop, Link, Morphology, Point
 from equimus_ctrl.plants.mujoco_plant import make_spec
 from equimus_ctrl.report import run_figures, style
 from equimus_ctrl.report.drawing import far_apart, first_pass, skeleton
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import ElasticActuator, Joint, JointStop, Link, Morphology, Point
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.scenarios.scenario import CommandProfile, Scenario
 from equimus_ctrl.scenarios.scoring import Score, score_run

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.plants.mujoco_plant import make_spec
 from equimus_ctrl.report.tables import run_table, score_to_dict
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.scenarios.references import HoldReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import Score, score_run

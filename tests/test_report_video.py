@@ -10,14 +10,14 @@ import pytest
 from PIL import Image
 
 from equimus_ctrl.errors import ConfigError, NotAvailable
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.plants.mujoco_plant import make_spec
 from equimus_ctrl.report import film_frames, video
 from equimus_ctrl.report.film import Film, Strip, make_film
 from equimus_ctrl.report.film_frames import MujocoPictures, SketchPictures, gl_backends, write_scene
 from equimus_ctrl.report.video import find_ffmpeg, save_video
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Run
 
 

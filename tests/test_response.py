@@ -34,9 +34,9 @@ from equimus_ctrl.engines.motion import Motion, motion
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.augmented import slots_of
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Phase, structure
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Phase, structure
 from equimus_ctrl.types import Array
 
 LEG = nominal_leg()

@@ -11,12 +11,12 @@ from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.mujoco_batch import MujocoBatch
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.predictive.costs import Wanted, Weights, costs
 from equimus_ctrl.predictive.rollouts import MujocoRollouts, ReducedRollouts, make_rollouts, members_of
 from equimus_ctrl.predictive.splines import Spline
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array
 
 LEG, DT, STEPS = nominal_leg(), 1 / 120, 40

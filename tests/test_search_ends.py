@@ -136,7 +136,7 @@ def test_what_is_left_of_two_parts_has_rivals_of_its_own(monkeypatch: pytest.Mon
 def test_a_withdrawn_name_does_not_come_back_with_a_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (RUB, OFF): 1000.0})
     split = judged(monkeypatch, [(frozenset(), frozenset({RUB}))])
-    search = OnPaper(known, SearchSettings(thorough=True))
+    search = OnPaper(known, SearchSettings(many_minima=True))
     search.fitted += known.fits.values()
     alone = less(search, ended(known, RUB, OFF), [1])
     search.barred.add(OFF)
@@ -147,7 +147,7 @@ def test_a_withdrawn_name_does_not_come_back_with_a_machine(monkeypatch: pytest.
 
 def test_a_withdrawn_name_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
-    search = OnPaper(known, SearchSettings(thorough=True, valleys=20.0))
+    search = OnPaper(known, SearchSettings(many_minima=True, valleys=20.0))
     found = replace(ended(known, STICK), rivals=((),))
     search.fitted += known.fits.values()
     assert simplified(search, found).best.labels == {RUB}

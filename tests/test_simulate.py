@@ -12,9 +12,9 @@ import pytest
 
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged, unknown_name
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, make_spec
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.simulate import checked_command, run
 from equimus_ctrl.types import Array, Observation, PlantSpec, Recording, Reference, Start, frozen_array

@@ -15,7 +15,7 @@ from equimus_ctrl.effects import Effect, make
 from equimus_ctrl.effects.sensors import sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.rest import rest_pose
-from equimus_ctrl.models.morphology import pack
+from equimus_ctrl.robots.elastic.morphology import pack
 from equimus_ctrl.tuning import stability
 from equimus_ctrl.tuning.ensemble import Member, latin_hypercube, make_ensemble
 from equimus_ctrl.tuning.objective import Problem, Task

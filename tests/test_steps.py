@@ -12,9 +12,9 @@ from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.steps import FOLLOWED, STABLE, rates_at, step_divisor
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array
 
 LEG = nominal_leg()

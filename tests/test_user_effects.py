@@ -17,9 +17,9 @@ from equimus_ctrl.effects import REGISTRY, Effect, make, register
 from equimus_ctrl.engines.batch import Trial, simulate
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, Start
 from equimus_ctrl.workflow import load_effects
 

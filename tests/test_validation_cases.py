@@ -15,11 +15,11 @@ from equimus_ctrl.engines import mujoco_batch
 from equimus_ctrl.engines.mujoco_batch import MujocoBatch
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
 from equimus_ctrl.models.mjcf import place
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.presets import json_text
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.validation import conservation, static
 from equimus_ctrl.validation import validate as whole
 from equimus_ctrl.validation.conservation import conservation_case

@@ -8,7 +8,7 @@ import pytest
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model
-from equimus_ctrl.models.morphology import structure
+from equimus_ctrl.robots.elastic.morphology import structure
 from equimus_ctrl.validation import generator
 from equimus_ctrl.validation.generator import FLOATING, SHAPES, hanging, is_sensible, pulsed_runs, random_robot
 

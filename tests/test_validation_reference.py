@@ -14,8 +14,8 @@ from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.machine import processes
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.morphology import Phase
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Phase
 from equimus_ctrl.validation.experiment import Experiment, any_force, undamped
 from equimus_ctrl.validation.poses import OMEGA, holding_pressure, slowest_rate, workspace
 from equimus_ctrl.validation.reference import evaluate, integrate, own_error, reference_runs, shortest

@@ -17,8 +17,9 @@ import numpy as np
 
 from equimus_ctrl import presets, workflow
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_page import page
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 
 HERE = Path(__file__).resolve().parent
 
@@ -151,8 +152,7 @@ def diagnosed(name: str, folder: Path, output: Path) -> Diagnosis:
 
 def summary(name: str, found: Diagnosis) -> dict[str, Any]:
     """What the table has of a case."""
-    machine = machine_of(found.model)
-    assert machine is not None
+    machine = mjcf_of(found.model.robot)
     record = found.to_dict()
     return {
         "case": name,

@@ -42,7 +42,7 @@ from equimus_ctrl import workflow
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.identification.residuals import joint_rmse, residuals_of
 from equimus_ctrl.identification.segments import Segment, cut
-from equimus_ctrl.identification.simulators import machine_simulator
+from equimus_ctrl.identification.simulators import simulator_for
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import find_recordings
 from equimus_ctrl.types import Array, Recording
@@ -263,7 +263,7 @@ METHODS: dict[str, tuple[Callable[[Task], Found], int]] = {
 
 def judged(model: Model, segments: Sequence[Segment]) -> dict[str, float]:
     """RMSE over windows [mm or mrad] from the starts that fit best, and from those measured."""
-    simulator = machine_simulator(threads=THREADS)
+    simulator = simulator_for(model, threads=THREADS)
     found = simulator([model], segments, [s.start[None, :] for s in segments])
     plain = [s.measured - np.where(f.sound[0], f.position[0], np.nan) for s, f in zip(segments, found, strict=True)]
     fitted = residuals_of(model, segments, simulator)

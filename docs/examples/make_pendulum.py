@@ -11,7 +11,7 @@ from equimus_ctrl import workflow
 from equimus_ctrl.effects import CoulombFriction
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import simulate_machines
-from equimus_ctrl.models.model import machine_model
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import write
 from equimus_ctrl.types import Recording
 
@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 NOISE = 1e-3
 
 machine = workflow.load_machine(HERE / "pendulum.xml")
-real = machine_model(machine, [CoulombFriction("hinge", 0.1)])
+real = Model(machine, (CoulombFriction("hinge", 0.1),))
 rng = np.random.default_rng(7)
 time = np.arange(0, 5, 0.01)
 for k in range(4):

@@ -52,7 +52,12 @@ Window = Annotated[
 Bounds = Annotated[
     list[str] | None, typer.Option("--bound", metavar="NAME=LOW,HIGH", help="Between which values, in SI units.")
 ]
-EngineName = Annotated[str, typer.Option(help="reduced (exact, compiled) or mujoco (3-2-1 elements).")]
+EngineName = Annotated[
+    str | None,
+    typer.Option(
+        help="reduced (compiled equations of motion) or mujoco; by default reduced where it holds all of the robot."
+    ),
+]
 Step = Annotated[float | None, typer.Option(help="Physics step, in s; the engine's own by default.")]
 
 

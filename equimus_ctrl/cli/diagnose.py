@@ -12,6 +12,7 @@ import typer
 from equimus_ctrl.cli.common import (
     Bounds,
     EffectFiles,
+    EngineName,
     FreeFile,
     Json,
     ModelFile,
@@ -72,6 +73,7 @@ def diagnose(
         ),
     ] = None,
     most: Annotated[int, typer.Option(help="Largest number of effects that are looked for together.")] = 3,
+    engine: EngineName = None,
     threads: Annotated[int | None, typer.Option(help="Of the simulations; all cores by default.")] = None,
     effects: EffectFiles = None,
     as_json: Json = False,
@@ -114,6 +116,7 @@ def diagnose(
             shoot=shoot,
             parameters=parameters,
             most=most,
+            engine=engine,  # type: ignore[arg-type]
             threads=threads,
             progress=show,
         )

@@ -69,7 +69,7 @@ def identify(
         typer.Option(metavar="SECONDS", help="Cut into windows of this length, each from its own free start."),
     ] = None,
     fit_start: Annotated[bool, typer.Option("--fit-start", help="Let each trial's first angles be free.")] = False,
-    engine: EngineName = "reduced",
+    engine: EngineName = None,
     dt: Step = None,
     folds: Annotated[int, typer.Option(help="Of the cross-check; 0 for none.")] = 4,
     write_model: Annotated[
@@ -183,24 +183,24 @@ def _any_nan(values: Array) -> Any:
 
 
 def _tell_trials(console: Console, done: Identified, from_poses: bool) -> None:
-    from equimus_ctrl.models.model import machine_of
-
     found = done.fit
-    m = found.model.morphology
+    m = found.model.robot
     samples = sum(len(r) for r in found.residuals)
     checked = f", cross-check {done.check_seconds:.1f} s" if done.check is not None else ""
     console.print(
-        f"{len(done.recordings)} trial{'s' * (len(done.recordings) != 1)}, {samples} samples, {done.engine} engine; "
+        f"{len(done.recordings)} trial{'s' * (len(done.recordings) != 1)}, {samples} samples, "
+        f"{done.engine.name} engine; "
         f"search {done.seconds:.1f} s over {found.evaluations} sets of parameters{checked}",
         markup=False,
     )
+    if done.engine.reason:
+        console.print(done.engine.sentence, style="dim", markup=False)
     import numpy as np
 
     before, after = (np.concatenate(r) for r in (found.before, found.residuals))
     origin = "the poses gave them" if from_poses else "the model came"
     rows = [("as the poses gave it" if from_poses else "as the model came", before), ("identified", after)]
-    machine = machine_of(found.model)
-    slides = [] if machine is None else [j.name for j in machine.joints if j.slides]
+    slides = [name for name in m.joint_names if m.slides(name)]
     _rmse_table(
         console,
         m.joint_names,

@@ -95,7 +95,7 @@ def _rows(kind: Kind) -> list[dict[str, Any]]:
 
         return [{"name": name, "summary": entry.summary} for name, entry in PLANTS.items()]
     if kind is Kind.models:
-        from equimus_ctrl.models.leg import MORPHOLOGIES
+        from equimus_ctrl.robots.elastic.leg import MORPHOLOGIES
 
         return [{"name": name, "summary": (make.__doc__ or "").strip()} for name, make in MORPHOLOGIES.items()]
     from equimus_ctrl.effects import REGISTRY

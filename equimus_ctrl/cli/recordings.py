@@ -106,20 +106,19 @@ def check(
     import warnings
 
     from equimus_ctrl import recordings, workflow
-    from equimus_ctrl.models.model import machine_of
 
-    robot = workflow.load_model(model)
+    known = workflow.load_model(model)
     limits = recordings.Limits(command_low=command_low, command_high=command_high, rotating=tuple(rotating or ()))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", recordings.RecordingWarning)
-        if machine_of(robot) is None:
+        if known.robot.traits.commands_are_pressures:
             trials = recordings.read_set(paths, limits=limits)
         else:
-            trials = tuple(workflow.gather(paths, robot))
+            trials = tuple(workflow.gather(paths, known))
     doubts = list(dict.fromkeys(str(warning.message) for warning in caught))
     summaries = [recordings.summarise(trial) for trial in trials]
     console = people()
-    console.print(_table(summaries, robot))
+    console.print(_table(summaries, known))
     for doubt in doubts:
         console.print(f"warning: {doubt}", style="yellow", markup=False, soft_wrap=True)
     if as_json:

@@ -14,7 +14,7 @@ from equimus_ctrl.cli.progress import share_bar
 def score(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
     model: ModelFile = None,
-    engine: EngineName = "reduced",
+    engine: EngineName = None,
     window: Annotated[
         tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Score this part of each trial, in s.")
     ] = None,
@@ -47,7 +47,9 @@ def score(
             rate=rate,
             progress=show,
         )
-    joints = found.model.morphology.joint_names
+    joints = found.model.robot.joint_names
+    if found.engine.reason:
+        console.print(found.engine.sentence, style="dim", markup=False)
     table = Table(title=f"{found.model.name} against {len(found.trials)} trial(s), RMSE in rad", title_justify="left")
     table.add_column("trial")
     for joint in joints:

@@ -45,7 +45,7 @@ def sensitivity(
     ] = None,
     select: Patterns = None,
     window: Window = None,
-    engine: EngineName = "reduced",
+    engine: EngineName = None,
     dt: Step = None,
     output: Annotated[
         Path | None,
@@ -106,7 +106,7 @@ def _tell(console: Console, found: Sensitivity) -> None:
     from equimus_ctrl.identification.results import together
 
     base = together(found.base)
-    joints = found.model.morphology.joint_names
+    joints = found.model.robot.joint_names
     shown = len(found.names) if len(found.names) <= SHOWN + 3 else SHOWN
     table = light_table(
         f"{found.model.name}: RMSE over all joints in mrad, {1e3 * base:.1f} as the model came",

@@ -22,7 +22,7 @@ from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.inverse import inverse_dynamics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import pack, structure
+from equimus_ctrl.robots.elastic.morphology import pack, structure
 from equimus_ctrl.types import Array, Reference
 
 SMOOTHING = 1 / 60

@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference
 
 

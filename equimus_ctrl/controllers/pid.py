@@ -14,7 +14,7 @@ from equimus_ctrl.controllers.inverse import Inverse, InverseState
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
 FORMAT = "equimus-ctrl/pid/1"

@@ -19,7 +19,7 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import follow, recall
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
-from equimus_ctrl.models.morphology import pack, structure
+from equimus_ctrl.robots.elastic.morphology import pack, structure
 
 
 def compile_laws(model: Model, lanes: bool) -> None:

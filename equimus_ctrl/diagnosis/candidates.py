@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -22,9 +21,8 @@ from equimus_ctrl.identification.parameters import (
 )
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import Model, machine_of, places
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array
 
 SLOPE_SAMPLES = 4
@@ -84,25 +82,21 @@ Hypothesis = tuple[Part, ...]
 """All that is taken to be missing from a model."""
 
 
-DAMPING = 4.0
-"""Factor by which a robot's damping is believed to be off at most: beyond, it would stand in for what is missing."""
-
-
 def uncertain(
     model: Model,
     names: Sequence[str] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     fix: Sequence[str] = (),
 ) -> FreeParameters:
-    """The numbers of a model that may be wrong, see ``free_parameters``; damping between narrower bounds."""
+    """The numbers of a model that may be wrong, see ``free_parameters``; damping as near as is known."""
     chosen = free_parameters(model, names, bounds, fix)
-    if machine_of(model) is not None:
+    if (within := model.robot.traits.damping_known_within) is None:
         return chosen
     known = dict(bounds or {})
-    own = model.morphology.parameters()
+    own = model.robot.parameters()
     for f in chosen.free:
         if f.name.endswith(".damping") and f.name in own and own[f.name] > 0:
-            known.setdefault(f.name, (own[f.name] / DAMPING, own[f.name] * DAMPING))
+            known.setdefault(f.name, (own[f.name] / within, own[f.name] * within))
     return free_parameters(model, names, known, fix)
 
 
@@ -175,8 +169,8 @@ def refined(hypothesis: Hypothesis, values: Array) -> Hypothesis:
 
 def seen_places(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
     """For each place of a robot what recordings show of it."""
-    if machine_of(model) is not None:
-        return _seen_of_machine(model, segments)
+    if not model.robot.traits.forces_along_actuators:
+        return _seen_at_joints(model, segments)
     m = model.morphology
     kinematics = Kinematics(m, model.phase)
     times = [s.trial.sample_times for s in segments]
@@ -205,13 +199,12 @@ def seen_places(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
         push = actuator.stiffness * (high - low)
         found[actuator.name] = Seen(low, high, max(rate, 1e-4), push, float(largest[i]), interval, duration, mass)
     first = found[m.joint_names[0]]
-    return {name: first for kind in ("link", "foot", "base") for name in places(m)[kind]} | found
+    return {name: first for kind in ("link", "foot", "base") for name in m.places()[kind]} | found
 
 
-def _seen_of_machine(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
-    """The same of a machine: pushes are those of its drives and of gravity along what was measured."""
-    machine = machine_of(model)
-    assert machine is not None
+def _seen_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
+    """The same where drives are at joints: pushes are those of drives and of gravity along what was measured."""
+    robot = mjcf_of(model.robot)
     own = realise(model)
     times = [s.trial.sample_times for s in segments]
     angles = np.concatenate([s.measured for s in segments])
@@ -227,23 +220,23 @@ def _seen_of_machine(model: Model, segments: Sequence[Segment]) -> dict[str, See
     duration = float(max(t[-1] - t[0] for t in times))
     mass = float(own.mujoco.body_mass[1:].sum())
     speed = np.maximum(np.quantile(np.abs(speeds), 0.95, axis=0), 1e-6)
-    by_drive = {drive.name: float(np.abs(drives[:, i]).max()) for i, drive in enumerate(machine.actuators)}
+    by_drive = {drive.name: float(np.abs(drives[:, i]).max()) for i, drive in enumerate(robot.actuators)}
     found = {}
-    for j, joint in enumerate(machine.joints):
+    for j, joint in enumerate(robot.joints):
         low, high = _covered(angles[:, j])
-        own_drives = [i for i, drive in enumerate(machine.actuators) if drive.joint == joint.name]
+        own_drives = [i for i, drive in enumerate(robot.actuators) if drive.joint == joint.name]
         whole = drives[:, own_drives].sum(axis=1)
         push = max(float(np.quantile(np.abs(v), 0.95)) for v in (whole, weights[:, j])) or 1.0
-        pulled = max((by_drive[machine.actuators[i].name] for i in own_drives), default=push)
+        pulled = max((by_drive[robot.actuators[i].name] for i in own_drives), default=push)
         found[joint.name] = Seen(
             low, high, float(speed[j]), push, float(largest.max()), interval, duration, mass, pulled
         )
     ends = {
         drive.name: replace(found[drive.joint], command=float(largest[i]), drive=by_drive[drive.name])
-        for i, drive in enumerate(machine.actuators)
+        for i, drive in enumerate(robot.actuators)
     }
-    first = found[machine.joint_names[0]]
-    others = {name: first for kind in ("link", "foot", "base") for name in places(model.morphology)[kind]}
+    first = found[robot.joint_names[0]]
+    others = {name: first for kind in ("link", "foot", "base") for name in robot.places()[kind]}
     # A joint and its drive may have one name; sizes of both are those of the joint then.
     return others | ends | found
 
@@ -264,21 +257,17 @@ def candidates(
     model: Model, segments: Sequence[Segment], registry: Mapping[str, type[Effect]] = REGISTRY
 ) -> list[Candidate]:
     """All effects at all places of a robot that recordings could show."""
-    m = model.morphology
-    seen, where = seen_places(model, segments), places(m)
+    robot, seen = model.robot, seen_places(model, segments)
     found: dict[tuple[str, tuple[str, ...]], Candidate] = {}
-    robots = "elastic" if machine_of(model) is None else "mjcf"
     for name in sorted(registry):
         cls = registry[name]
-        if not issubclass(cls, KNOWN_KINDS) or robots not in cls.robots:
+        if not issubclass(cls, KNOWN_KINDS) or robot.traits.catalogue not in cls.robots:
             continue
+        where = robot.force_places() if issubclass(cls, ForceEffect) else robot.places()
         for kind in cls.sits_at:
-            if robots == "mjcf" and issubclass(cls, ForceEffect) and kind != "joint":
-                continue
             # The last link's tip is the foot: one place is not to have two names.
-            sites = [
-                site for site in where[kind] if not (kind == "link" and "foot" in cls.sits_at and _is_foot(m, site))
-            ]
+            twice = robot.foot_link if kind == "link" and "foot" in cls.sits_at else None
+            sites = [site for site in where[kind] if site != twice]
             groups: list[tuple[str, ...]] = [(site,) for site in sites]
             if cls.alike and len(sites) > 1 and kind in ("joint", "actuator"):
                 groups.append(tuple(sites))
@@ -295,10 +284,6 @@ def _within(cls: type[Effect], values: Mapping[str, float]) -> Mapping[str, floa
     """Values within the effect's bounds: sizes that follow from hardly any motion may lie beyond."""
     info = cls.parameter_info()
     return {key: float(np.clip(v, info[key]["low"], info[key]["high"])) for key, v in values.items()}
-
-
-def _is_foot(robot: Morphology, link: str) -> bool:
-    return not isinstance(cast("object", robot), Machine) and link == robot.foot
 
 
 def _attaches(model: Model, cls: type[Effect], locations: tuple[str, ...], values: Mapping[str, float]) -> bool:

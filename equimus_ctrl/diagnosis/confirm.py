@@ -16,7 +16,6 @@ from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood, whiten
 from equimus_ctrl.identification.residuals import residuals_of
-from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
 SILENT, PLAIN = 16.0, 5.0
@@ -41,7 +40,7 @@ def confirmed(search: Search, found: Searched, split: Split) -> Searched:
         place = int(np.argmin(ratios))
         if ratios[place] >= CARRIES_OVER:
             return found
-        if search.settings.thorough and (other := _another(search, found, place, split)) is not None:
+        if search.settings.many_minima and (other := _another(search, found, place, split)) is not None:
             return other
         if len(found.best.hypothesis) == 1 and (other := _rival(search, judge, listed(search, found))) is not None:
             return other
@@ -86,13 +85,13 @@ def _another(search: Search, found: Searched, place: int, split: Split) -> Searc
 
 
 def _carried_over(search: Search, judge: Judge, simple: Fitted, rich: Fitted) -> float:
-    """See ``Judge.carried_over``; of a machine over what the trials held out could show, where that is less.
+    """See ``Judge.carried_over``; where trials are not alike over what those held out could show, if that is less.
 
-    Machines' recordings are what somebody has, not drawn alike: a drive's limit may never be reached in some. What they
+    Such recordings are what somebody has: a drive's limit may never be reached in some. What they
     cannot show at all is believed where it is plain in what was fitted.
     """
     ratio = judge.carried_over(simple, rich)
-    if ratio >= CARRIES_OVER or machine_of(search.data.free.model) is None:
+    if ratio >= CARRIES_OVER or search.data.free.model.robot.traits.trials_alike:
         return ratio
     apart = judge.apart(simple, rich)
     if apart >= SILENT:

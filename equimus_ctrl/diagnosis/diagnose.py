@@ -17,7 +17,8 @@ from equimus_ctrl.diagnosis.candidates import Part, candidates
 from equimus_ctrl.diagnosis.confirm import Judge, confirmed
 from equimus_ctrl.diagnosis.experiment import Design, separating
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.moves import LONG, Searched, SearchSettings
+from equimus_ctrl.diagnosis.moves import LONG, Searched
+from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
 from equimus_ctrl.diagnosis.remainder import Remainder, not_borne_out, remainder
 from equimus_ctrl.diagnosis.results import (
     STATES,
@@ -37,25 +38,19 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.split import Split
 from equimus_ctrl.diagnosis.step import step_counted, without_step_error
 from equimus_ctrl.diagnosis.where import excess_of, where_off
+from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.identification.simulators import STEP, Simulator, machine_simulator, reduced_simulator
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.model import Model
 
 BLUR = 60.0
 """So far the errors of the physics step may take deviances apart."""
 BLURRED = 0.05
 """Where something stays unexplained, rivals within this share of a finding's gain cannot be told apart either."""
-COARSE = 2 * STEP
-"""Physics step of the reduced engine where candidates are screened [s], where the robot allows it."""
-MACHINES_COARSE = 2.0
-"""The same for machines, in units of the MuJoCo model's own."""
-PATIENCE, VALLEYS = 1, 20.0
-"""With machines, whose pushes do much alike and rub: see ``SearchSettings``."""
-FINE = STEP / 3
-"""The same where rivals are told apart."""
 AGAIN = 1
 """How often a search goes on beside the names that stay where others were withdrawn: if it comes to doubtful names
 again, what is left has none."""
@@ -73,10 +68,12 @@ class DiagnosisSettings:
     Attributes:
         search: how sets of effects are searched.
         threads: of the simulations; all cores by default.
+        engine: by its name; by default see ``engines.choice.engine_for``.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)
     threads: int | None = None
+    engine: EngineName | None = None
 
 
 def diagnose(
@@ -94,8 +91,8 @@ def diagnose(
         free: the model, and what may be wrong about its numbers.
         split: trials to fit and trials to judge by.
         settings: how it goes.
-        simulator: the engine; the reduced one by default, MuJoCo with the XML's step for machines, whose own has to
-            have that step too.
+        simulator: the engine, with no coarser or finer one beside it; see ``engines.choice.engine_for`` for the
+            default.
         designs: experiments to choose from where something cannot be told apart.
         progress: see ``Progress``.
 
@@ -106,14 +103,16 @@ def diagnose(
     settings = settings or DiagnosisSettings()
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         if simulator is not None:
-            data = Data(free, split.train, simulator)
-        elif (machine := machine_of(free.model)) is not None:
-            step = machine.timestep
-            own, coarse = (machine_simulator(dt, settings.threads) for dt in (None, MACHINES_COARSE * step))
-            data = Data(free, split.train, own, coarse, quick=True)
+            policy = SearchPolicy.of(free.model.robot.traits, simulator.engine)
+            # What was handed in is taken for exact and cheap.
+            policy = replace(policy, coarse_derivatives=False, rescaled_guesses=False)
+            data = Data(free, split.train, simulator, policy=policy)
         else:
-            own, coarse, fine = (reduced_simulator(threads=settings.threads, longest=s) for s in (STEP, COARSE, FINE))
-            data = Data(free, split.train, own, coarse, fine)
+            positions = [s.measured for s in (*split.train, *split.heldout)]
+            engine = engine_for(free.model, settings.engine, positions=positions)
+            own, others = Simulator(engine, settings.threads), (engine.coarser(), engine.finer())
+            coarse, fine = (None if e is None else replace(own, engine=e) for e in others)
+            data = Data(free, split.train, own, coarse, fine, SearchPolicy.of(free.model.robot.traits, engine))
         return _diagnose(data, split, settings, designs, progress, begun)
 
 
@@ -134,12 +133,7 @@ def _diagnose(
     def notify(stage: str, best: str) -> None:
         progress(stage, float(next(stages, 0.8)), best)
 
-    wanted = (
-        settings.search
-        if machine_of(free.model) is None
-        else replace(settings.search, patience=PATIENCE, valleys=VALLEYS, thorough=True)
-    )
-    search = Search(data, pool, wanted, notify)
+    search = Search(data, pool, data.policy.applied(settings.search), notify)
     found = search.run(base)
     if split.near and data.excessive(found.best):
         search, found = _from_near(search, found, split)
@@ -391,17 +385,14 @@ def _smallest(screened: Screened, threshold: float) -> float:
 
 
 def _beyond_range(model: Model, split: Split) -> list[str]:
-    """Where commands leave the range that a machine's XML gives an actuator: MuJoCo clips them, the robot may not."""
-    machine = machine_of(model)
-    if machine is None:
-        return []
-    own, notes = machine.mujoco_model(), []
-    for drive in machine.actuators:
-        commands = np.concatenate([s.trial.commands[:, drive.index] for s in (*split.train, *split.heldout)])
-        low, high = own.actuator_ctrlrange[drive.index]
-        if own.actuator_ctrllimited[drive.index] and (commands.min() < low or commands.max() > high):
+    """Where commands leave the range beyond which a simulation clips them: the robot need not."""
+    notes = []
+    for name, (low, high) in model.robot.clipped_commands().items():
+        column = model.robot.actuator_names.index(name)
+        commands = np.concatenate([s.trial.commands[:, column] for s in (*split.train, *split.heldout)])
+        if commands.min() < low or commands.max() > high:
             notes.append(
-                f"Commands of {drive.name} go from {commands.min():.4g} to {commands.max():.4g}, beyond the XML's "
+                f"Commands of {name} go from {commands.min():.4g} to {commands.max():.4g}, beyond the XML's "
                 f"ctrlrange of {low:.4g} to {high:.4g}: MuJoCo clips them there, which the robot need not do."
             )
     return notes

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Hypothesis, parameters_of, refined
+from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
 from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, rough_noise, white_noise, whiten
@@ -23,7 +24,7 @@ ROUNDS = 4
 STRONG, EXCESSIVE = 4.0, 1.5
 """So many times the noise."""
 TURNS, LOOKS, WIDTH, NARROWER, LEVELS = 3, (15, 47), 0.4, 5.0, 4
-"""Around a parameter that acts in steps so many values are looked at, in a first look or a thorough one, so far to
+"""Around a parameter that acts in steps so many values are looked at, in a first look or a later one, so far to
 either side in its logarithm, then around the best of them nearer by a factor, and so on; and all again from where the
 fit goes from there."""
 APART = 1e-5 * 3.0 ** np.arange(11)
@@ -83,8 +84,7 @@ class Data:
         coarse: a faster one for what need not be exact, whose predictions are compared with its own alone; the same
             by default.
         fine: a slower one whose errors tell hypotheses less apart; the same by default.
-        quick: whether simulations take so long that first looks take derivatives from the coarse engine, and end where
-            little is gained.
+        policy: how they are fitted and searched.
     """
 
     free: FreeParameters
@@ -92,7 +92,7 @@ class Data:
     simulator: Simulator
     coarse: Simulator | None = None
     fine: Simulator | None = None
-    quick: bool = False
+    policy: SearchPolicy = field(default_factory=SearchPolicy)
 
     @property
     def times(self) -> list[Array]:
@@ -108,9 +108,8 @@ class Data:
         self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, steps: int, tolerance: float = 1e-4
     ) -> Fitted:
         """A few steps of a search under a noise that is given; the deviance is of the noise that is left."""
-        found = self._fit(
-            hypothesis, begin, noise, FitSettings(tolerance * (10 if self.quick else 1), steps), thorough=False
-        )
+        settings = FitSettings(tolerance * (10 if self.policy.coarse_derivatives else 1), steps)
+        found = self._fit(hypothesis, begin, noise, settings, first_look=True)
         return self._judged(hypothesis, found)
 
     def settle(self, fitted: Fitted, noise: Noise | None = None) -> Fitted:
@@ -147,19 +146,19 @@ class Data:
         begin: Sequence[Begin],
         noise: Noise,
         settings: FitSettings,
-        thorough: bool = True,
+        first_look: bool = False,
         earlier: Fit | None = None,
     ) -> Fit:
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
-        coarse = self.coarse if self.quick and not thorough else None
+        coarse = self.coarse if self.policy.coarse_derivatives and first_look else None
         found = fit(
             parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside,
             coarse=coarse, earlier=earlier,
         )  # fmt: skip
         jumps = self.jumps(hypothesis)
-        for _ in range((TURNS if thorough else 1) if jumps else 0):
-            after = self._looked_around(jumps, found, noise, LOOKS[thorough])
+        for _ in range((1 if first_look else TURNS) if jumps else 0):
+            after = self._looked_around(jumps, found, noise, LOOKS[not first_look])
             if np.array_equal(after, found.theta):
                 break
             again = fit(

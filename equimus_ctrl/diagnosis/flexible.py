@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import BSpline
 
-from equimus_ctrl.diagnosis.response import Linearised, along_actuator
-from equimus_ctrl.engines.machine_motion import Pushed
+from equimus_ctrl.diagnosis.response import along_actuator
+from equimus_ctrl.engines.base import ForceResponse
 from equimus_ctrl.engines.motion import Inner, Motion
 from equimus_ctrl.identification.parameters import place_unit
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, frozen_array
 
 FUNCTIONS, SPOTS, FINE, SURFACE = 8, 16, 40, 5
@@ -134,12 +134,12 @@ class Scene:
     @property
     def joints(self) -> tuple[str, ...]:
         """Their names."""
-        return self.model.morphology.joint_names
+        return self.model.robot.joint_names
 
     @property
     def actuators(self) -> tuple[str, ...]:
         """Their names."""
-        return self.model.morphology.actuator_names
+        return self.model.robot.actuator_names
 
     def since(self) -> list[Array]:
         """For each trial (m − 1,) the time since its start [s]."""
@@ -167,9 +167,8 @@ class Scene:
             i = self.actuators.index(name)
             part = {"cmd": "pressure", "len": "length", "rate": "rate"}[kind]
             values = self.values(lambda m: getattr(m, part)[:, i])
-            unit = {"cmd": "Pa", "len": "m", "rate": "m/s"}[kind]
-            if machine_of(self.model) is not None:
-                unit = place_unit(self.model, {"cmd": "command", "len": "rad", "rate": "rad/s"}[kind], name)
+            robot, own = self.model.robot, self.model.robot.length_unit(name)
+            unit = {"cmd": robot.command_unit(name), "len": own, "rate": f"{own}/s"}[kind]
         return Axis.over(coordinate, unit, values, functions), values
 
     def acts_on(self, actuator: int) -> tuple[str, ...]:
@@ -381,7 +380,7 @@ AT_ACTUATORS: dict[str, Maker] = {
 }
 """What groups there are: a new kind is one more function here."""
 OF_DRIVES = ("own pressure", "damping by pressure")
-"""Those that drives of machines have, whose commands stand in the place of pressures."""
+"""Those of drives that are where their joints are: their commands stand in the place of pressures."""
 
 
 def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
@@ -393,7 +392,8 @@ def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
     """
     scene = Scene(model, tuple(motions))
     found: list[Group] = []
-    at_actuators = AT_ACTUATORS if machine_of(model) is None else {kind: AT_ACTUATORS[kind] for kind in OF_DRIVES}
+    along = model.robot.traits.forces_along_actuators
+    at_actuators = AT_ACTUATORS if along else {kind: AT_ACTUATORS[kind] for kind in OF_DRIVES}
     for count, table in ((len(scene.joints), AT_JOINTS), (len(scene.actuators), at_actuators)):
         for index in range(count):
             for kind, make in table.items():
@@ -401,7 +401,7 @@ def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
     return found
 
 
-def responses(linearised: Linearised | Pushed, groups: Sequence[Group]) -> list[list[Array]]:
+def responses(linearised: ForceResponse, groups: Sequence[Group]) -> list[list[Array]]:
     """For each group and trial (m, nj, k) the change of the measured angles by each function [rad].
 
     Many columns at once take hardly longer than a few.

@@ -12,14 +12,12 @@ from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.diagnosis.explained import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.flexible import Group, groups, harmonics, responses
-from equimus_ctrl.diagnosis.response import Linearised, linearise
-from equimus_ctrl.engines.machine_motion import Pushed, pushed
-from equimus_ctrl.engines.motion import Motion, motion
+from equimus_ctrl.diagnosis.force_response import STEP, force_response
+from equimus_ctrl.engines.motion import Motion
 from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.weighing import Weighing, weigh
-from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
 SLOWEST, FASTEST = 0.2, 4.0
@@ -65,24 +63,22 @@ class Linear:
     motions: list[Motion]
 
 
-def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = 2e-3) -> Linear | None:
+def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> Linear | None:
     """The linear model about a fit; None where its motion cannot be followed."""
     model = fitted.fit.model
     weighing = weigh(data.times, fitted.fit, noise)
     starts = [behind_sensors([model], start[None, :])[0] for start in fitted.fit.starts]
     trials = [segment.trial for segment in data.segments]
-    linearised: Linearised | Pushed
+
+    def scale() -> Array:
+        seen = seen_places(model, data.segments)
+        return np.array([seen[name].push for name in model.robot.joint_names])
+
     try:
-        if machine_of(model) is None:
-            motions = [motion(model, trial, start, dt) for trial, start in zip(trials, starts, strict=True)]
-            linearised = linearise(model, motions)
-        else:
-            seen = seen_places(model, data.segments)
-            scale = np.array([seen[name].push for name in model.morphology.joint_names])
-            linearised = pushed(model, trials, starts, scale)
-            motions = list(linearised.motions)
+        linearised = force_response(data.simulator.engine, model, trials, starts, scale, dt)
     except SimulationDiverged:
         return None
+    motions = list(linearised.motions)
     longest = max(m.time[-1] - m.time[0] for m in motions)
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)

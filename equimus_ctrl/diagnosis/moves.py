@@ -11,39 +11,12 @@ from scipy.stats import chi2
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, model_of
 from equimus_ctrl.diagnosis.fitting import SETTLED, Data, Fitted
+from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.screening import Screened, screen
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.types import Array
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """How a search goes.
-
-    Attributes:
-        most_parts: largest number of effects in a hypothesis.
-        level: chance of believing in one effect where there is none.
-        least_share: of the noise's variance, which an effect has to take away to count at all; two simulations of one
-            leg differ by some of that.
-        tried: candidates fitted at each stage, for each way to weigh the residuals.
-        kept: of them, how many are fitted to the end.
-        patience: how many effects in a row may explain far less than a flexible push, for what they do together: of
-            two that are missing each may.
-        valleys: by so much deviances scatter with where a search ends: dry friction gives a fit many valleys.
-        thorough: whether all candidates are tried where the promising ones do not lead on and much is left: where
-            errors grow along a trial, what a small change does tells little of what a fit will find.
-    """
-
-    most_parts: int = 3
-    level: float = 1e-3
-    least_share: float = 1.5e-3
-    tried: int = 5
-    kept: int = 3
-    patience: int = 0
-    valleys: float = 0.0
-    thorough: bool = False
 
 
 @dataclass(frozen=True, eq=False)

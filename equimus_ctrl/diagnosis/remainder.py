@@ -19,7 +19,6 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
 LEAST_SHARE = 2.5e-3
@@ -74,8 +73,9 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
     if at is None:
         return Remainder((), ())
     whole_instead = Remainder((), tuple(range(len(best.hypothesis))))
-    geared = machine_of(data.free.model) is not None
-    if not geared and _imitated(data, base, best):
+    # Where errors add up, a model without its effects is too far off for forces to first order along its motion.
+    near = data.free.model.robot.traits.held_in_place
+    if near and _imitated(data, base, best):
         # Anything can be imitated by enough effects; one push that does it alone is the simpler story.
         return whole_instead
     taken = _squares(data, base, best) - _squares(data, best, best)
@@ -92,13 +92,13 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
         found.append((top, columns))
         extra = columns if extra is None else np.column_stack([extra, columns])
     shadows: tuple[int, ...] = ()
-    if not geared:
+    if near:
         own = _squares(data, best, best)
         shadows = shadowed(at, [_squares(data, fitted, best) - own for fitted in without], taken, threshold)
     if not found:
         return Remainder(_much(data, best), shadows)
-    if geared and _imitated(data, base, best):
-        # A machine without its effects is so far off that a push is no measure of effects that leave nothing.
+    if not near and _imitated(data, base, best):
+        # So a push is no measure of effects that leave nothing.
         return whole_instead
     replaced = _superfluous(data, best, without, found[0][0].found.gain)
     superfluous = tuple(sorted({*shadows, *replaced, *_barely(data, best)}))
@@ -108,8 +108,11 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
 
 
 def _much(data: Data, best: Fitted) -> tuple[Leftover, ...]:
-    """Joints of a machine whose error is far above the noise, though no push that was looked for explains it."""
-    if machine_of(data.free.model) is None:
+    """Joints whose error is far above the noise, though no push that was looked for explains it.
+
+    Where a robot is held in place some push, to first order, explains all that is missing.
+    """
+    if data.free.model.robot.traits.held_in_place:
         return ()
     return _far_off(data, best.fit.residuals, best.noise)
 
@@ -145,7 +148,7 @@ def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Left
         Leftover(
             joint, float(own / excess.sum()), "", (joint,), float(own), MUCH, "", "", "", nothing, nothing, nothing,
         )
-        for joint, own in zip(data.free.model.morphology.joint_names, excess, strict=True)
+        for joint, own in zip(data.free.model.robot.joint_names, excess, strict=True)
         if own > MUCH
     )  # fmt: skip
 
@@ -162,8 +165,8 @@ def _stands_in(data: Data, without: Fitted, best: Fitted, gap: float, share: flo
     at = linear(data, without, best.noise)
     if at is None:
         return False
-    geared = machine_of(data.free.model) is not None
-    pushes = [(push.found.gain, restates(push.group, best.hypothesis, geared)) for push in flexible(at)]
+    at_joints = not data.free.model.robot.traits.forces_along_actuators
+    pushes = [(push.found.gain, restates(push.group, best.hypothesis, at_joints)) for push in flexible(at)]
     others = [(gain, restated) for gain, restated in pushes if restated != "same"][:tried]
     return any(gain > (MORE if restated else share) * gap for gain, restated in others)
 
@@ -214,12 +217,9 @@ def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, t
     if axis is not None:
         x = np.linspace(*axis.range, POINTS)
         push, band = _curve(at, columns, axis, x)
-    kinds = {kind for kind, _ in group.pushes}
-    names = {"joint": data.free.model.morphology.joint_names, "actuator": data.free.model.morphology.actuator_names}
+    names = {"joint": data.free.model.robot.joint_names, "actuator": data.free.model.robot.actuator_names}
     places = tuple(names[kind][i] for kind, i in group.pushes)
-    unit = _unit("N·m" if kinds == {"joint"} else "N", group)
-    if machine_of(data.free.model) is not None:
-        unit = place_unit(data.free.model, _unit("N·m", group), places[0])
+    unit = place_unit(data.free.model, f"{_unit('N·m', group)} | {_unit('N', group)}", places[0])
     return Leftover(
         joint,
         share,
@@ -245,7 +245,7 @@ def _unit(push: str, group: Group) -> str:
 
 def _joint(at: Linear, group: Group, found: Explained) -> str:
     """The joint on which the push works hardest, of those it acts on."""
-    joints = at.fitted.fit.model.morphology.joint_names
+    joints = at.fitted.fit.model.robot.joint_names
     work = np.zeros(len(joints))
     for torque, motion in zip(group.torques(at.motions), at.motions, strict=True):
         fitted = torque @ found.coefficients

@@ -16,22 +16,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.effects.sensors import LATE, SCALE
-from equimus_ctrl.engines.batch import encode
-from equimus_ctrl.engines.motion import Motion, hermite_arrays
+from equimus_ctrl.engines.batch import Encoded
+from equimus_ctrl.engines.field import Field, States
+from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.augmented import Laws, augmented_model
+from equimus_ctrl.models.augmented import rubbing_places, slots_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Phase, structure
-from equimus_ctrl.models.symbolic import Structure, build, joint_stops, ldl_solve
 from equimus_ctrl.types import Array
 
 STILL = 1e-6
@@ -40,6 +36,8 @@ LOCK = 1e6
 """Rate at which the motion of a place that sticks dies away [1/s]."""
 SPEED = 30.0
 """A velocity about as large as an angle of 1 rad in the motions of legs [rad/s]."""
+SMALL = 1e-6
+"""A pose is moved by this to see how deep a limit is [rad or m]."""
 LARGEST, TERMS = 0.5, 10
 """Largest row sum of a matrix for the series, and its terms: the rest is below 1e-11."""
 
@@ -53,12 +51,16 @@ class Linearised:
         transitions: for each trial (m − 1, nx, nx + nj), from (δx, τ) at the start of an interval to δx at its end.
         scale: (nj,) of the sensors.
         delay: (nj,) of the sensors [s].
+        joints: (nj,) which of the nv coordinates of the equations each joint's is.
+        coordinates: how many there are, nv.
     """
 
     motions: tuple[Motion, ...]
     transitions: tuple[Array, ...]
     scale: Array
     delay: Array
+    joints: NDArray[np.int64]
+    coordinates: int
 
     def response(self, torques: Sequence[Array]) -> list[Array]:
         """For each trial (m, nj, k) the change of the measured angles for small torques [rad].
@@ -86,14 +88,14 @@ class Linearised:
         """(m, nj, k) under torques (m − 1, nj, k)."""
         transition, late = self.transitions[trial], bool(self.delay.any())
         nj, nx, k = len(self.scale), transition.shape[1], torque.shape[2]
-        shown = 2 * nj if late else nj
-        path = np.empty((len(transition) + 1, shown, k))
+        shown = np.concatenate([self.joints, self.coordinates + self.joints]) if late else self.joints
+        path = np.empty((len(transition) + 1, len(shown), k))
         path[0] = 0.0
         given, reached = np.empty((nx + nj, k)), np.zeros((nx, k))
         for step, push, out in zip(transition, torque, path[1:], strict=True):
             given[:nx], given[nx:] = reached, push
             np.matmul(step, given, out=reached)
-            out[:] = reached[:shown]
+            out[:] = reached[shown]
         if late:
             path = self._late(self.motions[trial].time, path)
         path *= self.scale[:, None]
@@ -146,29 +148,38 @@ def linearise(model: Model, motions: Sequence[Motion]) -> Linearised:
     """
     if not motions:
         raise ConfigError(f"{model.name}: no motion was given to linearise along")
-    coded = encode([model])
-    form, laws = structure(model.morphology), force_laws()
-    pieces = [_intervals(model, motion, coded.parameters[0], coded.rubbing) for motion in motions]
-    m = augmented_model(form, model.phase, laws)
-    names = {"joint": model.morphology.joint_names, "actuator": model.morphology.actuator_names}
-    present = {(type(e), e.location) for e in model.effects}
-    nj = len(names["joint"])
-    state = 0
-    kept = list(range(2 * nj))
-    for slot in m.slots:
-        own = range(2 * nj + state, 2 * nj + state + slot.law.n_states)
-        kept += own if (slot.law, names[slot.kind][slot.index]) in present else []
-        state += slot.law.n_states
-    nx = len(kept)
     transitions = []
-    for motion, (a, b) in zip(motions, pieces, strict=True):
+    for motion in motions:
+        if motion.coded is None:
+            raise ConfigError(f"{motion.name}: there are no compiled equations of motion to linearise")
+        a, b = _intervals(motion, motion.coded)
+        nv, nj = motion.coordinates.shape[1], b.shape[2]
+        kept = _kept(motion.coded, nv)
+        nx = len(kept)
         system = np.zeros((len(a), nx + nj, nx + nj))
         system[:, :nx, :nx] = a[:, kept][:, :, kept]
         system[:, :nx, nx:] = b[:, kept]
         system *= np.diff(motion.time)[:, None, None]
-        transitions.append(exponentials(system, nj, 2 * nj)[:, :nx].copy())
-    sensor = coded.sensor[0]
-    return Linearised(tuple(motions), tuple(transitions), sensor[:, SCALE].copy(), sensor[:, LATE].copy())
+        transitions.append(exponentials(system, nv, 2 * nv)[:, :nx].copy())
+    own = motions[0].coded
+    assert own is not None
+    sensor, joints = own.sensor[0], own.mechanics[0].joints
+    return Linearised(
+        tuple(motions), tuple(transitions), sensor[:, SCALE].copy(), sensor[:, LATE].copy(), joints,
+        motions[0].coordinates.shape[1],
+    )  # fmt: skip
+
+
+def _kept(coded: Encoded, nv: int) -> list[int]:
+    """Of all states those of motion, and of the laws that the model has."""
+    model, places = coded.models[0], coded.mechanics[0].law_places
+    present = {(type(e), e.location) for e in model.effects}
+    kept, state = list(range(2 * nv)), 2 * nv
+    for slot in slots_of(coded.form, force_laws(model.robot.traits.catalogue)):
+        own = range(state, state + slot.law.n_states)
+        kept += own if (slot.law, places[slot.kind][slot.index]) in present else []
+        state += slot.law.n_states
+    return kept
 
 
 def exponentials(matrices: Array, first: int, last: int) -> Array:
@@ -193,65 +204,80 @@ def exponentials(matrices: Array, first: int, last: int) -> Array:
     return np.asarray(found * (unit[:, None] / unit))
 
 
-def _intervals(model: Model, motion: Motion, parameters: Array, rubbing: NDArray[np.int64]) -> tuple[Array, Array]:
+def _intervals(motion: Motion, coded: Encoded) -> tuple[Array, Array]:
     """A (n, nx, nx) and B (n, nx, nj) of each interval, the states of all laws included."""
-    form, laws = structure(model.morphology), force_laws()
-    m = augmented_model(form, model.phase, laws)
-    at, n = motion.between, len(motion.between.time)
-    side, slope, stuck = (np.zeros((n, len(m.rubbing))) for _ in range(3))
-    for r in rubbing:
-        kind, i = m.rubbing[r]
-        here, ends = ((part.velocity if kind == "joint" else part.rate)[:, i] for part in (at, motion))
-        signs = np.where(np.abs(ends) > STILL, np.sign(ends), 0.0)
-        change = np.diff(signs)
-        side[:, r] = np.where(np.abs(here) > STILL, np.sign(here), 0.0)
-        slope[:, r] = np.divide(change, np.diff(ends), out=np.zeros(n), where=change != 0)
-        stuck[:, r] = (np.abs(here) <= STILL) & (change == 0)
-    robot = changed_bodies(model.effects, model.morphology)
-    low, high = robot.joint_range
-    outside = np.stack([motion.position < low, motion.position > high], axis=2).reshape(n + 1, -1)
-    hit = (outside[1:] & ~outside[:-1]) / np.diff(motion.time)[:, None]
-    found = _slopes(form, model.phase, laws)(
-        at.position.T, at.velocity.T, at.state.T, at.pressure.T, side.T, slope.T, stuck.T, hit.T, parameters
-    )
-    nj = at.position.shape[1]
-    rows, inverse = (np.array(part) for part in found)
-    nx = rows.shape[1] // n
+    field, lasts = Field.of(coded), np.diff(motion.time)
+    at, n = motion.between, len(lasts)
+    middle = _states(field, at)
+    depths, pressed = field.limits(middle)
+    beyond = field.limits(_states(field, motion))[0] > 0
+    hit = beyond[1:] & ~beyond[:-1]
+    free = States(middle.q, middle.v, middle.z, middle.pressure, pressed * ~hit, middle.side)
+    rub = field.rub(free)
+    here, ends = rub.rate, field.rub(_states(field, motion)).rate
+    signs = np.where(np.abs(ends) > STILL, np.sign(ends), 0.0)
+    change, used = np.diff(signs, axis=0), np.zeros(here.shape[1], dtype=bool)
+    used[coded.rubbing] = True
+    side = np.where((np.abs(here) > STILL) & used, np.sign(here), 0.0)
+    slope = np.divide(change, np.diff(ends, axis=0), out=np.zeros_like(here), where=(change != 0) & used)
+    stuck = (np.abs(here) <= STILL) & (change == 0) & used
+    states = States(middle.q, middle.v, middle.z, middle.pressure, np.maximum(pressed, hit), side)
+    slopes, rub = field.slopes(states), field.rub(states)
+    nv = middle.q.shape[1]
+    if used.any():
+        own = np.maximum(np.diagonal(rub.delassus, axis1=1, axis2=2), 1e-12)
+        lock = np.minimum(stuck * (rub.bound > 0) * LOCK + slope * rub.bound * own, LOCK) / own
+        slopes[:, :nv, nv : 2 * nv] -= (rub.push * lock[:, None]) @ field.rows(states)
+    for limit in np.flatnonzero(hit.any(axis=0)):
+        _count_blow(field, states, depths[:, limit], hit[:, limit], int(limit), lasts, slopes)
+    nx = slopes.shape[2]
     a = np.zeros((n, nx, nx))
-    a[:, range(nj), range(nj, 2 * nj)] = 1.0
-    a[:, nj:] = rows.reshape(nx - nj, n, nx).transpose(1, 0, 2)
-    b = np.zeros((n, nx, nj))
-    b[:, nj : 2 * nj] = inverse.reshape(nj, n, nj).transpose(1, 0, 2)
+    a[:, range(nv), range(nv, 2 * nv)] = 1.0
+    a[:, nv:] = slopes
+    places = rubbing_places(coded.form, force_laws(coded.models[0].robot.traits.catalogue))
+    columns = [places.index(("joint", int(joint))) for joint in coded.mechanics[0].joints]
+    b = np.zeros((n, nx, len(columns)))
+    b[:, nv : 2 * nv] = rub.push[:, :, columns]
     return a, b
 
 
-@lru_cache(maxsize=32)
-def _slopes(form: Structure, phase: Phase, laws: Laws) -> ca.Function:
-    """Derivatives of acceleration and effect states by (q, v, z), and the inverse of the mass matrix.
+def _states(field: Field, at: Inner) -> States:
+    return field.states(at.coordinates, at.rates, at.state, at.pressure)
 
-    Arguments are q, v, z, pressure, then for each row of dry friction the sign of its rate, by how much that sign
-    changes for each change of the rate, and 1 where it sticks; then for each joint's lower and upper stop 1/(length of
-    the interval) where it is hit, else 0; then the parameters.
+
+def _count_blow(
+    field: Field, states: States, depth: Array, hit: NDArray[np.bool_], limit: int, lasts: Array, slopes: Array
+) -> None:
+    """Count what a limit does at once where it is hit: by δq it is hit earlier by row·δq/(row·v).
+
+    Args:
+        field: the equations.
+        states: (n) in the middle of the intervals, the limit pressed where it is hit.
+        depth: (n,) how far beyond the limit they are.
+        hit: (n,) where it is hit.
+        limit: which.
+        lasts: (n,) of the intervals [s].
+        slopes: (n, …) derivatives, changed.
     """
-    m, base = augmented_model(form, phase, laws), build(form, phase)
-    nr = m.phi.numel()
-    side, slope, stuck = (ca.SX.sym(name, nr) for name in ("side", "slope", "stuck"))
-    x = ca.vertcat(m.q, m.v, m.z)
-    bound = ca.substitute(m.bound, m.v0, m.v)
-    motion = ca.substitute(ca.vertcat(m.smooth_acceleration, m.z_rate), m.phi, -side * bound)
-    rows = ca.jacobian(motion, x)
-    by_v = ca.jacobian(m.rows, m.v)
-    nj = m.q.numel()
-    own = ca.fmax(ca.diag(m.delassus), 1e-12)
-    lock = ca.fmin(stuck * (bound > 0) * LOCK + slope * bound * own, LOCK) / own
-    brake = -m.push @ ca.diag(lock) @ by_v
-    rows[:nj, nj : 2 * nj] += brake
-    hit = ca.SX.sym("hit", 2 * nj)
-    stops = [joint_stops(m.p, i) for i in range(nj)]
-    blow = ca.vertcat(*[hit[2 * i] * stop[2] + hit[2 * i + 1] * stop[5] for i, stop in enumerate(stops)])
-    inverse = ca.horzcat(*[ldl_solve(base.mass, ca.SX.eye(nj)[:, j]) for j in range(nj)])
-    inverse = ca.substitute(inverse, base.p, m.p[: base.p.numel()])
-    rows[:nj, :nj] -= inverse @ ca.diag(blow)
-    rows = ca.substitute(rows, m.pressed, ca.fmax(m.gaps > 0, hit > 0))
-    inputs = [m.q, m.v, m.z, m.pressure, side, slope, stuck, hit, m.p]
-    return ca.Function("slopes", inputs, [ca.densify(rows), ca.densify(inverse)], {"cse": True})
+    k = np.flatnonzero(hit)
+    q = states.q[k]
+    row = np.empty_like(q)
+    for j in range(q.shape[1]):
+        moved = [q.copy(), q.copy()]
+        moved[0][:, j] += SMALL
+        moved[1][:, j] -= SMALL
+        ends = [field.limits(field.states(m, states.v[k]))[0][:, limit] for m in moved]
+        row[:, j] = -(ends[0] - ends[1]) / (2 * SMALL)
+    # There and then the limit is not yet pressed in: its push is that of its damper alone.
+    q = q + row * (depth[k] / (row**2).sum(axis=1))[:, None]
+    pressed = states.pressed[k].copy()
+    pushed = field.at(States(q, states.v[k], states.z[k], states.pressure[k], pressed, states.side[k]))
+    pressed[:, limit] = 0.0
+    before = field.at(States(q, states.v[k], states.z[k], states.pressure[k], pressed, states.side[k]))
+    rate = (row * states.v[k]).sum(axis=1)
+    usable = rate < 0
+    nv = q.shape[1]
+    jump = (pushed - before)[:, :nv]
+    own = np.zeros((len(k), nv, nv))
+    np.divide(jump[:, :, None] * row[:, None], (rate * lasts[k])[:, None, None], out=own, where=usable[:, None, None])
+    slopes[k, :nv, :nv] += own

@@ -11,6 +11,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
@@ -325,7 +326,12 @@ class Diagnosis:
     @property
     def joints(self) -> tuple[str, ...]:
         """Their names."""
-        return self.model.morphology.joint_names
+        return self.model.robot.joint_names
+
+    @property
+    def engine(self) -> Engine:
+        """That simulated."""
+        return self.best.fit.problem.simulator.engine
 
     def rmse(self, state: str, part: Literal["train", "heldout"]) -> Array:
         """(nj,) root mean square error of a state of the model [rad]; nan where there is nothing held out."""
@@ -340,6 +346,7 @@ class Diagnosis:
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
+            "engine": self.engine.to_dict(),
             "where": [place.to_dict() for place in self.where],
             "findings": [finding.to_dict() for finding in self.findings],
             "unexplained": [left.to_dict() for left in self.leftover],

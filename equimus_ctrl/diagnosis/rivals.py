@@ -23,9 +23,9 @@ def contested(
     """The nearest rivals of each of several parts fitted beside the others where these are now; the best of all.
 
     Without the part the others went elsewhere, and a rival that is fitted beside them from there may end in a
-    valley of its own. Machines' are looked at more widely, see ``in_place``.
+    local minimum of its own. Where fits have many, rivals are looked at more widely, see ``in_place``.
     """
-    if len(best.hypothesis) < 2 or search.settings.thorough:
+    if len(best.hypothesis) < 2 or search.settings.many_minima:
         return best, without, rivals
     for _ in range(CONTESTS):
         rivals = tuple((*own, *_beside_others(search, best, k, without[k], own)) for k, own in enumerate(rivals))
@@ -69,7 +69,7 @@ def in_place(search: Moves, found: Searched, k: int, margin: float) -> list[Fitt
         margin: what the score of one that fits about as well may lack.
     """
     rivals = list(found.rivals[k])
-    if not search.settings.thorough:
+    if not search.settings.many_minima:
         return rivals
     parts = found.best.hypothesis
     own, rest = _kind(parts[k]), {_kind(part) for j, part in enumerate(parts) if j != k}
@@ -105,9 +105,9 @@ def _beside_the_same(search: Moves, fits: Sequence[Fitted]) -> dict[tuple[Kind, 
 def listed(search: Moves, found: Searched) -> Searched:
     """The end with others in the places of those parts for which none are known, after others were withdrawn.
 
-    Machines' are found among all that was fitted, see ``in_place``.
+    Where fits have many local minima they are found among all that was fitted, see ``in_place``.
     """
-    if search.settings.thorough:
+    if search.settings.many_minima:
         return found
     parts = zip(found.best.hypothesis, found.without, found.rivals, strict=True)
     rivals = [own or tuple(search.challenge(without, part.candidate.label)) for part, without, own in parts]
@@ -117,9 +117,9 @@ def listed(search: Moves, found: Searched) -> Searched:
 def narrowed(search: Moves, found: Searched) -> Searched:
     """Effects in the fewest places that fit as well (a deviance of ALIKE); the one of more places is a rival then.
 
-    Not with machines, whose deviances scatter by more than that.
+    Not where fits have many local minima: deviances scatter by more than that.
     """
-    if search.settings.thorough:
+    if search.settings.many_minima:
         return found
     limit = search.score(found.best) + ALIKE
     while (least := _in_fewer_places(search, found, limit)) is not None:

@@ -92,7 +92,7 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
         return []
     weighings = [weigh(data.times, fitted.fit, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)]
     changes = _changes(data, fitted, entries)
-    if data.quick and (smaller := _smaller(data, weighings[0], entries, changes)):
+    if data.policy.rescaled_guesses and (smaller := _smaller(data, weighings[0], entries, changes)):
         more = _changes(data, fitted, smaller)
         entries = [*entries, *smaller]
         changes = [np.concatenate(pair, axis=2) for pair in zip(changes, more, strict=True)]

@@ -76,7 +76,7 @@ class Search(Moves):
             without, rivals = (before,), (others,)
             if before.hypothesis:
                 best, without, rivals = self.exchanged(best)
-            if self.settings.thorough:
+            if self.settings.many_minima:
                 plain = simplified(self, Searched(base, best, without, rivals, (), ()))
                 best, without, rivals = plain.best, plain.without, plain.rivals
             if not outdone:
@@ -95,7 +95,7 @@ class Search(Moves):
         return top is None or not self._better(best, top) or self._outdone(sure, top)
 
     def _may_try_all(self, best: Fitted) -> bool:
-        return self.settings.thorough and len(best.hypothesis) < self.settings.most_parts and self.data.strong(best)
+        return self.settings.many_minima and len(best.hypothesis) < self.settings.most_parts and self.data.strong(best)
 
     def _beside(self, base: Fitted, best: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
         """What the second part could be beside others than the best first one: of two together the lesser may lead."""

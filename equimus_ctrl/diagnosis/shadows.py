@@ -30,7 +30,7 @@ COORDINATES = {
 """What a place's coordinates are, in the words of the laws there."""
 
 
-def restates(group: Group, hypothesis: Hypothesis, geared: bool) -> Literal["", "same", "more"]:
+def restates(group: Group, hypothesis: Hypothesis, drives_at_joints: bool) -> Literal["", "same", "more"]:
     """Whether a push is what a part of a hypothesis says, without its name: at its place, over what its law depends on.
 
     A curve over the speed is friction of the same joint, a share of the pressure that depends on the length is an area
@@ -42,10 +42,10 @@ def restates(group: Group, hypothesis: Hypothesis, geared: bool) -> Literal["", 
     together: set[str] = set()
     for part in hypothesis:
         own, places = part.candidate.effect.depends(), set(part.candidate.locations)
-        here = group.location in places or (geared and set(group.joints) <= places)
+        here = group.location in places or (drives_at_joints and set(group.joints) <= places)
         if own == told and here:
             return "same"
-        if geared and here and own is not None and own < told:
+        if drives_at_joints and here and own is not None and own < told:
             found, together = "more", together | own
     return "same" if found and together == told else found
 
@@ -93,7 +93,7 @@ def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: flo
         hypothesis, least = tuple(fitted.hypothesis[k] for k in chosen), np.inf
         for group, columns in zip(at.groups, at.columns, strict=True):
             # A push over more than the law depends on has the law within it: on any robot it would always do as much.
-            if restates(group, hypothesis, geared=True):
+            if restates(group, hypothesis, drives_at_joints=True):
                 continue
             push = explained(left, kept, columns, folds=at.folds)
             more = push.gain - rise

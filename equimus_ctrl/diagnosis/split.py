@@ -16,7 +16,7 @@ from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.residuals import DIVERGED, residuals_of
 from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.simulators import Simulator, simulator_for
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Recording
 
 EVERY = 4
@@ -25,12 +25,6 @@ LAST = 0.25
 """Share of a single trial that is held out, its end."""
 LEAST_DURATION, LEAST_SAMPLES = 1.0, 60
 """Of a trial to be of use [s] and in samples."""
-LEAST_STEP = 500.0
-"""Commands that stay within this do not move a robot [Pa]."""
-LEAST_MOTION = 5e-3
-"""A joint that stays within this does not move [rad]."""
-LEAST_WAY = 1e-4
-"""The same of a machine's joint [rad or m]."""
 LENGTHS = (8.0, 4.0, 2.0, 1.0, 0.5)
 """Of windows that are tried [s]."""
 NEAR, MOSTLY = 0.5, 0.8
@@ -38,8 +32,6 @@ NEAR, MOSTLY = 0.5, 0.8
 the windows: farther away, fits end in the nearest of many valleys."""
 ONCE = 1.5
 """Times what a joint takes to cross its way: what one small change does there tells what a larger one would do."""
-MOST_ANGLE = 12.6
-"""Angles beyond two turns are degrees [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +56,8 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError where recordings cannot tell what a model leaves out."""
     if not recordings:
         raise ConfigError("no recording was given to diagnose")
-    names = (*model.morphology.actuator_names, *model.morphology.joint_names)
-    machine = machine_of(model)
+    names = (*model.robot.actuator_names, *model.robot.joint_names)
+    traits = model.robot.traits
     for r in recordings:
         if not (np.all(np.isfinite(r.position)) and np.all(np.isfinite(r.command)) and np.all(np.isfinite(r.time))):
             raise ConfigError(f"{r.name}: holds numbers that are not finite; leave out the rows where nothing was seen")
@@ -76,22 +68,23 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
                 f"{LEAST_SAMPLES} samples over {LEAST_DURATION:g} s"
             )
         largest = float(np.abs(r.position).max())
-        if largest > MOST_ANGLE and machine is None:
+        if largest > traits.most_angle:
             j = int(np.abs(r.position).max(axis=0).argmax())
             raise ConfigError(
                 f"{r.name}: {r.joints[j]} reaches {largest:.4g} rad, more than two turns; are the angles in degrees? "
                 "They are expected in rad"
             )
     moved = np.max([np.ptp(np.vstack([r.command, r.command_before]), axis=0) for r in recordings], axis=0)
-    if moved.max() < LEAST_STEP and machine is None:  # others may swing by themselves
+    if moved.max() < traits.least_command:
+        unit = model.robot.command_unit(recordings[0].actuators[int(moved.argmax())])
         raise ConfigError(
-            f"the commands never move: they change by at most {moved.max():.3g} Pa in any trial, expected at least "
-            f"{LEAST_STEP:g} Pa; record steps, staircases or sweeps"
+            f"the commands never move: they change by at most {moved.max():.3g} {unit} in any trial, expected at least "
+            f"{traits.least_command:g} {unit}; record steps, staircases or sweeps"
         )
     everything = np.concatenate([r.position for r in recordings])
     for j, name in enumerate(recordings[0].joints):
         span = float(np.ptp(everything[:, j]))
-        least = LEAST_MOTION if machine is None else LEAST_WAY
+        least = traits.least_motion
         if span < least:
             unit = place_unit(model, "rad", name)
             raise ConfigError(
@@ -119,8 +112,9 @@ def split(
             one its end.
         until: of every trial only what comes before this time is fitted, and the rest judges too [s].
         window: (from, to) of each trial that counts at all [s].
-        shoot: length of the windows that trials of a machine are cut into [s]; see ``window_length`` for the default.
-        simulator: that follows a machine.
+        shoot: length of the windows that trials are cut into [s]; by default whole trials, or where nothing holds the
+            robot in place see ``window_length``.
+        simulator: that follows it there.
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` leaves
@@ -152,7 +146,7 @@ def split(
             what = f"begins at {first:g} s" if until <= first else f"ends at {last:g} s"
             whose = "what counts" if window else f"the {'first' if until <= first else 'last'} trial"
             raise ConfigError(f"fitted is what comes before {until:g} s, but {whose} {what}")
-    if machine_of(model) is not None and shoot is None:
+    if not model.robot.traits.held_in_place and shoot is None:
         shoot = window_length(model, recordings, window, simulator)
     found = _parted(model, recordings, judging, until, window, shoot)
     if asked is not None and not found.heldout:
@@ -188,7 +182,8 @@ def _parted(
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
     near: list[Segment] = []
-    if machine_of(model) is not None and (short := _motion_length(model, train)) < (shoot or math.inf):
+    add_up = not model.robot.traits.held_in_place
+    if add_up and (short := _motion_length(model, train)) < (shoot or math.inf):
         near = [s for k, span in fitted for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
     return Split(tuple(train), tuple(unseen), tuple(near))
 
@@ -211,9 +206,9 @@ def _cut(
 
 
 def _motion_length(model: Model, segments: Sequence[Segment]) -> float:
-    """The longest windows in which a machine's quickest joint crosses hardly more than its way once [s]."""
+    """The longest windows in which the quickest joint crosses hardly more than its way once [s]."""
     seen = seen_places(model, segments)
-    time = min(seen[joint].span / seen[joint].speed for joint in model.morphology.joint_names)
+    time = min(seen[joint].span / seen[joint].speed for joint in model.robot.joint_names)
     return next((length for length in LENGTHS if length <= ONCE * time), LENGTHS[-1])
 
 
@@ -223,13 +218,13 @@ def window_length(
     window: tuple[float, float] | None = None,
     simulator: Simulator | None = None,
 ) -> float | None:
-    """The longest windows over which a machine's model, as it came, stays near to what was measured [s].
+    """The longest windows over which a model, as it came, stays near to what was measured [s].
 
     Whole trials where it does, which tell most; where nothing holds a joint in place, small errors grow and windows are
     short. None for whole trials.
 
     Args:
-        model: of the machine.
+        model: that is judged.
         recordings: what was measured.
         window: (from, to) of each trial that counts at all [s].
         simulator: that follows it.
@@ -237,7 +232,7 @@ def window_length(
     Raises:
         SimulationDiverged: where the model diverges in all windows, however short.
     """
-    follow, sound = simulator or simulator_for(model), False
+    follow, sound = simulator or simulator_for(model, [r.position for r in recordings]), False
     spread = np.median([r.position.std(axis=0) for r in recordings], axis=0)
     for length in (None, *LENGTHS):
         if length is not None and all(length > r.time[-1] - r.time[0] for r in recordings):

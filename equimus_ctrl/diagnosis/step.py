@@ -1,4 +1,4 @@
-"""A diagnosis without the error of the physics step of a machine: that is no physics, and counts in intervals."""
+"""A diagnosis without the error of the engine's physics step: that is no physics, and counts in intervals."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from equimus_ctrl.diagnosis.rivals import less
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
-from equimus_ctrl.identification.simulators import STEPS_FINER, Simulator, machine_simulator, stepless_simulator
+from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.step_error import changes_between, with_step_error
 from equimus_ctrl.identification.weighing import orthonormal, outside, weigh
-from equimus_ctrl.models.model import machine_of
 
 NO_MATTER, MAY_DO = 1e-3, 4.0
-"""Where something of a machine is missing, shorter steps are tried too, unless they change less than this share of the
+"""Where something is missing, shorter steps are tried too, unless they change less than this share of the
 noise's variance; what gains more than so many times what they change is none of their error."""
 
 
 def without_step_error(
     search: Search, found: Searched, rest: Remainder, threads: int | None
 ) -> tuple[Search, Searched, Remainder, str] | None:
-    """The search's end without the error of a machine's physics step, where less is missing then, and a sentence of it.
+    """The search's end without the error of the physics step, where less is missing then, and a sentence of it.
 
-    The XML's step belongs to the simulation that is being corrected; but what its own error leaves is no physics.
+    A robot's own step belongs to the simulation that is being corrected; but what its error leaves is no physics.
+    Nothing is done where the engine's step has no error that counts.
     """
-    machine, best = machine_of(search.data.free.model), found.best
-    if machine is None or not (best.hypothesis or rest.leftovers):
+    engine, best = search.data.simulator.engine, found.best
+    if (own_step := engine.discretisation) is None or not (best.hypothesis or rest.leftovers):
         return None
-    step = machine.timestep / STEPS_FINER
-    data = replace(search.data, simulator=stepless_simulator(machine, threads), coarse=None)
+    step = own_step.step / own_step.finer
+    data = replace(search.data, simulator=Simulator(engine.without_step_error(), threads), coarse=None)
     try:
         left_by_best, error = _step_error(search.data, data.simulator, best, best.noise)
         others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
@@ -64,7 +64,7 @@ def without_step_error(
         exact,
         left,
         (
-            f"The physics step of the XML, {1e3 * machine.timestep:g} ms, is too long for these recordings: its error "
+            f"The physics step of the XML, {1e3 * own_step.step:g} ms, is too long for these recordings: its error "
             "would be taken for missing physics. All of this but the ranking was worked out without that error, from "
             f"simulations with {1e3 * step:g} ms too."
         ),
@@ -72,14 +72,14 @@ def without_step_error(
 
 
 def step_counted(data: Data, found: Searched, threads: int | None) -> Searched:
-    """The end with intervals that the error of a machine's physics step is counted in."""
-    machine = machine_of(data.free.model)
-    if machine is None:
+    """The end with intervals that the error of the engine's physics step is counted in."""
+    engine = data.simulator.engine
+    if (step := engine.discretisation) is None:
         return found
-    other = machine_simulator(machine.timestep / STEPS_FINER, threads)
+    other, ratio = Simulator(engine.with_finer_step(), threads), 1 / step.finer
 
     def counted(fitted: Fitted) -> Fitted:
-        fit = with_step_error(fitted.fit, data.segments, data.simulator, other, 1 / STEPS_FINER, fitted.noise)
+        fit = with_step_error(fitted.fit, data.segments, data.simulator, other, ratio, fitted.noise)
         return replace(fitted, fit=fit)
 
     best = counted(found.best)

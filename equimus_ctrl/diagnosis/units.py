@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 
 
 @dataclass(frozen=True)
@@ -33,35 +33,28 @@ class Reading:
 DEGREES, MILLIMETRES = Reading("°", 180 / math.pi), Reading("mm", 1e3)
 
 
-def _slides(model: Model, joint: str) -> bool:
-    machine = machine_of(model)
-    return machine is not None and machine.slides(joint)
-
-
 def noun(model: Model, joint: str) -> str:
     """What the coordinate of a joint is called."""
-    return "position" if _slides(model, joint) else "angle"
+    return "position" if model.robot.slides(joint) else "angle"
 
 
 def position(model: Model, joint: str) -> Reading:
     """Of where a joint is."""
-    return MILLIMETRES if _slides(model, joint) else DEGREES
+    return MILLIMETRES if model.robot.slides(joint) else DEGREES
 
 
 def speed(model: Model, joint: str) -> Reading:
     """Of how fast it moves."""
-    return Reading("mm/s", 1e3) if _slides(model, joint) else Reading("°/s", 180 / math.pi)
+    return Reading("mm/s", 1e3) if model.robot.slides(joint) else Reading("°/s", 180 / math.pi)
 
 
 def error(model: Model, joint: str) -> Reading:
     """Of how far it is from where it was expected."""
-    return MILLIMETRES if _slides(model, joint) else Reading("mrad", 1e3)
+    return MILLIMETRES if model.robot.slides(joint) else Reading("mrad", 1e3)
 
 
 def command(model: Model, actuator: str) -> Reading:
     """Of an actuator's command."""
-    machine = machine_of(model)
-    if machine is None:
-        return Reading("kPa", 1e-3)
-    unit = machine.turned("command", actuator)
-    return {"rad": DEGREES, "m": MILLIMETRES, "1": Reading("", 1.0)}.get(unit, Reading(unit, 1.0))
+    unit = model.robot.command_unit(actuator)
+    read = {"Pa": Reading("kPa", 1e-3), "rad": DEGREES, "m": MILLIMETRES, "1": Reading("", 1.0)}
+    return read.get(unit, Reading(unit, 1.0))

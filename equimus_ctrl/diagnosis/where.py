@@ -15,7 +15,7 @@ from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 JUST = 0.5
@@ -57,7 +57,7 @@ def where_off(model: Model, segments: Sequence[Segment], residuals: Sequence[Arr
         residuals: of the refitted model, for each segment (m, nj) [rad].
         noise: of the joints.
     """
-    joints = model.morphology.joint_names
+    joints = model.robot.joint_names
     sigma = np.array([own.sigma for own in noise])
     per_joint = excess_of(residuals, noise)
     whole = float(per_joint.sum())
@@ -127,9 +127,9 @@ def _phases(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
         _classes("moving down", segments, lambda s: speeds(s)[:, j] < -STILL * usual),
         _classes("near a turn of the motion", segments, lambda s: _turning(speeds(s)[:, j], STILL * usual)),
     ]
-    if machine_of(model) is not None:
+    if not model.robot.traits.commands_are_pressures:  # so nothing fills or vents
         return found
-    for a, name in enumerate(model.morphology.actuator_names):
+    for a, name in enumerate(model.robot.actuator_names):
         for text, sign in (("filling", 1.0), ("venting", -1.0)):
 
             def just(s: Segment, a: int = a, sign: float = sign) -> NDArray[np.bool_]:
@@ -153,7 +153,7 @@ def _turning(speed: Array, least: float) -> NDArray[np.bool_]:
 
 def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
     found = []
-    joints, actuators = model.morphology.joint_names, model.morphology.actuator_names
+    joints, actuators = model.robot.joint_names, model.robot.actuator_names
     coordinates: list[tuple[str, Reading, Callable[[Segment], Array]]] = [
         (f"{name} {units.noun(model, name)}s", units.position(model, name), lambda s, i=i: s.measured[:, i])  # type: ignore[misc]
         for i, name in enumerate(joints)

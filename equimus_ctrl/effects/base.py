@@ -123,7 +123,7 @@ class Effect:
                 )
 
     def slot(self, robot: Any) -> str:
-        """The place that ``exclusive`` means, on a robot (a ``models.morphology.Morphology``)."""
+        """The place that ``exclusive`` means, on a robot (a ``robots.elastic.morphology.Morphology``)."""
         return self.location
 
     @classmethod

@@ -215,6 +215,110 @@ def pressure_history(
             )
 
 
+FOLLOW_KIND, FOLLOW_TAU, FOLLOW_LOW, FOLLOW_HIGH, FOLLOW_LEAST, FOLLOW_MOST = range(6)
+"""What follows a command: its kind (0 nothing, 1 a first-order filter, 2 an integrator, 3 a limit of its rate), time
+constant [s] or greatest rate, between what the command counts, between what the follower stays."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow_history(follow: Array, value: float, dt: float, own: int, out: Array) -> float:
+    """Put what follows a command in the place of the command, over a grid of physics steps.
+
+    Exact for a command that is a line over each step: da/dt = (u − a)/τ, or da/dt = u; as near to |da/dt| ≤ rate as a
+    line over each step can be.
+
+    Args:
+        follow: (6,), see ``FOLLOW_KIND``.
+        value: of the follower at the start.
+        dt: [s].
+        own: the actuator's column.
+        out: (steps, 2, na) mean and slope of the command over each step, replaced by those of the follower.
+
+    Returns:
+        The follower's value at the end.
+    """
+    low, high, least, most = follow[2], follow[3], follow[4], follow[5]
+    tau = follow[1]
+    for s in range(len(out)):
+        mean, slope = out[s, 0, own], out[s, 1, own]
+        if mean - 0.5 * abs(slope) < low or mean + 0.5 * abs(slope) > high:
+            first, last = min(max(mean - 0.5 * slope, low), high), min(max(mean + 0.5 * slope, low), high)
+            mean, slope = 0.5 * (first + last), last - first
+        if follow[0] >= 2.0:
+            # One line, or one up to where a bound or the command is met, and that from there on.
+            if follow[0] == 2.0:
+                ahead, goal = mean * dt, most if mean > 0.0 else least
+            else:
+                goal = mean + 0.5 * slope
+                ahead = tau * dt if goal > value else -tau * dt
+            way = goal - value
+            x = 1.0 if abs(way) >= abs(ahead) else (way / ahead if ahead != 0.0 else 0.0)
+            end = value + ahead * x
+            middle = x * (value + 0.5 * ahead * x) + (1.0 - x) * end
+            moment = x * x * (0.5 * value + ahead * x / 3.0) + 0.5 * (1.0 - x * x) * end
+            rise = 12.0 * (moment - 0.5 * middle)
+            if follow[0] == 2.0 and x == 1.0:
+                middle -= dt * slope / 12.0
+        elif tau <= 0.0:
+            end, middle, rise = mean + 0.5 * slope, mean, slope
+        else:
+            x, behind = dt / tau, tau * slope / dt
+            decay, area, moment = _decay_moments(x)
+            off = value - (mean - 0.5 * slope - behind)
+            end = mean + 0.5 * slope - behind + off * decay
+            middle = mean - behind + off * area
+            rise = slope + 12.0 * off * (moment - 0.5 * area)
+        if end < least or end > most or value < least or value > most:
+            end, start = min(max(end, least), most), min(max(value, least), most)
+            middle, rise = 0.5 * (start + end), end - start
+        out[s, 0, own], out[s, 1, own] = middle, rise
+        value = end
+    return value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def followed_history(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    first: Array,
+    start: float,
+    dt: float,
+    out: Array,
+) -> None:
+    """``pressure_history``, and what follows the commands in their place.
+
+    Args:
+        times: as there, as what is not named here.
+        commands: as there.
+        before: as there.
+        valve: as there.
+        follow: (na, 6), see ``FOLLOW_KIND``.
+        first: (na,) values of the integrators at the start.
+        start: of the first step [s].
+        dt: [s].
+        out: (steps, 2, na) written.
+    """
+    pressure_history(times, commands, before, valve, start, dt, out)
+    for i in range(commands.shape[1]):
+        if follow[i, 0] == 0.0:
+            continue
+        value = first[i]
+        if follow[i, 0] != 2.0:
+            value = min(max(before[i], follow[i, 2]), follow[i, 3])
+            value = min(max(value, follow[i, 4]), follow[i, 5])
+            if start > times[0]:
+                # It has followed since the first command.
+                steps = max(math.ceil((start - times[0]) / dt), 1)
+                early = np.empty((steps, 2, commands.shape[1]))
+                own = (start - times[0]) / steps
+                pressure_history(times, commands, before, valve, times[0], own, early)
+                value = follow_history(follow[i], value, own, i, early)
+        follow_history(follow[i], value, dt, i, out)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def pressure_rollouts(first: Array, arriving: Array, valve: Array, dt: float, means: Array, ends: Array) -> None:
     """The pressures of many rollouts that begin alike, commands being given as they arrive at the valves.

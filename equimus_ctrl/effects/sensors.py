@@ -165,8 +165,10 @@ def recall(past: Array, newest: int, late: float, dt: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sample(q: Array, v: Array, start: float, dt: float, sensor: Array, times: Array, out: Array) -> None:
-    """What a joint's sensor says at given times of a motion on a grid; before the grid the joint stood still.
+def sample(
+    q: Array, v: Array, start: float, dt: float, sensor: Array, times: Array, out: Array, before: float = 0.0
+) -> None:
+    """What a joint's sensor says at given times of a motion on a grid.
 
     Args:
         q: (n,) angles on the grid [rad].
@@ -176,13 +178,14 @@ def sample(q: Array, v: Array, start: float, dt: float, sensor: Array, times: Ar
         sensor: (4,), see ``SensorEffect.apply``.
         times: (m,) ascending, none beyond the grid [s].
         out: (m,) written [rad].
+        before: rate of the joint before the grid [rad/s]; by default it stood still.
     """
     n, play = len(q), sensor[3]
     held, reached = q[0], 0
     for k in range(len(times)):
         place = (times[k] - sensor[2] - start) / dt
         if place <= 0.0:
-            angle = q[0]
+            angle = q[0] + before * place * dt
         else:
             step = min(int(place), n - 2)
             angle = hermite(q[step], v[step], q[step + 1], v[step + 1], dt, place - step)

@@ -5,29 +5,46 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from types import ModuleType
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from equimus_ctrl.effects.base import Effect, require_kinds
+from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import SensorEffect, sensor_settings
-from equimus_ctrl.effects.valves import ShapingEffect, ValveEffect, shaped_commands, valve_settings
+from equimus_ctrl.effects.sensors import SCALE, SensorEffect, sensor_settings
+from equimus_ctrl.effects.valves import (
+    DELAY,
+    FILL,
+    FLOW,
+    RATE,
+    VENT,
+    ShapingEffect,
+    ValveEffect,
+    shaped_commands,
+    valve_settings,
+)
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.machine import processors
-from equimus_ctrl.models.augmented import augmented_model, law_parameters, slots_of
+from equimus_ctrl.models.augmented import law_parameters, rubbing_places, slots_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import pack, structure
+from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
+from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Mechanics
+from equimus_ctrl.robots.mjcf.form import FAR
 from equimus_ctrl.types import Array, Recording
 
 STEP = 1e-3
 """Default physics step [s]."""
 
+Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
 KNOWN_KINDS = (BodyEffect, ForceEffect, SensorEffect, ShapingEffect, ValveEffect)
 
 
@@ -46,6 +63,7 @@ class Trial:
         velocity: (nj,) joint velocities at the start [rad/s]; none by default.
         settings: numbers of the model that are known to be others in this trial, by dotted name.
         factors: the same, in units of what the model has.
+        activation: (na,) what integrators of commands begin with; by default where their actuators are.
     """
 
     name: str
@@ -58,6 +76,12 @@ class Trial:
     velocity: Array | None = None
     settings: Mapping[str, float] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
+    activation: Array | None = None
+
+    @property
+    def condition(self) -> Condition:
+        """What tells apart trials in which a model has other numbers."""
+        return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))
 
     @classmethod
     def of(cls, recording: Recording, position: ArrayLike, window: tuple[float, float] | None = None) -> Trial:
@@ -107,60 +131,134 @@ class Predicted:
 
 
 @dataclass(frozen=True, eq=False)
-class EncodedModels:
+class Encoded:
     """Models of one structure as the arrays that the kernels take.
 
     Attributes:
         models: (k) whose.
+        mechanics: (k) of their robots, with all effects on bodies.
         parameters: (k, np).
         valve: (k, na, 6).
+        follow: (k, na, 6).
+        between: (k, 2, na) lowest and highest command that gets to the valves.
         sensor: (k, nj, 4).
         rubbing: rows of dry friction in use.
     """
 
     models: Sequence[Model]
+    mechanics: Sequence[Mechanics]
     parameters: Array
     valve: Array
+    follow: Array
+    between: Array
     sensor: Array
     rubbing: NDArray[np.int64]
 
+    @property
+    def form(self) -> Structure:
+        """Of all of them."""
+        return self.mechanics[0].form
 
-def encode(models: Sequence[Model]) -> EncodedModels:
+    @property
+    def kernel(self) -> ModuleType:
+        """The compiled kernel of their form."""
+        return compiled.load_lanes(self.form, self.models[0].phase, force_laws(self.models[0].robot.traits.catalogue))
+
+
+def encode(models: Sequence[Model], trial: Trial | None = None) -> Encoded:
     """The arrays of some models.
+
+    Args:
+        models: of one structure and phase.
+        trial: in which some numbers are known to be others.
 
     Raises:
         ConfigError: where there is none, they differ in structure or phase, or an effect is of no kind known here.
     """
     if not models:
         raise ConfigError("no model was given to simulate")
-    first = models[0]
-    m = first.morphology
-    form, laws = structure(m), force_laws()
-    slots = slots_of(form, laws)
-    places = augmented_model(form, first.phase, laws).rubbing
-    names = {"joint": m.joint_names, "actuator": m.actuator_names}
+    return _encoded(models, [_mechanics(model, trial) for model in models])
+
+
+def _encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
+    first, form = models[0], mechanics[0].form
+    laws = force_laws(first.robot.traits.catalogue)
+    slots, places = slots_of(form, laws), rubbing_places(form, laws)
     in_use: set[int] = set()
-    rows, valves, sensors = [], [], []
-    for model in models:
-        if model.phase != first.phase or structure(model.morphology) != form:
+    rows, valves, follows, between, sensors = [], [], [], [], []
+    for model, own in zip(models, mechanics, strict=True):
+        if model.phase != first.phase or own.form != form:
             raise ConfigError(
                 f"{model.name} and {first.name} differ in structure or phase, so they cannot run together"
             )
         require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the reduced engine")
         for effect in model.effects:
-            if isinstance(effect, ForceEffect) and effect.rubs:
-                in_use |= {r for r, (kind, i) in enumerate(places) if names[kind][i] == effect.location}
-        robot = changed_bodies(model.effects, model.morphology)
-        rows.append(np.concatenate([pack(robot), law_parameters(slots, model.effects, *names.values())]))
-        valves.append(valve_settings(model.effects, m.actuator_names))
-        sensors.append(sensor_settings(model.effects, m.joint_names))
-    return EncodedModels(
-        models, np.array(rows), np.array(valves), np.array(sensors), np.array(sorted(in_use), dtype=np.int64)
+            if isinstance(effect, ForceEffect) and (effect.rubs or effect.loads):
+                in_use |= {
+                    r for r, (kind, i) in enumerate(places) if own.law_places.get(kind, {i: ""})[i] == effect.location
+                }
+        in_use |= _own_friction(own, places)
+        rows.append(
+            np.concatenate(
+                [own.numbers, law_parameters(slots, model.effects, own.law_places["joint"], own.law_places["actuator"])]
+            )
+        )
+        valve, follow, counting = _channels(model, own)
+        valves.append(valve)
+        follows.append(follow)
+        between.append(counting)
+        sensors.append(sensor_settings(model.effects, model.robot.joint_names))
+    return Encoded(
+        models,
+        mechanics,
+        np.array(rows),
+        np.array(valves),
+        np.array(follows),
+        np.array(between),
+        np.array(sensors),
+        np.array(sorted(in_use), dtype=np.int64),
     )
 
 
+def _mechanics(model: Model, trial: Trial | None) -> Mechanics:
+    robot = model.robot
+    if trial is not None and (trial.settings or trial.factors):
+        known = robot.parameters()
+        settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
+        robot = robot.with_parameters(settings)
+    return changed_bodies(model.effects, robot).mechanics()
+
+
+def _own_friction(own: Mechanics, places: Sequence[tuple[str, int]]) -> set[int]:
+    """Rows at which the robot itself has dry friction."""
+    found = own.friction()
+    return {r for r, place in enumerate(places) if found.get(place, 0.0) > 0}
+
+
+def _channels(model: Model, own: Mechanics) -> tuple[Array, Array, Array]:
+    """(na, 6) valves, (na, 6) what follows the commands behind them, and (2, na) between what commands get there."""
+    valve = valve_settings(model.effects, model.robot.actuator_names)
+    follow = np.zeros((len(own.channels), 6))
+    between = np.empty((2, len(own.channels)))
+    between[0], between[1] = -FAR, FAR
+    for i, channel in enumerate(own.channels):
+        valve[i, DELAY] += channel.delay
+        follow[i] = channel.kind, channel.number, channel.low, channel.high, channel.least, channel.most
+        if not (valve[i, FILL] == valve[i, VENT] == 0 and np.isinf(valve[i, [RATE, FLOW]]).all()):
+            continue
+        # Nothing is between the command and its bounds: they count by when a command changes within a step.
+        between[:, i] = channel.low, channel.high
+        if channel.kind == FILTERED and channel.least <= channel.low and channel.high <= channel.most:
+            valve[i, FILL] = valve[i, VENT] = channel.number
+            follow[i, 0] = DIRECT
+        if channel.kind == SLEWED:
+            valve[i, RATE] = channel.number
+            follow[i, 0] = DIRECT
+    return valve, follow, between
+
+
 def simulate(
-    models: Sequence[Model] | EncodedModels,
+    models: Sequence[Model] | Encoded,
     trials: Sequence[Trial],
     *,
     starts: Sequence[Array] | None = None,
@@ -173,7 +271,8 @@ def simulate(
     Where a joint's stop is hit or left a step is cut, and while one is pressed it is divided as its push asks for.
 
     Args:
-        models: of one structure and phase; they may differ in all numbers and effects.
+        models: of one robot; they may differ in all numbers and effects. Encoded beforehand they are the same in
+            every trial.
         trials: what is predicted.
         starts: for each trial (k, nj) angles at the start, or (k, 2 nj) angles and velocities, one row a model [rad,
             rad/s]; the trial's own by default.
@@ -189,37 +288,125 @@ def simulate(
     """
     if not 0 < dt < float("inf"):
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
-    coded = models if isinstance(models, EncodedModels) else encode(models)
-    m = coded.models[0].morphology
-    kernel = compiled.load_lanes(structure(m), coded.models[0].phase, force_laws())
-    k, nj = len(coded.models), len(m.joints)
-    results = [Predicted(np.empty((k, len(trial.sample_times), nj)), np.zeros(k, dtype=np.int64)) for trial in trials]
+    coded = models if isinstance(models, Encoded) else None
+    return _simulated(
+        models.models if isinstance(models, Encoded) else models, coded, trials, starts, dt, threads, check
+    )
 
-    def work(task: tuple[int, int]) -> None:
-        index, first = task
-        trial = trials[index]
-        block = slice(first, min(first + LANES, k))
-        chosen = coded.models[block]
+
+def _simulated(
+    models: Sequence[Model],
+    coded: Encoded | None,
+    trials: Sequence[Trial],
+    starts: Sequence[Array] | None,
+    dt: float,
+    threads: int | None,
+    check: bool,
+) -> list[Predicted]:
+    if not models:
+        raise ConfigError("no model was given to simulate")
+    k, nj = len(models), len(models[0].robot.joint_names)
+    for model in models:
+        same = model.robot.joint_names, model.robot.actuator_names, model.phase
+        if same != (models[0].robot.joint_names, models[0].robot.actuator_names, models[0].phase):
+            raise ConfigError(
+                f"{model.name} and {models[0].name} differ in structure or phase, so they cannot run together"
+            )
+    results = [Predicted(np.empty((k, len(trial.sample_times), nj)), np.zeros(k, dtype=np.int64)) for trial in trials]
+    tasks: list[_Task] = []
+    for condition in dict.fromkeys(trial.condition for trial in trials):
+        own_trials = [index for index, trial in enumerate(trials) if trial.condition == condition]
+        groups = _grouped(models, trials[own_trials[0]]) if coded is None else [(list(range(k)), coded)]
+        for chosen, arrays in groups:
+            tasks += [
+                _Task(arrays, np.array(chosen[first : first + LANES]), slice(first, first + LANES), index)
+                for index in own_trials
+                for first in range(0, len(chosen), LANES)
+            ]
+
+    def work(task: _Task) -> None:
+        task.run(trials[task.trial], None if starts is None else starts[task.trial], dt, results[task.trial])
+
+    count = min(threads or processors(), len(tasks))
+    if count <= 1:
+        for task in tasks:
+            work(task)
+    else:
+        for kernel in {task.coded.kernel for task in tasks}:
+            if not kernel.run_block.signatures:  # what has to be compiled is compiled once
+                first_task = next(task for task in tasks if task.coded.kernel is kernel)
+                tasks.remove(first_task)
+                work(first_task)
+        with ThreadPoolExecutor(count) as pool:
+            list(pool.map(work, tasks))
+    poses = [trial.position for trial in trials]
+    robot = changed_bodies(models[0].effects, models[0].robot)
+    # A divergence tells by itself.
+    if check and isinstance(robot, Morphology) and all(found.sound[0] for found in results):
+        reached = [found.position[0] for found in results]
+        warn_if_coarse(robot, models[0].phase, poses, dt, reached, MOST_DIVISOR)
+    return results
+
+
+def _grouped(models: Sequence[Model], trial: Trial) -> list[tuple[list[int], Encoded]]:
+    """Models by their structure: which, and their arrays."""
+    groups: dict[tuple[Structure, str], list[int]] = {}
+    mechanics = [_mechanics(model, trial) for model in models]
+    for i, (model, own) in enumerate(zip(models, mechanics, strict=True)):
+        groups.setdefault((own.form, model.phase), []).append(i)
+    return [(g, _encoded([models[i] for i in g], [mechanics[i] for i in g])) for g in groups.values()]
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """Up to LANES models in one trial.
+
+    Attributes:
+        coded: they and others of their structure.
+        models: which of all models they are.
+        rows: which of ``coded``.
+        trial: index of the trial.
+    """
+
+    coded: Encoded
+    models: NDArray[np.int64]
+    rows: slice
+    trial: int
+
+    def run(self, trial: Trial, start: Array | None, dt: float, result: Predicted) -> None:
+        coded, chosen = self.coded, self.coded.models[self.rows]
+        nj = result.position.shape[2]
         q0 = np.tile(trial.position, (len(chosen), 1))
         v0 = np.zeros((len(chosen), nj)) if trial.velocity is None else np.tile(trial.velocity, (len(chosen), 1))
-        if starts is not None:
-            q0 = np.array(starts[index][block, :nj])
-            v0 = np.array(starts[index][block, nj:]) if starts[index].shape[1] > nj else v0
-        once = {effects: _shaped(effects, m.actuator_names, trial) for effects in {model.effects for model in chosen}}
-        history = [once[model.effects] for model in chosen]
+        if start is not None:
+            q0 = np.array(start[self.models, :nj])
+            v0 = np.array(start[self.models, nj:]) if start.shape[1] > nj else v0
+        once = {effects: shaped_for(model, trial) for effects, model in {m.effects: m for m in chosen}.items()}
+        history = [
+            np.clip(once[model.effects], *counting)
+            for model, counting in zip(chosen, coded.between[self.rows], strict=True)
+        ]
         span = trial.sample_times[-1] - trial.start if len(trial.sample_times) else 0.0
         steps = max(int(np.ceil(span / dt - 1e-9)), 1)
-        position, reached = np.empty((len(chosen), *results[index].position.shape[1:])), np.zeros(len(chosen), np.int64)
-        kernel.run_block(
-            coded.parameters[block].copy(),
+        joints, moved = coded.mechanics[0].joints, coded.mechanics[0].starts
+        sensor = np.zeros((len(chosen), len(moved), 4))
+        sensor[:, :, SCALE] = 1.0
+        sensor[:, joints] = coded.sensor[self.rows]
+        position = np.empty((len(chosen), len(trial.sample_times), len(moved)))
+        reached = np.zeros(len(chosen), np.int64)
+        coded.kernel.run_block(
+            coded.parameters[self.rows].copy(),
             trial.times,
             np.array([h[1:] for h in history]),
             np.array([h[0] for h in history]),
-            coded.valve[block].copy(),
-            coded.sensor[block].copy(),
-            q0,
-            v0,
+            coded.valve[self.rows].copy(),
+            coded.follow[self.rows].copy(),
+            first_activations(coded, self.rows, trial, q0),
+            sensor,
+            np.ascontiguousarray(q0[:, moved]),
+            np.ascontiguousarray(v0[:, moved]),
             coded.rubbing,
+            not chosen[0].robot.traits.starts_at_rest,
             trial.start,
             dt,
             steps,
@@ -227,35 +414,47 @@ def simulate(
             position,
             reached,
         )
-        results[index].position[block] = position
-        results[index].reached[block] = reached
+        result.position[self.models] = position[:, :, joints]
+        result.reached[self.models] = reached
 
-    tasks = [(index, first) for index in range(len(trials)) for first in range(0, k, LANES)]
-    count = min(threads or processors(), len(tasks))
-    if count <= 1:
-        for task in tasks:
-            work(task)
-    else:
-        if not kernel.run_block.signatures:
-            work(tasks.pop(0))  # what has to be compiled is compiled once
-        with ThreadPoolExecutor(count) as pool:
-            list(pool.map(work, tasks))
-    poses = [trial.position for trial in trials]
-    if check and all(found.sound[0] for found in results):  # a divergence tells by itself
-        robot = changed_bodies(coded.models[0].effects, m)
-        reached = [found.position[0] for found in results]
-        warn_if_coarse(robot, coded.models[0].phase, poses, dt, reached, MOST_DIVISOR)
-    return results
+
+def first_activations(coded: Encoded, rows: slice, trial: Trial, position: Array) -> Array:
+    """(k, na) what integrators of commands begin with: the trial's, else where their actuators are.
+
+    Args:
+        coded: models.
+        rows: which of them.
+        trial: what is done.
+        position: (k, nj) joint coordinates at the start.
+    """
+    follow = coded.follow[rows]
+    found = np.zeros(follow.shape[:2])
+    if trial.activation is not None:
+        found[:] = trial.activation
+    elif (follow[:, :, 0] == INTEGRATED).any():
+        lengths = actuator_lengths(coded.form, coded.models[0].phase)
+        moved = coded.mechanics[0].starts
+        for row, own, q in zip(found, coded.mechanics[rows], position, strict=True):
+            along = np.array(lengths(q[moved], own.numbers)).ravel()
+            row[:] = along[[channel.actuator for channel in own.channels]]
+    return np.clip(found, follow[:, :, 4], follow[:, :, 5])
+
+
+@lru_cache(maxsize=32)
+def actuator_lengths(form: Structure, phase: Phase) -> ca.Function:
+    """(q, p) → lengths (na,)."""
+    m = build(form, phase)
+    return ca.Function("lengths", [m.q, m.p], [m.lengths])
 
 
 def compile_kernel(model: Model) -> None:
     """Compile what ``simulate`` needs for a model's structure and force laws, or find it in the cache of kernels."""
-    nj, na = len(model.morphology.joints), len(model.morphology.actuators)
+    nj, na = len(model.robot.joint_names), len(model.robot.actuator_names)
     rest = np.zeros((1, na))
     trial = Trial("first", np.zeros(1), rest, rest[0], 0.0, np.full(nj, 0.5), np.array([0.0, 1e-3]))
     simulate([model], [trial], dt=1e-3, threads=1, check=False)
 
 
-def _shaped(effects: Sequence[Effect], actuators: Sequence[str], trial: Trial) -> Array:
+def shaped_for(model: Model, trial: Trial) -> Array:
     """(1 + n, na) what reaches the valves: before the first row, then row by row [Pa]."""
-    return shaped_commands(effects, actuators, np.vstack([trial.before, trial.commands]))
+    return shaped_commands(model.effects, model.robot.actuator_names, np.vstack([trial.before, trial.commands]))

@@ -30,14 +30,18 @@ from equimus_ctrl.engines import (
     machine_functions,
     machine_kernel,
 )
-from equimus_ctrl.models import augmented, codegen, morphology, symbolic
-from equimus_ctrl.models.augmented import Laws
-from equimus_ctrl.models.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.engines.limits import NOTHING
+from equimus_ctrl.models import actuator_laws, augmented, codegen, mjcf_equations, parts, symbolic, symbolic_model, tree
+from equimus_ctrl.models.augmented import Laws, expressions
 from equimus_ctrl.models.symbolic import Structure
+from equimus_ctrl.robots.elastic import form as elastic_form
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.robots.mjcf import form as mjcf_form
+from equimus_ctrl.robots.mjcf import numbers as mjcf_numbers
 from equimus_ctrl.types import Array
 
 DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")'
-_LANE_DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})'
+_LANE_OPTIONS = 'cache=True, nogil=True, error_model="numpy", fastmath={"contract"}'
 _STUB = "equimus_ctrl.engines.model_functions"
 _LANE_STUB = "equimus_ctrl.engines.lane_functions"
 
@@ -145,7 +149,7 @@ def _led(kernel: ModuleType, replaced: dict[str, ModuleType]) -> ModuleType:
 @lru_cache(maxsize=64)
 def _model(form: Structure, phase: Phase) -> ModuleType:
     """The functions of ``engines.model_functions`` for one structure."""
-    sources = [inspect.getsource(m) for m in (symbolic, codegen, morphology, sys.modules[__name__])]
+    sources = [inspect.getsource(m) for m in (symbolic, symbolic_model, parts, tree, codegen, sys.modules[__name__])]
     key = _digest([repr((form, phase)), *sources])
     path = cache_folder() / f"equimus_model_{key}.py"
     text = path.read_text(encoding="utf-8") if path.exists() else _source(form, phase)
@@ -155,9 +159,20 @@ def _model(form: Structure, phase: Phase) -> ModuleType:
 @lru_cache(maxsize=64)
 def _lane_model(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
     """The functions of ``engines.lane_functions`` for one structure and set of laws."""
-    # The text itself is the key: whatever a law's source calls upon, it takes but milliseconds to write it out again.
-    text = _lane_source(form, phase, laws)
-    return _written(cache_folder() / f"equimus_lanes_{_digest([text, inspect.getsource(lane_math)])}.py", text)
+    # Laws may call upon anything: what they say enters as expressions, which are short, not as sources.
+    key = _digest([repr((form, phase)), *_sources(), *(expressions(law) for law in laws)])
+    path = cache_folder() / f"equimus_lanes_{key}.py"
+    return _written(path, path.read_text(encoding="utf-8") if path.exists() else _lane_source(form, phase, laws, key))
+
+
+@lru_cache(maxsize=1)
+def _sources() -> list[str]:
+    """All that generated lanes are made by, laws left out."""
+    modules = (
+        augmented, codegen, elastic_form, lane_functions, lane_math, mjcf_equations, mjcf_form, mjcf_numbers,
+        actuator_laws, parts, symbolic, symbolic_model, tree, sys.modules[__name__],
+    )  # fmt: skip
+    return [inspect.getsource(module) for module in modules]
 
 
 def _generated(label: str, text: str, depends: list[str]) -> ModuleType:
@@ -192,7 +207,7 @@ def _imported(kernel: ModuleType) -> list[ModuleType]:
 
 def _source(form: Structure, phase: Phase) -> str:
     m = symbolic.build(form, phase)
-    nj, na = len(form[0]), len(form[1])
+    nj, na = m.q.numel(), m.f.numel()
     drive = m.jacobian.T @ ca.diag(m.area)
     routines = [
         codegen.Routine("actuator_lengths", {"q": m.q}, m.lengths),
@@ -214,14 +229,43 @@ def _source(form: Structure, phase: Phase) -> str:
     return "\n".join([*header, functions, "", _tuples(nj, na)])
 
 
-def _lane_source(form: Structure, phase: Phase, laws: Laws) -> str:
+SHORT = 250
+"""Up to so many operations of its equations of motion a whole Runge–Kutta step is written out at once."""
+
+
+def _operations(m: augmented.AugmentedModel) -> int:
+    """Of the equations of motion."""
+    inputs = [m.q, m.v, m.z, m.pressure, m.phi, m.grip, m.pull, m.p]
+    return int(ca.Function("motion", inputs, [ca.cse(ca.densify(m.gripped_acceleration))]).n_instructions())
+
+
+def _whole_step(m: augmented.AugmentedModel, symbols: dict[str, ca.SX]) -> ca.SX:
+    """The state after a Runge–Kutta step of order four with no limit pressed, see ``lane_steps.advance``."""
+    grips = ca.vertcat(m.grip, m.pull)
+    motion = ca.vertcat(m.v, m.gripped_acceleration, m.z_rate)
+    motion = ca.substitute(motion, grips, ca.SX.zeros(grips.numel()))
+    rate = ca.Function("rate", [m.q, m.v, m.z, m.pressure, m.phi, m.p], [motion])
+    nj, state = m.q.numel(), ca.vertcat(m.q, m.v, m.z)
+    lasts = symbols["dt"] * symbols["part"]
+    at, whole = state, ca.SX.zeros(state.numel())
+    for into, weight, then in ((0.0, 1.0, 0.5), (0.5, 2.0, 0.5), (0.5, 2.0, 1.0), (1.0, 1.0, 0.0)):
+        pressure = symbols["mean"] + (symbols["begin"] + into * symbols["part"] - 0.5) * symbols["slope"]
+        found = rate(at[:nj], at[nj : 2 * nj], at[2 * nj :], pressure, m.phi, m.p)
+        whole, at = whole + weight * found, state + then * lasts * found
+    reached = state + lasts / 6.0 * whole
+    return reached * (ca.fabs(reached) >= NOTHING)
+
+
+def _lane_source(form: Structure, phase: Phase, laws: Laws, key: str) -> str:
     m = augmented.augmented_model(form, phase, laws)
     nj, na, nz, nr = m.q.numel(), m.pressure.numel(), m.z.numel(), m.phi.numel()
+    nl = m.pressed.numel()
     nx = 2 * nj + nz
     sizes = {
         "X": nx, "RATE": nx, "SUM": max(nx, nr), "START": nx, "PRESSURE": na, "PHI": nr,
         "PUSH": nj * nr, "DELASSUS": nr * nr, "SLIP": nr, "BOUND": nr, "SPAN": nr,
-        "PRESSED": 2 * nj, "GAPS": 2 * nj, "QUICK": 1, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx,
+        "PRESSED": nl, "GRIP": nl, "PULL": nl, "GAPS": nl, "DEPTHS": nl, "QUICK": 1,
+        "MEAN": na, "SLOPE": na, "DT": 1, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx,
     }  # fmt: skip
     row, rows = 0, {}
     for name, size in sizes.items():
@@ -229,15 +273,22 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws) -> str:
         row += size
     x, at_start = rows["X"], rows["START"]
     state = {"q": x, "v": x + nj, "z": x + 2 * nj}
+    moving = {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "phi": m.phi, "grip": m.grip, "pull": m.pull}
+    moving_rows = state | {name: rows[name.upper()] for name in ("pressure", "phi", "grip", "pull")}
+    reached_rows = {"q": x, "v": x + nj, "a": rows["RATE"] + nj}
     routines = [
         codegen.LaneRoutine(
-            "lane_motion",
-            {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "phi": m.phi, "pressed": m.pressed},
-            ca.vertcat(m.smooth_acceleration, m.z_rate),
-            {**state, "pressure": rows["PRESSURE"], "phi": rows["PHI"], "pressed": rows["PRESSED"]},
-            rows["RATE"] + nj,
+            "lane_motion", moving, ca.vertcat(m.gripped_acceleration, m.z_rate), moving_rows, rows["RATE"] + nj
         ),
-        codegen.LaneRoutine("lane_stops", {"q": m.q, "v": m.v}, m.gaps, {"q": x, "v": x + nj}, rows["GAPS"]),
+        codegen.LaneRoutine(
+            "lane_grips",
+            {"q": m.q, "v": m.v, "pressed": m.pressed},
+            m.grips,
+            {"q": x, "v": x + nj, "pressed": rows["PRESSED"]},
+            rows["GRIP"],
+        ),
+        codegen.LaneRoutine("lane_depths", {"q": m.q}, m.depths, {"q": x}, rows["DEPTHS"]),
+        codegen.LaneRoutine("lane_gaps", {"q": m.q, "v": m.v, "a": m.a}, m.gaps, reached_rows, rows["GAPS"]),
         codegen.LaneRoutine(
             "lane_quickness",
             {"q": m.q, "v": m.v, "z": m.z, "pressed": m.pressed},
@@ -245,26 +296,41 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws) -> str:
             {**state, "pressed": rows["PRESSED"]},
             rows["QUICK"],
         ),
-        codegen.LaneRoutine("lane_rest", {"q": m.q}, m.rest_state, {"q": x}, x + 2 * nj),
+        codegen.LaneRoutine("lane_keep", {"z": m.z}, m.kept, {"z": state["z"]}, state["z"]),
+        codegen.LaneRoutine("lane_rest", {"q": m.q, "v": m.v}, m.rest_state, {"q": x, "v": x + nj}, x + 2 * nj),
         codegen.LaneRoutine(
             "lane_friction",
-            {"q": m.q, "v": m.v, "v0": m.v0},
+            {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "grip": m.grip, "v0": m.v0},
             ca.vertcat(ca.vec(m.push), ca.vec(m.delassus), m.rows, m.bound, m.rows_before),
-            {"q": x, "v": x + nj, "v0": at_start + nj},
+            {**state, "pressure": rows["PRESSURE"], "grip": rows["GRIP"], "v0": at_start + nj},
             rows["PUSH"],
         ),
     ]
-    functions, work_rows = codegen.generate_lanes(routines, m.p, _LANE_DECORATOR, row)
-    counts = {"JOINTS": nj, "ACTUATORS": na, "STATES": nz, "ROWS": nr}
+    short = m.z.numel() == 0 and _operations(m) <= SHORT
+    symbols = {"mean": ca.SX.sym("mean", na), "slope": ca.SX.sym("slope", na)}
+    symbols |= {name: ca.SX.sym(name) for name in ("begin", "part", "dt")}
+    begins = {"q": at_start, "v": at_start + nj, "z": at_start + 2 * nj, "phi": rows["PHI"], "mean": rows["MEAN"]}
+    begins |= {"slope": rows["SLOPE"], "begin": rows["FROM"], "part": rows["PART"], "dt": rows["DT"]}
+    step = _whole_step(m, symbols) if short else ca.SX(0, 1)
+    inputs = {"q": m.q, "v": m.v, "z": m.z, "phi": m.phi} | symbols
+    routines.append(codegen.LaneRoutine("lane_whole_step", inputs, step, begins, x))
+    functions, work_rows = codegen.generate_lanes(routines, m.p, _LANE_OPTIONS, f"equimus_{key}", row)
+    counts = {"JOINTS": nj, "ACTUATORS": na, "STATES": nz, "ROWS": nr, "LIMITS": nl}
     header = [
         "# Generated; safe to delete.",
         "from __future__ import annotations\n",
         "import math\n",
-        "from numba import njit\n",
+        "from llvmlite.binding import add_symbol",
+        "from numba import carray, cfunc, njit",
+        "from numba.core.types import CPointer, ExternalFunction, float64, intp, void\n",
         f"from {lane_math.__name__} import lane_cos, lane_sin\n",
         f"LANES = {lane_functions.LANES}",
         *[f"N_{name} = {count}" for name, count in counts.items()],
         f"WORK_ROWS = {work_rows}",
+        f"BOUNDED = {form.n_inside > 0}",
+        f"SHORT = {short}",
+        f"QUICK_INSIDE = {not symbolic.build(form, phase).inside.quickness.is_zero()}",
+        f"SOFT_LIMITS = {any(limit.push is None for limit in symbolic.build(form, phase).limits)}",
         *[f"ROW_{name} = {first}" for name, first in rows.items()],
         "",
     ]

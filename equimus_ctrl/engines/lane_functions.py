@@ -17,7 +17,16 @@ N_JOINTS = 0
 N_ACTUATORS = 0
 N_STATES = 0
 N_ROWS = 0
+N_LIMITS = 0
 WORK_ROWS = 0
+BOUNDED = False
+"""Whether states may have bounds."""
+SHORT = False
+"""Whether there is ``lane_whole_step``."""
+QUICK_INSIDE = False
+"""Whether states of a robot's own may be faster than steps that follow its motion."""
+SOFT_LIMITS = False
+"""Whether a limit is pressed hangs on accelerations."""
 
 ROW_X = 0
 ROW_RATE = 0
@@ -31,8 +40,14 @@ ROW_SLIP = 0
 ROW_BOUND = 0
 ROW_SPAN = 0
 ROW_PRESSED = 0
+ROW_GRIP = 0
+ROW_PULL = 0
 ROW_GAPS = 0
+ROW_DEPTHS = 0
 ROW_QUICK = 0
+ROW_MEAN = 0
+ROW_SLOPE = 0
+ROW_DT = 0
 ROW_FROM = 0
 ROW_PART = 0
 ROW_BEGIN = 0
@@ -45,25 +60,45 @@ def prepare_lane(p: Array, w: Array, l: int) -> None:  # noqa: E741
 
 
 def lane_motion(w: Array) -> None:
-    """From state, pressure, friction and pressed stops: acceleration and the effects' rates, below v in ROW_RATE."""
+    """From state, pressure, friction and what limits do: acceleration and the effects' rates, below v in ROW_RATE."""
+    raise NotImplementedError
+
+
+def lane_whole_step(w: Array) -> None:
+    """From ROW_START, friction, ROW_MEAN to ROW_PART: the state after a Runge–Kutta step with no limit pressed."""
+    raise NotImplementedError
+
+
+def lane_grips(w: Array) -> None:
+    """From the rows of q, v and pressed limits: ROW_GRIP and ROW_PULL, what those do."""
     raise NotImplementedError
 
 
 def lane_rest(w: Array) -> None:
-    """From the rows of q: the effects' states after a long rest there, into the rows of z."""
+    """From the rows of q and v: the effects' states after a long rest there, into the rows of z."""
+    raise NotImplementedError
+
+
+def lane_keep(w: Array) -> None:
+    """The rows of z: states within their bounds."""
     raise NotImplementedError
 
 
 def lane_friction(w: Array) -> None:
-    """From the rows of q, v and the start's v: ROW_PUSH to ROW_BOUND and, in ROW_SPAN, the rates at the start."""
+    """From state, pressure, ROW_GRIP and the start's v: ROW_PUSH to ROW_BOUND and, in ROW_SPAN, the rates then."""
     raise NotImplementedError
 
 
-def lane_stops(w: Array) -> None:
-    """From the rows of q and v: ROW_GAPS, above 0 where a joint's lower, upper stop would be pressed."""
+def lane_depths(w: Array) -> None:
+    """From the rows of q: ROW_DEPTHS, above 0 where a coordinate is beyond its limit."""
+    raise NotImplementedError
+
+
+def lane_gaps(w: Array) -> None:
+    """From the rows of q, v and accelerations below v in ROW_RATE: ROW_GAPS, above 0 where a limit would be pressed."""
     raise NotImplementedError
 
 
 def lane_quickness(w: Array) -> None:
-    """From state and pressed stops: ROW_QUICK, about the fastest rate of the motion [1/s]."""
+    """From state and pressed limits: ROW_QUICK, about the fastest rate of the motion [1/s]."""
     raise NotImplementedError

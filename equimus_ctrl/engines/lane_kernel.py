@@ -12,16 +12,22 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from equimus_ctrl.effects.command import pressure_history
+from equimus_ctrl.effects.command import followed_history
 from equimus_ctrl.effects.sensors import sample
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ACTUATORS,
     N_JOINTS,
+    N_LIMITS,
     N_ROWS,
+    N_STATES,
     ROW_BOUND,
     ROW_DELASSUS,
+    ROW_DEPTHS,
+    ROW_GAPS,
     ROW_PHI,
+    ROW_PRESSED,
+    ROW_PRESSURE,
     ROW_PUSH,
     ROW_RATE,
     ROW_SLIP,
@@ -30,11 +36,13 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_SUM,
     ROW_X,
     WORK_ROWS,
+    lane_depths,
     lane_friction,
+    lane_motion,
     lane_rest,
     prepare_lane,
 )
-from equimus_ctrl.engines.lane_steps import N_STATE, press_as_asked, step
+from equimus_ctrl.engines.lane_steps import N_STATE, grip_limits, lane_stops, press_as_asked, step
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.types import Array
 
@@ -135,6 +143,8 @@ def begin_block(
     commands: Array,
     before: Array,
     valve: Array,
+    follow: Array,
+    first: Array,
     q0: Array,
     v0: Array,
     start: float,
@@ -153,8 +163,8 @@ def begin_block(
         for j in range(N_JOINTS):
             w[(ROW_X + j) * LANES + l] = q0[own, j]
             w[(ROW_X + N_JOINTS + j) * LANES + l] = v0[own, j]
-        if l < k and not (l > 0 and _same(commands, before, valve, l)):
-            pressure_history(times, commands[own], before[own], valve[own], start, dt, history)
+        if l < k and not (l > 0 and _same(commands, before, valve, follow, first, l)):
+            followed_history(times, commands[own], before[own], valve[own], follow[own], first[own], start, dt, history)
         for s in range(steps):
             for i in range(N_ACTUATORS):
                 drive[s, 0, i * LANES + l] = history[s, 0, i]
@@ -169,10 +179,13 @@ def run_block(
     commands: Array,
     before: Array,
     valve: Array,
+    follow: Array,
+    first: Array,
     sensor: Array,
     q0: Array,
     v0: Array,
     rubbing: Array,
+    moving: bool,
     start: float,
     dt: float,
     steps: int,
@@ -188,10 +201,13 @@ def run_block(
         commands: (k, n, na) what reaches the valves [Pa].
         before: (k, na) in force before [Pa].
         valve: (k, na, 6), see ``effects.valves``.
+        follow: (k, na, 6), see ``effects.command.FOLLOW_KIND``.
+        first: (k, na) what integrators of commands begin with.
         sensor: (k, nj, 4), see ``effects.sensors``.
         q0: (k, nj) angles at the start [rad].
         v0: (k, nj) velocities there [rad/s].
         rubbing: rows where any has dry friction.
+        moving: whether joints moved before the start as they do there; else they stood still.
         start: of the motion [s].
         dt: physics step [s].
         steps: how many.
@@ -202,7 +218,7 @@ def run_block(
     k, m = len(parameters), len(out_times)
     w = np.zeros(WORK_ROWS * LANES)
     drive = np.empty((steps, 2, N_ACTUATORS * LANES))
-    begin_block(w, drive, parameters, times, commands, before, valve, q0, v0, start, dt)
+    begin_block(w, drive, parameters, times, commands, before, valve, follow, first, q0, v0, start, dt)
     grid = np.empty((steps + 1, 2 * N_JOINTS * LANES))
     run_lanes(w, drive, dt, rubbing, grid)
     q, v = np.empty(steps + 1), np.empty(steps + 1)
@@ -213,7 +229,7 @@ def run_block(
             for s in range(steps + 1):
                 q[s] = grid[s, j * LANES + l]
                 v[s] = grid[s, (N_JOINTS + j) * LANES + l]
-            sample(q, v, start, dt, sensor[l, j], out_times, y)
+            sample(q, v, start, dt, sensor[l, j], out_times, y, v[0] if moving else 0.0)
             for i in range(m):
                 out[l, i, j] = y[i]
             for s in range(steps + 1):
@@ -230,6 +246,8 @@ def run_inner(
     commands: Array,
     before: Array,
     valve: Array,
+    follow: Array,
+    first: Array,
     q0: Array,
     v0: Array,
     rubbing: Array,
@@ -246,6 +264,8 @@ def run_inner(
         commands: (1, n, na) [Pa].
         before: (1, na) [Pa].
         valve: (1, na, 6).
+        follow: (1, na, 6).
+        first: (1, na).
         q0: (1, nj) [rad].
         v0: (1, nj) [rad/s].
         rubbing: rows with dry friction.
@@ -256,7 +276,7 @@ def run_inner(
     """
     w = np.zeros(WORK_ROWS * LANES)
     drive = np.empty((len(pressures), 2, N_ACTUATORS * LANES))
-    begin_block(w, drive, parameters, times, commands, before, valve, q0, v0, start, dt)
+    begin_block(w, drive, parameters, times, commands, before, valve, follow, first, q0, v0, start, dt)
     grid = np.empty((len(states), N_STATE * LANES))
     run_lanes(w, drive, dt, rubbing, grid)
     for s in range(len(states)):
@@ -269,10 +289,120 @@ def run_inner(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _same(commands: Array, before: Array, valve: Array, l: int) -> bool:  # noqa: E741
+def _same(commands: Array, before: Array, valve: Array, follow: Array, first: Array, l: int) -> bool:  # noqa: E741
     """Whether a lane has the pressures of the one before it."""
     return bool(
         np.array_equal(valve[l], valve[l - 1])
+        and np.array_equal(follow[l], follow[l - 1])
+        and np.array_equal(first[l], first[l - 1])
         and np.array_equal(before[l], before[l - 1])
         and np.array_equal(commands[l], commands[l - 1])
     )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def put_states(w: Array, begin: int, here: int, q: Array, v: Array, z: Array, pressure: Array, pressed: Array) -> None:
+    """Put some of many states into the lanes, with what their pressed limits do; lanes to spare repeat the last."""
+    for l in range(LANES):  # noqa: E741
+        k = begin + min(l, here - 1)
+        for j in range(N_JOINTS):
+            w[(ROW_X + j) * LANES + l] = q[k, j]
+            w[(ROW_X + N_JOINTS + j) * LANES + l] = v[k, j]
+            w[(ROW_START + N_JOINTS + j) * LANES + l] = v[k, j]
+        for i in range(N_STATES):
+            w[(ROW_X + 2 * N_JOINTS + i) * LANES + l] = z[k, i]
+        for i in range(N_ACTUATORS):
+            w[(ROW_PRESSURE + i) * LANES + l] = pressure[k, i]
+        for i in range(N_LIMITS):
+            w[(ROW_PRESSED + i) * LANES + l] = pressed[k, i]
+    grip_limits(w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def field(
+    parameters: Array, q: Array, v: Array, z: Array, pressure: Array, pressed: Array, side: Array, out: Array
+) -> None:
+    """Accelerations and rates of the effects' states at many states.
+
+    Args:
+        parameters: (np,).
+        q: (n, nj).
+        v: (n, nj).
+        z: (n, nz).
+        pressure: (n, na).
+        pressed: (n, nl) 1 where a limit is pressed.
+        side: (n, nr) the sign of each rubbing rate, against which dry friction acts in full; 0 for none.
+        out: (n, nj + nz) written.
+    """
+    w = np.zeros(WORK_ROWS * LANES)
+    for l in range(LANES):  # noqa: E741
+        prepare_lane(parameters, w, l)
+    rubs = np.any(side != 0.0)
+    for begin in range(0, len(q), LANES):
+        here = min(LANES, len(q) - begin)
+        put_states(w, begin, here, q, v, z, pressure, pressed)
+        if rubs:
+            lane_friction(w)
+        for l in range(LANES):  # noqa: E741
+            for r in range(N_ROWS):
+                bound = w[(ROW_BOUND + r) * LANES + l] if rubs else 0.0
+                w[(ROW_PHI + r) * LANES + l] = -side[begin + min(l, here - 1), r] * bound
+        lane_motion(w)
+        for l in range(here):  # noqa: E741
+            for i in range(N_JOINTS + N_STATES):
+                out[begin + l, i] = w[(ROW_RATE + N_JOINTS + i) * LANES + l]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rubbing_field(parameters: Array, q: Array, v: Array, z: Array, pressure: Array, pressed: Array, out: Array) -> None:
+    """What dry friction does at many states: M⁻¹Gᵀ column by column, GM⁻¹Gᵀ, the rates Gv and the greatest friction.
+
+    Args:
+        parameters: (np,).
+        q: as in ``field``, as what is not named here.
+        v: as there.
+        z: as there.
+        pressure: as there.
+        pressed: as there.
+        out: (n, nj·nr + nr·nr + 2 nr) written.
+    """
+    w = np.zeros(WORK_ROWS * LANES)
+    for l in range(LANES):  # noqa: E741
+        prepare_lane(parameters, w, l)
+    for begin in range(0, len(q), LANES):
+        here = min(LANES, len(q) - begin)
+        put_states(w, begin, here, q, v, z, pressure, pressed)
+        lane_friction(w)
+        for l in range(here):  # noqa: E741
+            for i in range(out.shape[1]):
+                out[begin + l, i] = w[(ROW_PUSH + i) * LANES + l]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def limit_gaps(
+    parameters: Array, q: Array, v: Array, z: Array, pressure: Array, pressed: Array, depths: Array, out: Array
+) -> None:
+    """How far many states are beyond each limit, and what is above 0 where it would be pressed.
+
+    Args:
+        parameters: (np,).
+        q: as in ``field``, as what is not named here.
+        v: as there.
+        z: as there.
+        pressure: as there.
+        pressed: as there.
+        depths: (n, nl) written: below 0 short of a limit.
+        out: (n, nl) written.
+    """
+    w = np.zeros(WORK_ROWS * LANES)
+    for l in range(LANES):  # noqa: E741
+        prepare_lane(parameters, w, l)
+    for begin in range(0, len(q), LANES):
+        here = min(LANES, len(q) - begin)
+        put_states(w, begin, here, q, v, z, pressure, pressed)
+        lane_depths(w)
+        lane_stops(w)
+        for l in range(here):  # noqa: E741
+            for i in range(N_LIMITS):
+                depths[begin + l, i] = w[(ROW_DEPTHS + i) * LANES + l]
+                out[begin + l, i] = w[(ROW_GAPS + i) * LANES + l]

@@ -13,27 +13,41 @@ from numba import njit
 from numpy.typing import NDArray
 
 from equimus_ctrl.engines.lane_functions import (
+    BOUNDED,
     LANES,
     N_ACTUATORS,
     N_JOINTS,
+    N_LIMITS,
     N_STATES,
+    QUICK_INSIDE,
     ROW_BEGIN,
+    ROW_DEPTHS,
+    ROW_DT,
     ROW_END,
     ROW_FROM,
     ROW_GAPS,
+    ROW_GRIP,
+    ROW_MEAN,
     ROW_PART,
     ROW_PRESSED,
     ROW_PRESSURE,
     ROW_QUICK,
     ROW_RATE,
+    ROW_SLOPE,
     ROW_START,
     ROW_SUM,
     ROW_X,
+    SHORT,
+    SOFT_LIMITS,
+    lane_depths,
+    lane_gaps,
+    lane_grips,
+    lane_keep,
     lane_motion,
     lane_quickness,
-    lane_stops,
+    lane_whole_step,
 )
-from equimus_ctrl.engines.limits import MOST_DIVISOR, PRESSED
+from equimus_ctrl.engines.limits import MOST_DIVISOR, NOTHING, PRESSED
 from equimus_ctrl.types import Array
 
 N_STATE = 2 * N_JOINTS + N_STATES
@@ -46,8 +60,6 @@ SHARPNESS = 1e-11
 """Share of a step to within which the instant is found at which a stop changes."""
 ROUNDING = 1e-12
 """A share of a step that is no longer left."""
-NOTHING = 1e-100
-"""Angles and rates smaller than this are none."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -58,11 +70,71 @@ def copy_rows(w: Array, source: int, target: int, rows: int) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def beyond_limits(w: Array) -> bool:
+    """Whether a coordinate is beyond its limit in any lane: what is not cannot be pressed."""
+    if N_LIMITS == 0:
+        return False
+    lane_depths(w)
+    deepest = -1.0
+    for i in range(N_LIMITS * LANES):
+        depth = w[ROW_DEPTHS * LANES + i]
+        deepest = depth if depth > deepest else deepest
+    return deepest > 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def anything_pressed(w: Array) -> bool:
+    """Whether a limit is pressed in any lane."""
+    pressed = 0.0
+    for i in range(N_LIMITS * LANES):
+        pressed += w[ROW_PRESSED * LANES + i]
+    return pressed > 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def grip_limits(w: Array) -> None:
+    """Write what the pressed limits do in the state in ROW_X."""
+    if anything_pressed(w):
+        lane_grips(w)
+    else:
+        for i in range(2 * N_LIMITS * LANES):
+            w[ROW_GRIP * LANES + i] = 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lane_stops(w: Array) -> None:
+    """From state, pressure, friction and pressed limits: ROW_GAPS, above 0 where a limit would be pressed."""
+    if SOFT_LIMITS:
+        grip_limits(w)
+        lane_motion(w)
+    lane_gaps(w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def press_as_asked(w: Array) -> None:
-    """Let those stops be pressed that the state asks for."""
+    """Let those limits be pressed that the state asks for, each as if by itself."""
+    for i in range(N_LIMITS * LANES):
+        w[ROW_PRESSED * LANES + i] = 0.0
+    if not beyond_limits(w):
+        return
     lane_stops(w)
-    for i in range(2 * N_JOINTS * LANES):
+    for i in range(N_LIMITS * LANES):
         w[ROW_PRESSED * LANES + i] = 1.0 if w[ROW_GAPS * LANES + i] > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance_at_once(w: Array, drive: Array, dt: float) -> None:
+    """``advance`` with nothing pressed, of a robot whose whole step is one function."""
+    for i in range(N_ACTUATORS):
+        for l in range(LANES):  # noqa: E741
+            mean, slope = drive[0, i * LANES + l], drive[1, i * LANES + l]
+            end = w[ROW_FROM * LANES + l] + w[ROW_PART * LANES + l] - 0.5
+            w[(ROW_MEAN + i) * LANES + l], w[(ROW_SLOPE + i) * LANES + l] = mean, slope
+            w[(ROW_PRESSURE + i) * LANES + l] = mean + end * slope
+    for l in range(LANES):  # noqa: E741
+        w[ROW_DT * LANES + l] = dt
+    grip_limits(w)
+    lane_whole_step(w)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -75,6 +147,9 @@ def advance(w: Array, drive: Array, dt: float, follow: bool) -> None:
         dt: the grid's step [s].
         follow: whether stops follow the state within the step; those pressed are held else.
     """
+    if SHORT and not follow and not anything_pressed(w):
+        advance_at_once(w, drive, dt)
+        return
     copy_rows(w, ROW_START, ROW_X, N_STATE)
     for i in range(N_STATE * LANES):
         w[ROW_SUM * LANES + i] = 0.0
@@ -87,6 +162,7 @@ def advance(w: Array, drive: Array, dt: float, follow: bool) -> None:
         if follow:
             press_as_asked(w)
         copy_rows(w, ROW_X + N_JOINTS, ROW_RATE, N_JOINTS)
+        grip_limits(w)
         lane_motion(w)
         weight = 1.0 if stage == 0 or stage == 3 else 2.0
         h = 0.5 * dt if stage < 2 else dt
@@ -99,25 +175,17 @@ def advance(w: Array, drive: Array, dt: float, follow: bool) -> None:
         for l in range(LANES):  # noqa: E741
             change = dt / 6.0 * w[ROW_PART * LANES + l] * w[(ROW_SUM + i) * LANES + l]
             reached = w[(ROW_START + i) * LANES + l] + change
-            # Processors are many times slower with the denormal numbers that speeds at rest decay into.
             w[(ROW_X + i) * LANES + l] = 0.0 if abs(reached) < NOTHING else reached
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def anything_pressed(w: Array) -> bool:
-    """Whether a stop is pressed in any lane."""
-    pressed = 0.0
-    for i in range(2 * N_JOINTS * LANES):
-        pressed += w[ROW_PRESSED * LANES + i]
-    return pressed > 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def stops_change(w: Array) -> bool:
-    """Whether any lane's state asks for other stops to be pressed than those held; writes ROW_GAPS."""
+    """Whether any lane's state asks for other limits to be pressed than those held; then it writes ROW_GAPS."""
+    if not (beyond_limits(w) or anything_pressed(w)):
+        return False
     lane_stops(w)
     worst = 0.0
-    for i in range(2 * N_JOINTS * LANES):
+    for i in range(N_LIMITS * LANES):
         asked = (1.0 - 2.0 * w[ROW_PRESSED * LANES + i]) * w[ROW_GAPS * LANES + i]
         worst = asked if asked > worst else worst
     return worst > 0.0
@@ -137,10 +205,10 @@ def limit_parts(w: Array, dt: float) -> bool:
     for l in range(LANES):  # noqa: E741
         left = 1.0 - w[ROW_FROM * LANES + l]
         pressed = 0.0
-        for r in range(2 * N_JOINTS):
+        for r in range(N_LIMITS):
             pressed += w[(ROW_PRESSED + r) * LANES + l]
         wanted = w[ROW_QUICK * LANES + l] * dt * left / PRESSED
-        if pressed > 0.0 and wanted > 1.0:
+        if (QUICK_INSIDE or pressed > 0.0) and wanted > 1.0:
             left /= min(math.ceil(wanted), MOST_DIVISOR)
             limited = True
         w[ROW_PART * LANES + l] = left
@@ -162,7 +230,7 @@ def find_changes(w: Array, drive: Array, dt: float, side: NDArray[np.int64], all
         allowed: (LANES,) whether a lane's step may still be cut.
     """
     left, right, at_left, at_right = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
-    last = w[ROW_GAPS * LANES : (ROW_GAPS + 2 * N_JOINTS) * LANES].copy()
+    last = w[ROW_GAPS * LANES : (ROW_GAPS + N_LIMITS) * LANES].copy()
     copy_rows(w, ROW_X, ROW_END, N_STATE)
     copy_rows(w, ROW_START, ROW_X, N_STATE)
     lane_stops(w)
@@ -170,7 +238,7 @@ def find_changes(w: Array, drive: Array, dt: float, side: NDArray[np.int64], all
     for l in range(LANES):  # noqa: E741
         side[l] = -1
         soonest = 2.0
-        for r in range(2 * N_JOINTS):
+        for r in range(N_LIMITS):
             sign = 1.0 - 2.0 * w[(ROW_PRESSED + r) * LANES + l]
             before, after = sign * w[(ROW_GAPS + r) * LANES + l], sign * last[r * LANES + l]
             if after > 0.0 and allowed[l]:
@@ -271,7 +339,9 @@ def step(w: Array, drive: Array, dt: float) -> None:
     copy_rows(w, ROW_X, ROW_START, N_STATE)
     for l in range(LANES):  # noqa: E741
         w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
-    limited = anything_pressed(w) and limit_parts(w, dt)
+    limited = (QUICK_INSIDE or anything_pressed(w)) and limit_parts(w, dt)
     advance(w, drive, dt, False)
     if limited or stops_change(w):
         finish_step(w, drive, dt)
+    if BOUNDED:
+        lane_keep(w)

@@ -13,3 +13,7 @@ PRESSED = 2.4
 
 MOST_DIVISOR = 16
 """Steps are not made shorter than by this: a robot that asks for more is no robot, and may diverge."""
+
+NOTHING = 1e-100
+"""Angles and rates smaller than this are none: processors are many times slower with the denormal numbers that speeds
+at rest decay into."""

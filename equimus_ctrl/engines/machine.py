@@ -28,9 +28,9 @@ from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.machine import processors
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.machine_parts import harden, rotor_of
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.parts import harden, rotor_of
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
 
 SETTLED = 10.0
@@ -71,7 +71,7 @@ class Realised:
         sensor: (nj, 4).
     """
 
-    machine: Machine
+    machine: MjcfRobot
     mujoco: Any
     effects: tuple[Effect, ...]
     places: NDArray[np.int64]
@@ -90,8 +90,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         trial: in which some numbers are known to be others.
         dt: another physics step than the XML's [s].
     """
-    given = machine_of(model)
-    assert given is not None
+    given = mjcf_of(model.robot)
     settings: dict[str, float] = {}
     if trial is not None and (trial.settings or trial.factors):
         known = given.parameters()
@@ -112,7 +111,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
             harden(own, dofs[effect.location])
     valve = valve_settings(model.effects, machine.actuator_names)
     # The XML's own delays are exact with any step, as those of effects are, and know the command before a recording.
-    valve[:, DELAY] += own.actuator_delay
+    valve[:, DELAY] += own.actuator_delay[[drive.index for drive in machine.actuators]]
     own.actuator_delay[:] = 0.0
     names = machine.joint_names
     turning = [(own.joint(rotor_of(c.joint)), names.index(c.joint)) for c in machine.compliances]
@@ -244,16 +243,17 @@ def filled(own: Realised, trial: Trial) -> Array:
     first = commands_on(own, replace(early, start=early.start - dt, sample_times=np.array([early.start])))
     rows = np.concatenate([first, commands_on(own, early)]) if lead > 0 else first
     for drive in drives:
-        if model.actuator_ctrllimited[drive.index]:
-            rows[:, drive.index] = np.clip(rows[:, drive.index], *model.actuator_ctrlrange[drive.index])
+        k = drive.control
+        if model.actuator_ctrllimited[k]:
+            rows[:, k] = np.clip(rows[:, k], *model.actuator_ctrlrange[k])
     lags = valve_settings((), own.machine.actuator_names)
     for drive in drives:
-        lags[drive.index, [FILL, VENT]] = model.actuator_dynprm[drive.index, 0]
+        lags[drive.control, [FILL, VENT]] = model.actuator_dynprm[drive.index, 0]
     found = np.empty((1, 2, rows.shape[1]))
     times = early.start + dt * np.arange(-1, len(rows) - 1)
     pressure_history(times, rows, rows[0].copy(), lags, trial.start, AT_ONCE, found)
     for drive in drives:
-        out[drive.state] = found[0, 0, drive.index]
+        out[drive.state] = found[0, 0, drive.control]
     return out
 
 
@@ -275,6 +275,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array |
     for q, v, joint in own.rotors:
         data.qpos[q], data.qvel[v] = start[joint], start[nj + joint]
     data.act[:] = filled(own, trial)
+    _integrate_from_here(model, data)
     dt = float(model.opt.timestep)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     sound = kernel.run_machine(
@@ -283,6 +284,15 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array |
         data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt, out_q, out_v,
     )  # fmt: skip
     return Course(trial.start, dt, out_q, out_v, ctrl, int(sound))
+
+
+def _integrate_from_here(model: Any, data: Any) -> None:
+    """Let integrators of commands begin where their actuators are."""
+    chosen = np.flatnonzero(model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
+    if len(chosen):
+        mujoco.mj_fwdPosition(model, data)
+        for i in chosen:
+            data.act[model.actuator_actadr[i]] = data.actuator_length[model.actuator_outadr[i]]
 
 
 def _rests(own: Realised, position: Array) -> Array:
@@ -338,9 +348,7 @@ def simulate_machines(
     """
     if dt is not None and not 0 < dt < float("inf"):
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
-    first = machine_of(models[0])
-    assert first is not None
-    nj, k = len(first.joints), len(models)
+    nj, k = len(models[0].robot.joint_names), len(models)
     results = [Predicted(np.empty((k, len(t.sample_times), nj)), np.zeros(k, dtype=np.int64)) for t in trials]
     histories: dict[tuple[int, tuple[Effect, ...], bytes, float], Array] = {}
     count = max(threads or processors(), 1)
@@ -403,6 +411,7 @@ def pushes(own: Realised, position: Array, velocity: Array, command: Array) -> t
     """
     model, data = own.mujoco, _scratch.data(own.mujoco)
     drives, weights = np.empty((len(position), model.nu)), np.empty(position.shape)
+    which = [drive.index for drive in own.machine.actuators]
     for k in range(len(position)):
         data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = position[k], velocity[k]
         for q, v, joint in own.rotors:
@@ -410,8 +419,8 @@ def pushes(own: Realised, position: Array, velocity: Array, command: Array) -> t
         data.ctrl[:] = command[k]
         for drive in own.machine.actuators:
             if drive.state is not None:
-                data.act[drive.state] = command[k, drive.index]
+                data.act[drive.state] = command[k, drive.control]
         mujoco.mj_forward(model, data)
-        drives[k] = data.actuator_force
+        drives[k] = data.actuator_force[which]
         weights[k] = data.qfrc_bias[own.places[:, 1]]
     return drives, weights

@@ -120,7 +120,7 @@ def machine_motion(model: Model, trial: Trial, start: Array) -> Motion:
     names = own.machine.joint_names
     gear = np.zeros((len(own.machine.actuators), len(names)))
     for i, drive in enumerate(own.machine.actuators):
-        gear[i, names.index(drive.joint)] = own.mujoco.actuator_gear[drive.index, 0]
+        gear[i, names.index(drive.joint)] = own.mujoco.actuator_gear[own.mujoco.actuator_outadr[drive.index], 0]
     times = np.asarray(trial.sample_times)
     edges = np.vstack([np.zeros_like(course.ctrl[:1]), np.cumsum(course.ctrl, axis=0) * course.dt])
     grid = course.start + course.dt * np.arange(len(edges))
@@ -148,6 +148,8 @@ def _inner(course: Course, gear: Array, times: Array, command: Array) -> Inner:
         position @ gear.T,
         velocity @ gear.T,
         arm,
+        position,
+        velocity,
         np.empty((len(times), 0)),
     )
 

@@ -1,7 +1,7 @@
 """What the generator writes for each robot structure; the kernels are written against these signatures.
 
 Angles, velocities, forces and lengths travel as tuples of floats, so that nothing is allocated in a loop; ``c`` is
-the array that ``prepare`` makes from the parameter vector (``models.morphology.pack``).
+the array that ``prepare`` makes from the parameter vector (``robots.elastic.morphology.pack``).
 """
 
 from __future__ import annotations

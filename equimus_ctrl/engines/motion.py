@@ -10,17 +10,13 @@ from typing import cast
 import casadi as ca
 import numpy as np
 
-from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.effects.sensors import hermite
-from equimus_ctrl.effects.valves import shaped_commands
-from equimus_ctrl.engines import compiled
-from equimus_ctrl.engines.batch import STEP, Trial, encode
+from equimus_ctrl.engines.batch import STEP, Encoded, Trial, encode, first_activations, shaped_for
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Phase, pack, structure
 from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.robots.elastic.morphology import Phase
 from equimus_ctrl.types import Array
 
 hermite_arrays = cast("Callable[..., Array]", hermite.py_func)
@@ -33,12 +29,14 @@ class Inner:
 
     Attributes:
         time: (n,) [s].
-        position: (n, nj) of the true joints [rad].
-        velocity: (n, nj) [rad/s].
-        pressure: (n, na) behind the valves [Pa].
-        length: (n, na) of the actuators [m].
-        rate: (n, na) its derivative [m/s].
-        arm: (n, na, nj) ∂length/∂position [m/rad].
+        position: (n, nj) of the true joints [rad or m].
+        velocity: (n, nj) [rad/s or m/s].
+        pressure: (n, na) behind the valves [Pa], or what else the actuators' forces are made of.
+        length: (n, na) of the actuators [m], or of what they act along.
+        rate: (n, na) its derivative.
+        arm: (n, na, nj) ∂length/∂position.
+        coordinates: (n, nv) of the equations of motion, of which joints may be some.
+        rates: (n, nv) of those.
         state: (n, nz) the effects' states, as ``augmented_model`` with all laws has them.
     """
 
@@ -49,6 +47,8 @@ class Inner:
     length: Array
     rate: Array
     arm: Array
+    coordinates: Array
+    rates: Array
     state: Array
 
 
@@ -61,11 +61,13 @@ class Motion(Inner):
         start: when the motion starts [s].
         between: the motion in the middles of the m − 1 intervals between the samples, with the pressures' means over
             them, so that what is made of them counts a command's change by when it comes.
+        coded: what moved, where compiled equations of motion moved it.
     """
 
     name: str
     start: float
     between: Inner
+    coded: Encoded | None = None
 
 
 def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = STEP) -> Motion:
@@ -86,37 +88,39 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     times = np.asarray(trial.sample_times)
     if len(times) < 2:
         raise ConfigError(f"{trial.name}: has {len(times)} samples, too few to tell a motion; expected at least 2")
-    coded, names = encode([model]), model.morphology.actuator_names
-    nj = len(model.morphology.joints)
+    coded = encode([model], trial)
+    own, kernel = coded.mechanics[0], coded.kernel
+    nj, nv, na = len(own.joints), len(own.starts), len(own.channels)
     given = np.asarray(trial.position if start is None else start, dtype=np.float64)
     q0, v0 = given[:nj], np.zeros(nj) if trial.velocity is None else trial.velocity
     v0 = given[nj:] if len(given) > nj else v0
     steps = max(int(np.ceil((times[-1] - trial.start) / dt - 1e-9)), 1)
-    kernel = compiled.load_lanes(structure(model.morphology), model.phase, force_laws())
-    states, pressures = np.empty((steps + 1, kernel.N_STATE)), np.empty((steps, 2, len(names)))
-    shaped = shaped_commands(model.effects, names, np.vstack([trial.before, trial.commands]))
+    states, pressures = np.empty((steps + 1, kernel.N_STATE)), np.empty((steps, 2, na))
+    shaped = np.clip(shaped_for(model, trial), *coded.between[0])
     kernel.run_inner(
         coded.parameters,
         trial.times,
         shaped[None, 1:].copy(),
         shaped[:1].copy(),
         coded.valve,
-        q0[None, :].copy(),
-        np.array(v0)[None, :],
+        coded.follow,
+        first_activations(coded, slice(0, 1), trial, q0[None]),
+        q0[None, own.starts].copy(),
+        np.asarray(v0)[None, own.starts].copy(),
         coded.rubbing,
         trial.start,
         dt,
         states,
         pressures,
     )
-    if not np.all(np.abs(states[:, nj : 2 * nj]) < MAX_SPEED):
+    if not np.all(np.abs(states[:, nv : 2 * nv]) < MAX_SPEED):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
-    grid = _Grid(model, trial.start, dt, states, pressures)
+    grid = _Grid(coded, trial.start, dt, states, pressures)
     edges = grid.impulse(times)
     middles = (times[1:] + times[:-1]) / 2
     between = grid.at(middles, np.diff(edges, axis=0) / np.diff(times)[:, None])
     at = grid.at(times, grid.pressure(times))
-    return Motion(**vars(at), name=trial.name, start=float(trial.start), between=between)
+    return Motion(**vars(at), name=trial.name, start=float(trial.start), between=between, coded=coded)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,14 +128,14 @@ class _Grid:
     """A motion on its physics steps.
 
     Attributes:
-        model: what moved.
+        coded: what moved.
         start: of the grid [s].
         dt: of the grid [s].
         states: (steps + 1, 2 nj + nz) angles, velocities and effect states.
         pressures: (steps, 2, na) mean and slope over each step [Pa].
     """
 
-    model: Model
+    coded: Encoded
     start: float
     dt: float
     states: Array
@@ -158,22 +162,29 @@ class _Grid:
 
     def at(self, times: Array, pressure: Array) -> Inner:
         """The motion at some instants (n,) [s], with pressures (n, na) [Pa]."""
-        robot = changed_bodies(self.model.effects, self.model.morphology)
-        nj = len(robot.joints)
+        own = self.coded.mechanics[0]
+        nv = len(own.starts)
         step, share = self._places(times)
-        q, v, z = np.split(self.states, [nj, 2 * nj], axis=1)
+        q, v, z = np.split(self.states, [nv, 2 * nv], axis=1)
         position = hermite_arrays(q[step], v[step], q[step + 1], v[step + 1], self.dt, share)
         velocity = v[step] + share * (v[step + 1] - v[step])
         state = z[step] + share * (z[step + 1] - z[step])
-        geometry = _geometry(structure(robot), self.model.phase)
-        length, arm = (np.array(part) for part in geometry(position.T, pack(robot)))
-        arms = arm.reshape(len(arm), len(times), nj).transpose(1, 0, 2)
-        rate = np.einsum("naj,nj->na", arms, velocity)
-        return Inner(np.array(times), position, velocity, pressure, length.T, rate, arms, state)
+        geometry = _geometry(own.form, self.coded.models[0].phase)
+        length, arm = (np.array(part) for part in geometry(position.T, own.numbers))
+        arms = arm.reshape(len(arm), len(times), nv).transpose(1, 0, 2)
+        rate = np.einsum("nav,nv->na", arms, velocity)
+        # A drive that turns by itself stands for its joint.
+        joint_arms = np.zeros((len(times), len(length), len(own.joints)))
+        for k, joint in enumerate(own.starts):
+            joint_arms[:, :, joint] += arms[:, :, k]
+        return Inner(
+            np.array(times), position[:, own.joints], velocity[:, own.joints], pressure, length.T, rate, joint_arms,
+            position, velocity, state,
+        )  # fmt: skip
 
 
 @lru_cache(maxsize=32)
 def _geometry(form: Structure, phase: Phase) -> ca.Function:
-    """(q, p) → lengths (na,) and moment arms (na, nj)."""
+    """(q, p) → lengths (na,) and moment arms (na, nv)."""
     m = build(form, phase)
     return ca.Function("geometry", [m.q, m.p], [m.lengths, m.jacobian])

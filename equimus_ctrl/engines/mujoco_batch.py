@@ -25,7 +25,7 @@ from equimus_ctrl.models.mjcf import (
     element_slides,
     stop_tendon,
 )
-from equimus_ctrl.models.morphology import BASE, JointStop, Morphology, Phase, pack, structure
+from equimus_ctrl.robots.elastic.morphology import BASE, JointStop, Morphology, Phase, pack, structure
 from equimus_ctrl.types import Array
 
 FAST_SETTINGS = SolverSettings(timestep=1 / 120, integrator="RK4", softness=0.01)
@@ -42,7 +42,7 @@ MOST_FINER = 64
 FINE_NUMBERS = 2**23
 """So many recorded numbers at most are held of runs at shorter steps."""
 
-JOINT_NUMBERS, ACTUATOR_NUMBERS, FIRST_JOINT = 13, 9, 3  # the layout of models.morphology.pack
+JOINT_NUMBERS, ACTUATOR_NUMBERS, FIRST_JOINT = 13, 9, 3  # the layout of robots.elastic.morphology.pack
 
 Complex = NDArray[np.complex128]
 

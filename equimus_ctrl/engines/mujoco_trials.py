@@ -23,7 +23,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place, step_quietly
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
 MUJOCO_KINDS = (BodyEffect, ForceEffect, SensorEffect, ShapingEffect, ValveEffect)

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.sensors import LATE, SCALE, behind, sensor_settings
-from equimus_ctrl.engines.batch import STEP, Trial, simulate
-from equimus_ctrl.engines.machine import simulate_machines
-from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
-from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
+from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.engines.batch import STEP, Trial
+from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged, unknown_name
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Recording
 
-Engine = Literal["reduced", "mujoco"]
 MUJOCO_STEP = 1 / 480
 """Default physics step of a single prediction in MuJoCo [s]."""
 
 SLOPE_SPAN, SLOPE_SAMPLES = 0.1, 6
-"""Half the time over which angles and velocities are read off by a parabola [s]; of machines, in samples."""
+"""Half the time over which angles and velocities are read off by a parabola [s]; of less smooth motions in samples."""
 SET, TIMES = "set.", "times."
 """What notes begin with that give a number of the model for one recording, by itself or as a factor on it."""
 SETTLED_SPAN = 0.1
@@ -47,30 +45,30 @@ def slope_span(model: Model, recording: Recording) -> float:
 
     A robot that a motor drives changes its speed within a tenth of a second.
     """
-    if machine_of(model) is None:
+    if model.robot.traits.smooth_motion:
         return SLOPE_SPAN
     return SLOPE_SAMPLES * float(np.median(np.diff(recording.time)))
 
 
 def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
-    """What a recording's notes say of numbers of a machine: ``set.servo.kp = 3.2``, or ``times.servo.kp = 2``.
+    """What a recording's notes say of a robot's parameters: ``set.servo.kp = 3.2``, or ``times.servo.kp = 2``.
 
     Raises:
         ConfigError: where there is no such number, or the value is none.
     """
-    machine, found = machine_of(model), {}
+    robot, found = model.robot, {}
     for key, text in recording.notes.items():
         if not key.startswith(prefix):
             continue
         name = key.removeprefix(prefix)
-        if machine is None:
+        if not robot.traits.notes_set_parameters:
             raise ConfigError(f"{recording.name}: note {key!r} is for robots from MuJoCo's XML alone")
-        if not machine.has_parameters([name]):
-            raise ConfigError(unknown_name("parameter", name, machine.parameters(), f"{recording.name}: note {key}"))
+        if not robot.has_parameters([name]):
+            raise ConfigError(unknown_name("parameter", name, robot.parameters(), f"{recording.name}: note {key}"))
         try:
             found[name] = float(text)
-            factor = 1.0 if prefix == SET else machine.parameters()[name]
-            machine.with_parameters({name: found[name] * factor})
+            factor = 1.0 if prefix == SET else robot.parameters()[name]
+            robot.with_parameters({name: found[name] * factor})
         except ValueError:
             what = "a number" if prefix == SET else "a factor"
             raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected {what}") from None
@@ -101,20 +99,20 @@ def modelled_start(model: Model, recording: Recording) -> Array:
 
 def behind_sensors(models: Sequence[Model], shown: Array) -> Array:
     """(k, nj) angles, or (k, 2 nj) angles and velocities, behind what each model's sensors show (of the same shape)."""
-    nj = len(models[0].morphology.joints)
+    nj = len(models[0].robot.joint_names)
     found = np.array(shown)
     for row, model in zip(found, models, strict=True):
-        sensor = sensor_settings(model.effects, model.morphology.joint_names)
+        sensor = sensor_settings(model.effects, model.robot.joint_names)
         row[:nj] = behind(sensor, row[:nj])
         row[nj:] /= sensor[: len(row) - nj, SCALE]
-        if len(row) > nj and machine_of(model) is not None:
+        if len(row) > nj and not model.robot.traits.starts_at_rest:
             row[:nj] += row[nj:] * sensor[:, LATE]  # it has moved on since
     return found
 
 
 def check_columns(model: Model, recording: Recording) -> None:
     """Raise ConfigError unless the recording's joints and actuators are the model's, in its order."""
-    m = model.morphology
+    m = model.robot
     if (recording.joints, recording.actuators) != (m.joint_names, m.actuator_names):
         raise ConfigError(
             f"{recording.name}: has joints {', '.join(recording.joints)} and actuators "
@@ -127,7 +125,7 @@ def predict(
     model: Model,
     recording: Recording,
     *,
-    engine: Engine = "reduced",
+    engine: EngineName | None = None,
     start: Array | None = None,
     dt: float | None = None,
 ) -> Array:
@@ -136,10 +134,10 @@ def predict(
     Args:
         model: what is simulated.
         recording: whose commands and times.
-        engine: ``"reduced"`` (exact Lagrangian, compiled) or ``"mujoco"`` (3-2-1 elements); no matter for machines,
-            which MuJoCo simulates.
-        start: (nj,) first angles [rad]; by default those that the model's sensors show as the measured start. Of
-            machines also (2 nj,) angles and velocities, by default those measured.
+        engine: ``"reduced"`` (compiled equations of motion) or ``"mujoco"``; by default what suits the robot, see
+            ``engines.choice.engine_for``.
+        start: (nj,) first angles [rad]; by default those that the model's sensors show as the measured start. Of a
+            robot that need not start at rest also (2 nj,) angles and velocities, by default those measured.
         dt: physics step [s]; by default 1 ms (reduced) or 1/480 s (MuJoCo), divided for quick robots.
 
     Raises:
@@ -147,10 +145,10 @@ def predict(
         SimulationDiverged: where the simulation does.
     """
     check_columns(model, recording)
-    if engine not in get_args(Engine):
-        raise ConfigError(unknown_name("engine", engine, get_args(Engine)))
-    if machine_of(model) is not None:
-        return _predict_machine(model, recording, start, dt)
+    if engine is not None and engine not in get_args(EngineName):
+        raise ConfigError(unknown_name("engine", engine, get_args(EngineName)))
+    if not model.robot.traits.starts_at_rest:
+        return _predict_moving(model, recording, start, engine, dt)
     q0 = modelled_start(model, recording) if start is None else np.asarray(start, dtype=np.float64)
     if q0.shape != (len(recording.joints),) or not np.all(np.isfinite(q0)):
         raise ConfigError(
@@ -160,22 +158,16 @@ def predict(
     if dt is not None and not 0 < dt < float("inf"):
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
     trial = Trial.of(recording, q0)
-    usual = MUJOCO_STEP if engine == "mujoco" else STEP
-    step = dt or usual / step_divisor(changed_bodies(model.effects, model.morphology), model.phase, [q0], usual)
-    if engine == "mujoco":
-        settings = replace(FAST_SETTINGS, timestep=step)
-        found = simulate_mujoco([model], [trial], settings=settings, threads=1)[0]
-    else:
-        found = simulate([model], [trial], dt=step, threads=1)[0]
-    out, reached = found.position[0], int(found.reached[0])
-    if reached < len(out):
-        raise SimulationDiverged(
-            f"{recording.name}: the simulation of {model.name} diverged at {recording.time[reached]:.3f} s"
-        )
-    return np.asarray(out)
+    step = dt
+    if step is None:
+        usual = MUJOCO_STEP if engine == "mujoco" else STEP
+        step = usual / step_divisor(changed_bodies(model.effects, model.morphology), model.phase, [q0], usual)
+    return _followed(model, recording, trial, np.concatenate([q0, np.zeros(len(q0))]), engine, step)
 
 
-def _predict_machine(model: Model, recording: Recording, start: Array | None, dt: float | None) -> Array:
+def _predict_moving(
+    model: Model, recording: Recording, start: Array | None, engine: EngineName | None, dt: float | None
+) -> Array:
     nj = len(recording.joints)
     if start is None:
         shown = np.concatenate(local_motion(recording, float(recording.time[0]), slope_span(model, recording)))
@@ -193,7 +185,15 @@ def _predict_machine(model: Model, recording: Recording, start: Array | None, dt
         settings=noted(model, recording, SET),
         factors=noted(model, recording, TIMES),
     )
-    found = simulate_machines([model], [trial], starts=[begin[None, :]], dt=dt, threads=1)[0]
+    return _followed(model, recording, trial, begin, engine, dt)
+
+
+def _followed(
+    model: Model, recording: Recording, trial: Trial, start: Array, engine: EngineName | None, dt: float | None
+) -> Array:
+    found = engine_for(model, engine, dt, [recording.position]).simulate([model], [trial], [start[None, :]], threads=1)[
+        0
+    ]
     reached = int(found.reached[0])
     if reached < len(recording.time):
         raise SimulationDiverged(

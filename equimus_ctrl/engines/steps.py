@@ -10,7 +10,7 @@ import numpy as np
 
 from equimus_ctrl.engines.limits import FOLLOWED, MOST_DIVISOR, PRESSED
 from equimus_ctrl.models.linear import fastest_rates
-from equimus_ctrl.models.morphology import Morphology, Phase
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.types import Array
 
 STABLE = 2.78

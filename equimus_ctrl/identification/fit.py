@@ -157,7 +157,8 @@ def fit(
     """
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
-        problem = Problem(parameters, segments, simulator or simulator_for(parameters.model), noise, coarse)
+        simulator = simulator or simulator_for(parameters.model, [s.measured for s in segments])
+        problem = Problem(parameters, segments, simulator, noise, coarse)
         return _fit(problem, settings or FitSettings(), begin, earlier, notify)
 
 
@@ -188,7 +189,8 @@ def _fit(
         slopes = problem.slopes(point, earlier.derivatives)
     weights = np.zeros(p)
     damping, converged = 1e-2, False
-    around = DAMPINGS if problem.side_by_side else ONE_BY_ONE
+    together = problem.simulator.engine.batched
+    around = DAMPINGS if together else ONE_BY_ONE
     for _ in range(settings.steps):
         slopes = slopes or problem.slopes(point)
         weights = np.maximum(weights, np.linalg.norm(slopes.factor, axis=0))
@@ -197,7 +199,7 @@ def _fit(
         thetas = [parameters.moved(point.theta, parameters.scale * c) for c in changes]
         starts = [problem.moved_starts(point, slopes, c) for c in changes]
         tried: list[Point] = []
-        for part in [slice(None)] if problem.side_by_side else [slice(k, k + 1) for k in range(len(dampings))]:
+        for part in [slice(None)] if together else [slice(k, k + 1) for k in range(len(dampings))]:
             tried += problem.points(thetas[part], starts[part])
             if tried[-1].cost < point.cost:
                 break
@@ -213,8 +215,8 @@ def _fit(
             converged = True
             break
     spread = parameters.high - parameters.low
-    if not problem.side_by_side:
-        spread = np.minimum(spread, parameters.scale)  # what bounds hold of machines of any size lies far apart
+    if parameters.model.robot.traits.bounds_of_any_size:
+        spread = np.minimum(spread, parameters.scale)
     low, high = point.theta - parameters.low < 1e-6 * spread, parameters.high - point.theta < 1e-6 * spread
 
     def derive() -> Derivatives:
@@ -269,7 +271,7 @@ def _begins_where(problem: Problem, point: Point, other: Fit) -> bool:
     """Whether derivatives at the end of another fit are those at a point, and worth keeping."""
     own = other.problem
     return (
-        not problem.side_by_side
+        not problem.simulator.engine.batched
         and (problem.coarse or problem.simulator) is (own.coarse or own.simulator)
         and problem.parameters.names == other.parameters.names
         and len(problem.segments) == len(own.segments)

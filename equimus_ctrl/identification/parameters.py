@@ -10,19 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError, unknown_name
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
-
-DEFAULT_KINDS = ("stiffness", "area", "rest_length", "damping")
-"""What an actuator's bench values tell least: free by default, with the joints' damping."""
-
-_FACTOR = {"stiffness": 3.0, "area": 3.0, "mass": 3.0, "inertia": 3.0, "damping": 10.0}
-_SHARE = {"rest_length": 0.3, "radius": 0.3, "length": 0.1, "com": 0.5, "gravity": 0.02}
-_AWAY = {"angle": 0.3, "tilt": 0.3, "com": 0.1, "damping": 1.0, "stiffness": 100.0, "base_mass": 1.0}
-_UNIT = {
-    "area": "m²", "rest_length": "m", "mass": "kg", "base_mass": "kg", "com": "m", "inertia": "kg·m²", "length": "m",
-    "radius": "m", "angle": "rad", "tilt": "rad", "gravity": "m/s²", "command_low": "Pa", "command_high": "Pa",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -125,39 +114,20 @@ class FreeParameters:
 
 def unit_of(model: Model, name: str) -> str:
     """The SI unit of a model's parameter."""
-    parts = name.split(".")
-    machine = machine_of(model)
     if found := model.effect_parameters().get(name):
         effect, key = found
         return place_unit(model, str(effect.parameter_info()[key]["unit"]), effect.location)
-    if machine is not None:
-        return machine.unit(name)
-    if parts[-1] in _UNIT:
-        return _UNIT[parts[-1]]
-    turning = parts[0] in model.morphology.joint_names
-    return {"stiffness": ("N/m", "N·m/rad"), "damping": ("N·s/m", "N·m·s/rad")}[parts[-1]][turning]
+    return model.robot.unit(name)
 
 
 def place_unit(model: Model, unit: str, place: str) -> str:
     """The unit of an effect's parameter at a place, see ``effects.base.parameter``: joints and actuators may differ."""
-    joint, _, actuator = unit.partition(" | ")
-    machine = machine_of(model)
-    if machine is not None:
-        return machine.turned(joint, place)
-    return joint if place in model.morphology.joint_names or not actuator else actuator
+    return model.robot.place_unit(unit, place)
 
 
 def default_names(model: Model) -> list[str]:
-    """What is least known: of a machine see ``Machine.default_names``, and all of the effects.
-
-    Of a morphology stiffness, area, rest length and damping of every actuator and damping of every joint.
-    """
-    m, machine = model.morphology, machine_of(model)
-    if machine is not None:
-        return [*machine.default_names(), *model.effect_parameters()]
-    names = [f"{a.name}.{key}" for key in DEFAULT_KINDS for a in m.actuators]
-    names += [f"{joint.name}.damping" for joint in m.joints]
-    return names + [name for name in model.parameters() if name not in m.parameters()]
+    """What is least known: see ``Robot.default_names``; and all parameters of the effects."""
+    return [*model.robot.default_names(), *model.effect_parameters()]
 
 
 def matching(model: Model, patterns: Sequence[str]) -> list[str]:
@@ -180,17 +150,8 @@ def default_bounds(model: Model, name: str) -> tuple[float, float]:
     """How far a number of this kind is believed to be off at most."""
     if found := model.effect_parameters().get(name):
         effect, key = found
-        return effect.bounds(key, model.morphology)
-    if (machine := machine_of(model)) is not None:
-        return machine.bounds(name)
-    value, kind = model.parameters()[name], name.split(".")[-1]
-    if kind in _FACTOR and value > 0:
-        return value / _FACTOR[kind], value * _FACTOR[kind]
-    if kind in _SHARE and value > 0:
-        return value * (1 - _SHARE[kind]), value * (1 + _SHARE[kind])
-    away = _AWAY.get(kind, max(abs(value), 1.0))
-    least = 0.0 if kind in _FACTOR else -math.inf
-    return max(value - away, least), value + away
+        return effect.bounds(key, model.robot)
+    return model.robot.bounds(name)
 
 
 def free_parameters(
@@ -220,15 +181,13 @@ def free_parameters(
     for name in bounds:
         if name not in chosen:
             raise ConfigError(unknown_name("free parameter", name, chosen, "bounds"))
-    values = model.parameters()
+    values, robot = model.parameters(), model.robot
     free = []
     for name in chosen:
         low, high = bounds.get(name) or default_bounds(model, name)
-        own = machine_of(model)
-        if own is not None and low < 0 and own.has_parameters([name]) and own.positive(name):
+        own = robot.has_parameters([name])
+        if own and low < 0 and robot.positive(name):
             raise ConfigError(f"bounds of {name} are {low:g} to {high:g}, expected at least 0")
-        size = None
-        if (machine := machine_of(model)) is not None and values[name] == 0 and machine.has_parameters([name]):
-            size = machine.size(name)
+        size = robot.size(name) if own and values[name] == 0 else None
         free.append(FreeParameter(name, values[name], float(low), float(high), unit_of(model, name), size=size))
     return FreeParameters(model, tuple(free))

@@ -13,7 +13,6 @@ from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.residuals import FARTHEST, START_DIFFERENCE, residual_of
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
-from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.types import Array
 
 DIFFERENCE = 1e-5
@@ -76,7 +75,6 @@ class Problem:
         self.simulator = simulator
         self.noise = noise
         self.evaluations = 0
-        self.side_by_side = machine_of(parameters.model) is None
 
     def whitened(self, segment: Segment, values: Array) -> Array:
         """Residuals or derivatives (m, nj, ...) of a segment as they count."""
@@ -173,8 +171,8 @@ class Problem:
         p, most = len(scale), max(s.free_start for s in self.segments)
         base = self.parameters.model_at(point.theta)
         moved = [self.parameters.model_at(point.theta + steps * unit) for unit in np.eye(p)]
-        # Side by side the base costs nothing and has its neighbours' rounding; else it may be known already.
-        first = int(self.side_by_side or self.coarse is not None)
+        # In a batch the base costs nothing and has its neighbours' rounding; else it may be known already.
+        first = int(self.simulator.engine.batched or self.coarse is not None)
         models = [*[base] * first, *moved, *([base] * most)]
         starts = []
         for segment, start in zip(self.segments, point.starts, strict=True):

@@ -9,7 +9,7 @@ import numpy as np
 from equimus_ctrl.engines.batch import Predicted
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 DIVERGED = 3.0
@@ -19,7 +19,7 @@ FARTHEST = float(np.nextafter(DIVERGED, 0.0))
 START_DIFFERENCE = 1e-5
 """Step of the finite differences for angles [rad] and velocities [rad/s] at a start."""
 STARTS = 3
-"""So often the start of a machine's trial is improved where its model is judged."""
+"""So often the start of a trial that begins in motion is improved where a model is judged."""
 
 
 def joint_rmse(residuals: Sequence[Array]) -> Array:
@@ -38,14 +38,14 @@ def residual_of(segment: Segment, found: Predicted, index: int) -> Array:
 def residuals_of(model: Model, segments: Sequence[Segment], simulator: Simulator) -> list[Array]:
     """For each segment (m, nj) measured − predicted from its measured start [rad]; DIVERGED where there is none.
 
-    Of machines, which do not start at rest, from the start that fits best.
+    Of robots that need not start at rest, from the start that fits best.
     """
     if not segments:
         return []
     starts = [s.start for s in segments]
     found = simulator([model], segments, [start[None, :] for start in starts])
     residuals = [residual_of(s, f, 0) for s, f in zip(segments, found, strict=True)]
-    if machine_of(model) is None:
+    if model.robot.traits.starts_at_rest:
         return residuals
     for _ in range(STARTS):
         starts, residuals = _better_starts(model, segments, simulator, starts, residuals)

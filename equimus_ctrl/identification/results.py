@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.crosscheck import CrossCheck
 from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.parameters import FreeParameters
@@ -65,15 +66,16 @@ class Identified:
     recordings: tuple[Recording, ...]
     check: CrossCheck | None
     heldout: tuple[Judged, ...]
-    engine: str
+    engine: Engine
     seconds: float
     check_seconds: float
 
     def to_dict(self) -> dict[str, Any]:
         """For machines; angles in rad, and null where an interval has no end."""
-        found, joints = self.fit, self.fit.model.morphology.joint_names
+        found, joints = self.fit, self.fit.model.robot.joint_names
         data: dict[str, Any] = {
-            "engine": self.engine,
+            "engine": self.engine.name,
+            "engine_reason": self.engine.reason,
             "trials": [r.name for r in self.recordings],
             "samples": int(sum(len(r) for r in found.residuals)),
             "converged": found.converged,

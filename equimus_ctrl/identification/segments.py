@@ -24,7 +24,7 @@ from equimus_ctrl.engines.predict import (
     slope_span,
 )
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
@@ -77,14 +77,15 @@ def cut(
         model: whose names the recordings must have.
         recordings: what was measured.
         window: (from, to) what is compared [s]; all of it by default. The motion starts with the recording.
-        shoot: cut what is compared into windows of this length, each from its own free angles and velocities [s]. A
-            machine does not start at rest: without windows each of its trials is one.
+        shoot: cut what is compared into windows of this length, each from its own free angles and velocities [s]. Of
+            a robot that need not start at rest each whole trial is one by default.
         fit_start: let each recording's first angles be free.
 
     Raises:
         ConfigError: where names do not match, or a recording or a shooting window is too short to identify from.
     """
-    if shoot is not None and not (0.05 <= shoot < math.inf or (shoot == math.inf and machine_of(model) is not None)):
+    at_rest = model.robot.traits.starts_at_rest
+    if shoot is not None and not (0.05 <= shoot < math.inf or (shoot == math.inf and not at_rest)):
         raise ConfigError(f"shooting windows of {shoot:g} s are too short, expected at least 0.05 s")
     segments = []
     for index, recording in enumerate(recordings):
@@ -97,7 +98,7 @@ def cut(
                 f"{recording.name}: has {np.count_nonzero(inside)} samples between {low:g} and {high:g} s, too few to "
                 f"identify from; expected at least {LEAST_SAMPLES} (it lasts from {time[0]:g} to {time[-1]:g} s)"
             )
-        if shoot is None and machine_of(model) is None:
+        if shoot is None and at_rest:
             whole = Trial.of(recording, modelled_start(model, recording))
             start = np.concatenate([measured_start(recording), np.zeros(len(recording.joints))])
             trial = _sampled(whole, np.array(time[inside]))
@@ -116,7 +117,7 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
-    span, trust = slope_span(model, recording), 1.0 if machine_of(model) is None else LITTLE
+    span, trust = slope_span(model, recording), 1.0 if model.robot.traits.smooth_motion else LITTLE
     found: list[Segment] = []
     for a, b in pairwise(edges):
         chosen = (time >= a) & ((time < b) | (b == high))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
 from equimus_ctrl.identification.parameters import default_bounds, matching, unit_of
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.identification.simulators import Simulator, reduced_simulator
+from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
@@ -51,7 +51,7 @@ class Sensitivity:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types; angles in rad, null where there is no number."""
-        joints = self.model.morphology.joint_names
+        joints = self.model.robot.joint_names
 
         def row(values: Array) -> dict[str, float | None]:
             return {j: float(v) if np.isfinite(v) else None for j, v in zip(joints, values, strict=True)}
@@ -125,7 +125,7 @@ def sensitivity(
             place.append(len(models) - 1)
         except (ConfigError, ModelError):
             place.append(None)
-    simulator = simulator or reduced_simulator()
+    simulator = simulator or simulator_for(model)
     width, nj = len(shares) + 2, segments[0].measured.shape[1]
     # The two models of each central difference; the model as it came stands in for one that cannot be.
     pairs = np.array([[place[i * width + k] or 0 for k in (width - 2, width - 1)] for i in range(len(names))])

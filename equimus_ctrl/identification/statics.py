@@ -23,8 +23,8 @@ from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
 from equimus_ctrl.models.augmented import Laws, augmented_model
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Phase, structure
 from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.robots.elastic.morphology import Phase, structure
 from equimus_ctrl.types import Array
 
 STATIC_KINDS = ("stiffness", "area", "rest_length")
@@ -228,7 +228,7 @@ def fit_static(
     )
     fitted = parameters.model_at(theta)
     kinematics = Kinematics(changed_bodies(fitted.effects, fitted.morphology), model.phase)
-    shaped = shaped_commands(fitted.effects, model.morphology.actuator_names, pressure)
+    shaped = shaped_commands(fitted.effects, model.robot.actuator_names, pressure)
     needed = np.array([kinematics.static_pressure(q) for q in position])
     needed[pressed(model, position)] = np.nan
     spread = parameters.high - parameters.low

@@ -44,7 +44,7 @@ def with_step_error(
     except SimulationDiverged:
         return fit
     times = [s.trial.sample_times for s in segments]
-    weighing = weigh(times, fit, noise or tuple(JointNoise(1.0) for _ in fit.model.morphology.joint_names))
+    weighing = weigh(times, fit, noise or tuple(JointNoise(1.0) for _ in fit.model.robot.joint_names))
     column = weighing.columns(times, changes)[:, 0]
     moved = np.linalg.lstsq(weighing.slopes, column, rcond=UNSEEN)[0] * fit.parameters.scale
     more = np.abs(moved) / abs(ratio - 1.0)

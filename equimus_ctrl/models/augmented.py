@@ -17,8 +17,9 @@ import casadi as ca
 
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.models.morphology import Phase
-from equimus_ctrl.models.symbolic import Structure, build, joint_stops, ldl_solve, stops_in_mode
+from equimus_ctrl.models.parts import constrained, gaps, grips
+from equimus_ctrl.models.symbolic import Structure, SymbolicModel, build, ldl_solve
+from equimus_ctrl.robots.elastic.morphology import Phase
 
 Laws = tuple[type[ForceEffect], ...]
 
@@ -47,11 +48,14 @@ class AugmentedModel:
     Attributes:
         q: (nj,) joint angles [rad].
         v: (nj,) joint velocities [rad/s].
-        z: (nz,) states of the effects.
-        pressure: (na,) [Pa].
+        z: (nz,) states of the robot's own, then those of the effects.
+        pressure: (nu,) commands as they arrive [Pa], or what else they are.
         phi: (nr,) dry friction held over a step: at the joints that can have it [N·m], then the actuators [N].
         v0: (nj,) velocities at the start of a step [rad/s].
-        pressed: (2 nj,) 1 where a joint's lower, upper stop is pressed, else 0.
+        pressed: (nl,) 1 where a limit is pressed, else 0.
+        grip: (nl,) what limits add to the mass matrix, see ``parts.grips``.
+        pull: (nl,) what they add to the load.
+        a: (nj,) accelerations [rad/s²].
         p: the structure's parameter vector, then those of the slots.
         slots: the laws in the order of their parameters.
         rubbing: (kind, index) of the place of each row of dry friction.
@@ -60,16 +64,21 @@ class AugmentedModel:
         area: (na,) force per pressure [m²].
         more_area: (na,) how much of it comes of effects [m²].
         acceleration: (nj,) [rad/s²].
-        smooth_acceleration: (nj,) the same with the stops that ``pressed`` says [rad/s²].
+        smooth_acceleration: (nj,) the same with the limits that ``pressed`` says [rad/s²].
+        gripped_acceleration: (nj,) the same with what ``grip`` and ``pull`` say.
+        grips: (2 nl,) grip and pull of the limits that ``pressed`` says.
         z_rate: (nz,) dz/dt.
         rest_state: (nz,) z after a long rest at q.
         rows: (nr,) rates that friction acts against, G(q) v.
-        push: (nj, nr) velocities that a unit impulse at each row makes, M⁻¹Gᵀ.
+        push: (nj, nr) velocities that a unit impulse at each row makes, M⁻¹Gᵀ, limits gripping.
         delassus: (nr, nr) G M⁻¹ Gᵀ.
-        gaps: (2 nj,) above 0 where a stop would be pressed, see ``symbolic.stops_in_mode``.
+        gaps: (nl,) above 0 where a limit would be pressed at the accelerations ``a``, see ``parts.gaps``.
+        depths: (nl,) above 0 beyond a limit; below it no gap is above 0.
         quickness: (1,) a bound, near to it, of the fastest rate of the motion with ``pressed`` stops [1/s].
         bound: (nr,) the greatest friction at the mean of the speeds v0 and v.
         rows_before: (nr,) rates at the start of a step, G(q) v0.
+        drive: (nj,) what the actuators push on the joints.
+        kept: (nz,) the states of the robot's own within their bounds.
     """
 
     q: ca.SX
@@ -79,6 +88,9 @@ class AugmentedModel:
     phi: ca.SX
     v0: ca.SX
     pressed: ca.SX
+    grip: ca.SX
+    pull: ca.SX
+    a: ca.SX
     p: ca.SX
     slots: tuple[Slot, ...]
     rubbing: tuple[tuple[str, int], ...]
@@ -88,22 +100,27 @@ class AugmentedModel:
     more_area: ca.SX
     acceleration: ca.SX
     smooth_acceleration: ca.SX
+    gripped_acceleration: ca.SX
+    grips: ca.SX
     z_rate: ca.SX
     rest_state: ca.SX
     rows: ca.SX
     push: ca.SX
     delassus: ca.SX
     gaps: ca.SX
+    depths: ca.SX
     quickness: ca.SX
     bound: ca.SX
     rows_before: ca.SX
+    drive: ca.SX
+    kept: ca.SX
 
 
 @lru_cache(maxsize=32)
 def slots_of(form: Structure, laws: Laws) -> tuple[Slot, ...]:
     """Every law at every place of its kinds; their parameters follow the structure's own."""
-    counts = {"joint": len(form[0]), "actuator": len(form[1])}
-    first = int(build(form, "swing").p.numel())
+    counts = form.law_places
+    first = form.n_numbers
     found = []
     for law in laws:
         for kind in law.sits_at:
@@ -120,18 +137,17 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     nj, na = m.q.numel(), m.f.numel()
     slots = slots_of(form, laws)
     base = m.p.numel()
+    a = ca.SX.sym("a", nj)
     p = ca.SX.sym("p", base + sum(len(slot.law.parameter_info()) for slot in slots))
-    nz = sum(slot.law.n_states for slot in slots)
-    z, pressure, v0 = ca.SX.sym("z", nz), ca.SX.sym("pressure", na), ca.SX.sym("v0", nj)
+    ny = m.inside.state.numel()
+    nz = ny + sum(slot.law.n_states for slot in slots)
+    z, pressure, v0 = ca.SX.sym("z", nz), ca.SX.sym("pressure", m.u.numel()), ca.SX.sym("v0", nj)
     lengths, jacobian = m.lengths, m.jacobian
     coordinates = {"joint": (m.q, m.v), "actuator": (lengths, jacobian @ m.v)}
     push = {"joint": [ca.SX(0)] * nj, "actuator": [ca.SX(0)] * na}
     shares = [ca.SX(0)] * na
-    speed = {"joint": m.v, "actuator": jacobian @ m.v}
-    mean = {kind: ca.fabs(ca.substitute(rate, m.v, (m.v + v0) / 2)) for kind, rate in speed.items()}
-    bounds: dict[tuple[str, int], ca.SX] = {}
-    rates: list[ca.SX] = []
-    rests: list[ca.SX] = []
+    rates = ca.vertsplit(m.inside.rate(pressure)) if ny else []
+    rests = ca.vertsplit(m.inside.rest) if ny else []
     for slot in slots:
         law, kind, i = slot.law, slot.kind, slot.index
         own = {key: p[slot.first + k] for k, key in enumerate(law.parameter_info())}
@@ -142,26 +158,27 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
             shares[i] = shares[i] + law.more_area(x, m.rest_length[i], own)
         rates += law.state_rate(x, rate, states, own)
         rests += law.rest_state(x, own)
-        if law.rubs:
-            bounds[kind, i] = bounds.get((kind, i), ca.SX(0)) + law.dry_friction(x, mean[kind][i], own)
-    rubbing = sorted(bounds, key=lambda row: (row[0] != "joint", row[1]))
-    phi = ca.SX.sym("phi", len(rubbing))
-    gradient = ca.vertcat(
-        *[ca.SX.eye(nj)[i, :] if kind == "joint" else jacobian[i, :] for kind, i in rubbing], ca.SX(0, nj)
-    )
-    torque, force = ca.vertcat(*push["joint"]), ca.vertcat(*push["actuator"])
-    more_area = ca.vertcat(*shares) * m.area
+    torque, force = ca.vertcat(*push["joint"]), ca.vertcat(*push["actuator"], ca.SX(0, 1))
+    more_area = ca.vertcat(*shares, ca.SX(0, 1)) * m.area
     area = m.area + more_area
-    drive = jacobian.T @ (area * pressure + force)
-    pressed = ca.SX.sym("pressed", 2 * nj)
-    stops = [stops_in_mode(m.q[i], m.v[i], joint_stops(m.p, i), pressed[2 * i : 2 * i + 2]) for i in range(nj)]
+    drive = m.actuation.torque(pressure, area, force)
+    at_joints, others = m.actuation.drive(pressure, area, force)
+    rows, bounds = _rubbing(m, slots, p, v0, at_joints + others)
+    rubbing = rubbing_places(form, laws)
+    phi = ca.SX.sym("phi", len(rubbing))
+    gradient = ca.vertcat(*[rows[row] for row in rubbing], ca.SX(0, nj))
+    pressed = ca.SX.sym("pressed", len(m.limits))
     load = drive + torque + gradient.T @ phi
-    acceleration = ldl_solve(m.mass, load - m.bias)
-    push_of_stops = ca.vertcat(*[push for push, _ in stops])
-    smooth_acceleration = ldl_solve(m.mass, load - m.smooth_bias + push_of_stops)
-    stiffness = -ca.jacobian(push_of_stops, m.q)
-    springs = ca.horzcat(*[ldl_solve(m.mass, stiffness[:, i]) for i in range(nj)])
-    reach = ca.horzcat(*[ldl_solve(m.mass, gradient[r, :].T) for r in range(len(rubbing))], ca.SX(nj, 0))
+    rigid = m.mass, load - m.smooth_bias, m.held, m.limits
+    free = acceleration = ldl_solve(*constrained(*rigid, *grips(m.limits, ca.SX(len(m.limits), 1))))
+    if m.limits:
+        acceleration = ldl_solve(*constrained(*rigid, *grips(m.limits, gaps(m.limits, free) > 0)))
+    in_mode = grips(m.limits, pressed)
+    smooth_acceleration = ldl_solve(*constrained(*rigid, *in_mode))
+    grip, pull = ca.SX.sym("grip", len(m.limits)), ca.SX.sym("pull", len(m.limits))
+    mass, pushed = constrained(*rigid, grip, pull)
+    gripped_acceleration = ldl_solve(mass, pushed)
+    reach = ca.horzcat(*[ldl_solve(mass, gradient[r, :].T) for r in range(len(rubbing))], ca.SX(nj, 0))
     outputs = [
         torque,
         force,
@@ -169,18 +186,74 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
         more_area,
         acceleration,
         smooth_acceleration,
+        gripped_acceleration,
+        ca.vertcat(*in_mode),
         ca.vertcat(*rates, ca.SX(0, 1)),
         ca.vertcat(*rests, ca.SX(0, 1)),
         gradient @ m.v,
         reach,
         gradient @ reach,
-        ca.vertcat(*[gap for _, gap in stops]),
-        _quickness(ca.jacobian(smooth_acceleration, m.v), springs),
+        gaps(m.limits, a),
+        ca.vertcat(*[limit.depth for limit in m.limits], ca.SX(0, 1)),
+        _quickness(m, smooth_acceleration, pressed),
         ca.vertcat(*[bounds[row] for row in rubbing], ca.SX(0, 1)),
         gradient @ v0,
+        drive,
+        ca.vertcat(m.inside.kept, z[ny:]),
     ]
-    outputs = [ca.substitute(output, m.p, p[:base]) for output in outputs]
-    return AugmentedModel(m.q, m.v, z, pressure, phi, v0, pressed, p, slots, tuple(rubbing), *outputs)
+    symbols, places = ca.vertcat(m.p, m.inside.state), ca.vertcat(p[:base], z[:ny])
+    outputs = [ca.substitute(output, symbols, places) for output in outputs]
+    return AugmentedModel(m.q, m.v, z, pressure, phi, v0, pressed, grip, pull, a, p, slots, rubbing, *outputs)
+
+
+Place = tuple[str, int]
+
+
+def rubbing_places(form: Structure, laws: Laws) -> tuple[Place, ...]:
+    """(kind, index) of each row of dry friction: where the robot itself or a law can have it."""
+    found = set(form.friction_at)
+    found |= {(slot.kind, slot.index) for slot in slots_of(form, laws) if slot.law.rubs or slot.law.loads}
+    order = {"joint": 0, "actuator": 1}
+    return tuple(sorted(found, key=lambda at: (order.get(at[0], 2), at[1])))
+
+
+def expressions(law: type[ForceEffect]) -> str:
+    """What a law says, as text: two laws of one text are one."""
+    x, rate, speed, load, rest = (ca.SX.sym(name) for name in ("x", "rate", "speed", "load", "rest"))
+    z = [ca.SX.sym(f"z{k}") for k in range(law.n_states)]
+    p = {key: ca.SX.sym(key) for key in law.parameter_info()}
+    said = [law.force(x, rate, z, p), *law.state_rate(x, rate, z, p), *law.rest_state(x, p)]
+    said += [law.dry_friction(x, speed, p)] if law.rubs else []
+    said += [law.friction_of_load(load, speed, p)] if law.loads else []
+    said += [law.more_area(x, rest, p)] if law.scales else []
+    kinds = (law.name, law.sits_at, law.n_states, law.rubs, law.loads, law.scales, tuple(p))
+    return repr((kinds, [str(ca.SX(part)) for part in said]))
+
+
+def _rubbing(
+    m: SymbolicModel, slots: Sequence[Slot], p: ca.SX, v0: ca.SX, drive: ca.SX
+) -> tuple[dict[Place, ca.SX], dict[Place, ca.SX]]:
+    """Places that can have dry friction: ∂/∂q (1, nj) of each, and the greatest friction at the mean of v0 and v."""
+    nj = m.q.numel()
+    rows: dict[Place, ca.SX] = {("joint", i): ca.SX.eye(nj)[i, :] for i in range(nj)}
+    rows |= {("actuator", i): m.jacobian[i, :] for i in range(m.f.numel())}
+    coordinates: dict[Place, ca.SX] = {("joint", i): m.q[i] for i in range(nj)}
+    coordinates |= {("actuator", i): m.lengths[i] for i in range(m.f.numel())}
+    bounds: dict[Place, ca.SX] = {}
+    for own in m.rubbing:
+        place = own.kind, own.index
+        rows[place], bounds[place] = own.row, own.bound
+    for slot in slots:
+        law, place = slot.law, (slot.kind, slot.index)
+        if not (law.rubs or law.loads):
+            continue
+        own_p = {key: p[slot.first + k] for k, key in enumerate(law.parameter_info())}
+        speed = ca.fabs(ca.substitute(rows[place] @ m.v, m.v, (m.v + v0) / 2))
+        more = law.dry_friction(coordinates[place], speed, own_p) if law.rubs else ca.SX(0)
+        if law.loads:
+            more = more + law.friction_of_load(ca.fabs(drive[slot.index]), speed, own_p)
+        bounds[place] = bounds.get(place, ca.SX(0)) + more
+    return rows, bounds
 
 
 SLIDING = {"joint": 0.02, "actuator": 0.002}
@@ -194,19 +267,23 @@ def sliding_friction(m: AugmentedModel) -> ca.SX:
     return -ca.jacobian(m.rows, m.v).T @ rubbing
 
 
-def _quickness(by_speed: ca.SX, springs: ca.SX) -> ca.SX:
-    """How fast damping and the stops' springs may make a motion, (1,) [1/s].
-
-    Args:
-        by_speed: (nj, nj) ∂a/∂v [1/s].
-        springs: (nj, nj) M⁻¹K of the stops [1/s²].
-    """
+def _quickness(m: SymbolicModel, acceleration: ca.SX, pressed: ca.SX) -> ca.SX:
+    """How fast damping and the limits that are pressed may make a motion, (1,) [1/s]."""
 
     def largest(matrix: ca.SX) -> ca.SX:
         # Of real eigenvalues above zero: at most the root of the sum of their squares.
         return ca.sqrt(ca.fmax(ca.trace(matrix @ matrix), 0.0))
 
-    return ca.fmax(largest(by_speed), ca.sqrt(largest(springs)))
+    found = m.inside.quickness
+    pushes = [limit.row.T * (pressed[k] * limit.push) for k, limit in enumerate(m.limits) if limit.push is not None]
+    if pushes:
+        stiffness = -ca.jacobian(sum(pushes, ca.SX(m.q.numel(), 1)), m.q)
+        springs = ca.horzcat(*[ldl_solve(m.mass, stiffness[:, i]) for i in range(m.q.numel())])
+        found = ca.fmax(found, ca.fmax(largest(ca.jacobian(acceleration, m.v)), ca.sqrt(largest(springs))))
+    for k, limit in enumerate(m.limits):
+        if limit.push is None:
+            found = ca.fmax(found, pressed[k] * limit.quickness)
+    return found
 
 
 def law_parameters(

@@ -125,7 +125,7 @@ class LaneRoutine(Routine):
 
 
 def generate_lanes(
-    routines: Sequence[LaneRoutine], parameters: ca.SX, decorator: str, constants_row: int
+    routines: Sequence[LaneRoutine], parameters: ca.SX, options: str, prefix: str, constants_row: int
 ) -> tuple[str, int]:
     """Source text of ``prepare_lane(p, w, l)`` and of a function ``name(w)`` for each routine; (text, rows in all).
 
@@ -133,10 +133,14 @@ def generate_lanes(
     loop without branches, which the compiler turns into vector instructions. Sines and cosines are those of
     ``lane_sin`` and ``lane_cos``.
 
+    Each is a C function, called by its symbol: as a callee of compiled functions numba would optimise its long body
+    again in every one of them.
+
     Args:
         routines: what to generate.
         parameters: the SX symbol vector p.
-        decorator: a line put before every function.
+        options: of numba's ``cfunc``, after its signature.
+        prefix: of the symbols.
         constants_row: the first row that the constants may take.
     """
     count = 0
@@ -157,10 +161,27 @@ def generate_lanes(
         ]
         saves = [f"    w[{routine.result + i} * LANES + l] = {value}\n" for i, value in enumerate(written.outputs)]
         loop = "".join(f"    {line}" for line in [*loads, *written.body, *saves]) or "        pass\n"
-        bodies.append(f"{decorator}\ndef {routine.name}(w):\n    for l in range(LANES):\n{loop}")
+        bodies.append(f"    for l in range(LANES):\n{loop}")
+    rows = constants_row + count
     unpack = "".join(f"    p{i} = p[{i}]\n" for i in range(parameters.numel()))
-    prepare = f"{decorator}\ndef prepare_lane(p, w, l):\n{unpack}{''.join(prepare_lines)}{''.join(stores)}"
-    return "\n\n".join([prepare, *bodies]), constants_row + count
+    parts = [
+        f'@cfunc("void(CPointer(float64), CPointer(float64), intp)", {options})\n'
+        f"def _prepare(numbers, work, l):\n    p = carray(numbers, {max(parameters.numel(), 1)})\n"
+        f"    w = carray(work, {rows} * LANES)\n{unpack}{''.join(prepare_lines)}{''.join(stores)}\n"
+        f'add_symbol("{prefix}_prepare", _prepare.address)\n'
+        f'_C_prepare = ExternalFunction("{prefix}_prepare", void(CPointer(float64), CPointer(float64), intp))\n\n\n'
+        f"@njit({options})\ndef prepare_lane(p, w, l):\n    _C_prepare(p.ctypes, w.ctypes, l)\n"
+    ]
+    for routine, body in zip(routines, bodies, strict=True):
+        name, symbol = routine.name, f"{prefix}_{routine.name}"
+        parts.append(
+            f'@cfunc("void(CPointer(float64))", {options})\ndef _{name}(work):\n'
+            f"    w = carray(work, {rows} * LANES)\n{body}\n"
+            f'add_symbol("{symbol}", _{name}.address)\n'
+            f'_C_{name} = ExternalFunction("{symbol}", void(CPointer(float64)))\n\n\n'
+            f"@njit({options})\ndef {name}(w):\n    _C_{name}(w.ctypes)\n"
+        )
+    return "\n\n".join(parts), rows
 
 
 _LANE_FUNCTIONS = {ca.OP_SIN: "lane_sin({0})", ca.OP_COS: "lane_cos({0})"}

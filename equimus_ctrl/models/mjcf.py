@@ -17,7 +17,7 @@ import numpy as np
 
 from equimus_ctrl.errors import ModelError, unknown_name
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.morphology import BASE, ElasticActuator, Joint, Morphology, Phase, Point
+from equimus_ctrl.robots.elastic.morphology import BASE, ElasticActuator, Joint, Morphology, Phase, Point
 from equimus_ctrl.types import Array
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")

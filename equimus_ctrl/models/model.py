@@ -1,4 +1,4 @@
-"""A model: a morphology, the phase it is in, and the effects attached to it; and its file format.
+"""A model: a robot, the phase it is in, and the effects attached to it; and its file format.
 
 A model file is TOML:
 
@@ -18,28 +18,27 @@ A model file is TOML:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass, replace
-from typing import Any, cast, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from typing import Any, get_args, get_origin, get_type_hints
 
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
-from equimus_ctrl.models.leg import MORPHOLOGIES, nominal_leg
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.morphology import BASE, Morphology, Phase
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.leg import MORPHOLOGIES, nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, elastic_of
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 FORMAT = "equimus-ctrl/model/1"
 
 
 @dataclass(frozen=True)
 class Model:
-    """A morphology with effects attached.
+    """A robot with effects attached.
 
     Attributes:
-        morphology: the robot.
+        robot: what is driven.
         effects: what is attached to it.
         phase: base fixed (swing) or foot pinned (stance).
 
@@ -47,37 +46,36 @@ class Model:
         ConfigError: where an effect sits at something the robot does not have, or two exclude each other.
     """
 
-    morphology: Morphology
+    robot: Robot
     effects: tuple[Effect, ...] = ()
     phase: Phase = "swing"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "effects", tuple(self.effects))
-        m = self.morphology
         if self.phase not in get_args(Phase):
-            raise ConfigError(unknown_name("phase", str(self.phase), get_args(Phase), m.name))
-        effects_base.check_robots(self.effects, "elastic" if machine_of(self) is None else "mjcf", m.name)
-        machine = machine_of(self)
-        pushing = () if machine is None else tuple(e for e in self.effects if isinstance(e, ForceEffect))
-        # What pushes a machine pushes its joints: actuators have no coordinates of their own there.
-        effects_base.check_locations(pushing, {**places(m), "actuator": ()}, m.name)
-        effects_base.check_locations([e for e in self.effects if e not in pushing], places(m), m.name)
-        effects_base.check_exclusive(self.effects, m, m.name)
-        if machine is not None:
-            machine.check_flags(self.effects)
-            changed_bodies(self.effects, machine)
+            raise ConfigError(unknown_name("phase", str(self.phase), get_args(Phase), self.robot.name))
+        self.robot.check(self.effects)
 
     @property
     def name(self) -> str:
-        """The morphology's name."""
-        return self.morphology.name
+        """The robot's name."""
+        return self.robot.name
+
+    @property
+    def morphology(self) -> Morphology:
+        """The robot where it has to have elastic actuators.
+
+        Raises:
+            ConfigError: where it has none.
+        """
+        return elastic_of(self.robot)
 
     def parameters(self) -> dict[str, float]:
-        """Every number by its dotted name: the morphology's, and those of effects as ``baa.transport_delay.delay``.
+        """Every number by its dotted name: the robot's, and those of effects as ``baa.transport_delay.delay``.
 
         Where a place has several effects of one name, those after the first are numbered: ``knee.joint_stop#2.angle``.
         """
-        values = self.morphology.parameters()
+        values = self.robot.parameters()
         return values | {name: float(getattr(e, key)) for name, (e, key) in self.effect_parameters().items()}
 
     def effect_parameters(self) -> dict[str, tuple[Effect, str]]:
@@ -111,38 +109,11 @@ class Model:
             effects.append(replace(effect, **own) if own else effect)  # type: ignore[arg-type]
         if not left:
             return replace(self, effects=tuple(effects))
-        if not self.morphology.has_parameters(left):
+        if not self.robot.has_parameters(left):
             known = self.parameters()
             wrong = next(name for name in left if name not in known)
             raise ModelError(unknown_name("parameter", wrong, known, self.name))
-        return Model(self.morphology.with_parameters(left), tuple(effects), self.phase)
-
-
-def machine_model(machine: Machine, effects: Sequence[Effect] = ()) -> Model:
-    """A robot from MuJoCo's XML with effects attached.
-
-    A ``Machine`` stands in the place of a morphology: it has all of what identification and diagnosis ask of one.
-    """
-    return Model(cast("Morphology", machine), tuple(effects))
-
-
-def machine_of(model: Model) -> Machine | None:
-    """The machine that a model is of; None where it is of a morphology."""
-    found: object = model.morphology
-    return found if isinstance(found, Machine) else None
-
-
-def places(morphology: Morphology) -> dict[str, tuple[str, ...]]:
-    """Kind of place → the names of those an effect can sit at."""
-    if isinstance(machine := cast("object", morphology), Machine):
-        return machine.places()
-    return {
-        "joint": morphology.joint_names,
-        "actuator": morphology.actuator_names,
-        "link": tuple(link.name for link in morphology.links),
-        "foot": ("foot",),
-        "base": (BASE,),
-    }
+        return Model(self.robot.with_parameters(left), tuple(effects), self.phase)
 
 
 def nominal_model() -> Model:
@@ -151,14 +122,14 @@ def nominal_model() -> Model:
 
 
 def model_from_dict(
-    data: Mapping[str, Any], where: str = "model", read_mjcf: Callable[[str], Machine] | None = None
+    data: Mapping[str, Any], where: str = "model", read_mjcf: Callable[[str], MjcfRobot] | None = None
 ) -> Model:
     """A model from what a model file holds.
 
     Args:
         data: the file's table.
         where: what messages start with.
-        read_mjcf: gives the machine of an MJCF file that is named in it.
+        read_mjcf: gives the robot of an MJCF file that is named in it.
 
     Raises:
         ConfigError: for an unknown key, a wrong type or an unknown name, in one sentence that starts with ``where``.
@@ -166,7 +137,7 @@ def model_from_dict(
     """
     try:
         if "mjcf" in data:
-            return _machine_from_dict(data, where, read_mjcf)
+            return _mjcf_from_dict(data, where, read_mjcf)
         return _model_from_dict(data, where)
     except (ConfigError, ModelError) as error:
         if str(error).startswith(f"{where}: "):
@@ -174,7 +145,7 @@ def model_from_dict(
         raise type(error)(f"{where}: {error}") from None
 
 
-def _machine_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[str], Machine] | None) -> Model:
+def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[str], MjcfRobot] | None) -> Model:
     known = ("format", "name", "mjcf", "parameters", "effects")
     for key in data:
         if key not in known:
@@ -183,13 +154,11 @@ def _machine_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[
         raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r}")
     if not isinstance(data["mjcf"], str) or read_mjcf is None:
         raise ConfigError(f"{where}: mjcf is {data['mjcf']!r}, expected the name of a file of MuJoCo's XML")
-    machine = read_mjcf(data["mjcf"]).with_parameters(_numbers(data.get("parameters", {}), f"{where}: parameters"))
-    name = data.get("name", machine.name)
+    robot = read_mjcf(data["mjcf"]).with_parameters(_numbers(data.get("parameters", {}), f"{where}: parameters"))
+    name = data.get("name", robot.name)
     if not isinstance(name, str):
         raise ConfigError(f"{where}: name is {name!r}, expected a text")
-    return machine_model(
-        replace(machine, name=name), [_effect(e, where) for e in _tables(data.get("effects", []), where)]
-    )
+    return Model(replace(robot, name=name), tuple(_effect(e, where) for e in _tables(data.get("effects", []), where)))
 
 
 def _model_from_dict(data: Mapping[str, Any], where: str) -> Model:
@@ -220,46 +189,16 @@ def _model_from_dict(data: Mapping[str, Any], where: str) -> Model:
 
 def model_to_dict(model: Model) -> dict[str, Any]:
     """What a model file of ``model`` holds; ``model_from_dict`` gives the same model back."""
-    if (machine := machine_of(model)) is not None:
-        return {
-            "format": FORMAT,
-            "name": model.name,
-            "mjcf": machine.source,
-            "parameters": dict(machine.values),
-            "effects": [{"effect": e.name, "location": e.location, **e.parameters()} for e in model.effects],
-        }
-    base = next((n for n, make in MORPHOLOGIES.items() if _same_shape(make(), model.morphology)), None)
-    data: dict[str, Any] = {"format": FORMAT, "name": model.name, "phase": model.phase}
-    if base is None:
-        data["morphology"] = _without_none(asdict(model.morphology))
-    else:
-        data["morphology"] = base
-        reference = MORPHOLOGIES[base]().parameters()
-        own = model.morphology.parameters()
-        data["parameters"] = {key: value for key, value in own.items() if value != reference[key]}
+    data: dict[str, Any] = {"format": FORMAT, "name": model.name}
+    if model.robot.traits.has_stance:
+        data["phase"] = model.phase
+    data |= model.robot.to_dict()
     data["effects"] = [{"effect": e.name, "location": e.location, **e.parameters()} for e in model.effects]
     return data
 
 
-def _same_shape(a: Morphology, b: Morphology) -> bool:
-    """Whether the two differ in nothing but their name and numbers."""
-    keys = a.parameters().keys()
-    return (
-        keys == b.parameters().keys()
-        and _build(Morphology, {**_shallow(a.with_parameters(b.parameters())), "name": b.name}, "morphology") == b
-    )
-
-
 def _shallow(part: Any) -> dict[str, Any]:
     return {f.name: getattr(part, f.name) for f in fields(part)}
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(item) for key, item in value.items() if item is not None}
-    if isinstance(value, list | tuple):
-        return [_without_none(item) for item in value]
-    return value
 
 
 def _tables(value: Any, where: str) -> list[Mapping[str, Any]]:

@@ -24,8 +24,8 @@ from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place, step_quietly
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.plants.events import Event, Load, Push
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.plants.mujoco_plant import make_spec
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Observation, PlantSpec, Recording, Start, frozen_array
 
 

@@ -26,9 +26,9 @@ from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.models.prediction import prediction
 from equimus_ctrl.models.spread import groups, latin_hypercube, strayed
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
 MUJOCO_SETTINGS = SolverSettings(timestep=1 / 120, integrator="implicitfast", softness=0.01)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import places
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.morphology import elastic_of
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 
 STRONG = 0.3
 """Excess from which on an effect is to be found."""
@@ -53,24 +53,25 @@ class Places:
     joints: Mapping[str, frozenset[str]]
 
     @classmethod
-    def of(cls, robot: Morphology) -> Places:
+    def of(cls, robot: Robot) -> Places:
         """Of a robot: an actuator acts on the joints on which it has a lever arm in any pose."""
         names = robot.joint_names
-        if isinstance(machine := cast("object", robot), Machine):
+        if not robot.traits.forces_along_actuators:
+            machine = mjcf_of(robot)
             own = {drive.name: frozenset({drive.joint}) for drive in machine.actuators}
             bodies = [place for kind in ("link", "foot", "base") for place in machine.places()[kind]]
             joints = {name: frozenset({name}) for name in names}
             return cls("", {**{place: frozenset(names) for place in bodies}, **own, **joints})
         ends = [np.clip(side, -np.pi, np.pi) for side in robot.joint_range]
         axes = [np.linspace(low, high, POSES) for low, high in zip(*ends, strict=True)]
-        kinematics = Kinematics(robot)
+        kinematics = Kinematics(elastic_of(robot))
         arms = np.max([np.abs(kinematics.jacobian(np.array(q))) for q in itertools.product(*axes)], axis=0)
         moved = {name: frozenset({name}) for name in names}
         for actuator, own in zip(robot.actuator_names, arms, strict=True):
             moved[actuator] = frozenset(name for name, arm in zip(names, own, strict=True) if arm > NO_ARM)
         for kind in ("link", "foot", "base"):
-            moved |= {place: frozenset(names) for place in places(robot)[kind]}
-        return cls(robot.foot, moved)
+            moved |= {place: frozenset(names) for place in robot.places()[kind]}
+        return cls(robot.foot_link or "", moved)
 
     def same(self, location: str) -> str:
         """The one name of a place: the tip of the last link is the foot."""

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.leg import nominal_leg
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, frozen_array
 
 SAMPLE_RATE = 120.0

@@ -8,11 +8,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from equimus_ctrl.effects.base import REGISTRY
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.model import places
 from equimus_ctrl.proof.answers import OURS, STRONG, Case, Method
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.sizes import measured_by, size_of
+from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def measure_of(effect: str, parameter: str, location: str, true: float) -> tuple
     sits (a spring's rest, a centre, a stop's angle) have no zero of their own; theirs are relative to the range that
     the table of sizes draws them from.
     """
-    kind = next(kind for kind, names in places(nominal_leg()).items() if location in names)
+    kind = next(kind for kind, names in nominal_leg().places().items() if location in names)
     return measured_by(size_of(effect, parameter, kind, location), REGISTRY[effect], true)
 
 

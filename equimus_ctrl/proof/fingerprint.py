@@ -7,7 +7,7 @@ import importlib.util
 import pkgutil
 from collections.abc import Iterator, Sequence
 
-PARTS = ("diagnosis", "effects", "engines", "identification", "models")
+PARTS = ("diagnosis", "effects", "engines", "identification", "models", "robots")
 """Parts of the package that decide what a diagnosis says."""
 BASELINES = ("proof.baselines", "proof.refits", "proof.sparse", "proof.torques")
 """What the baselines add to that."""

@@ -20,18 +20,19 @@ from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.machine import Course, Realised, commands_on, filled, measured_of, quiet, realise, steps_of
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import JointNoise
-from equimus_ctrl.identification.simulators import stepless_simulator
-from equimus_ctrl.models.machine_parts import harden
-from equimus_ctrl.models.model import Model, machine_model
+from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.machines import MachineReality, machine_recordings
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import Excess, rounded
+from equimus_ctrl.robots.mjcf.parts import harden
 from equimus_ctrl.types import Array, Recording
 
 FINER = 8
@@ -46,7 +47,7 @@ def simulate_machine(reality: MachineReality) -> list[Array]:
     Raises:
         SimulationDiverged: where the machine's numbers are none.
     """
-    bodies = machine_model(reality.machine, [e for e in reality.effects if not isinstance(e, ForceEffect)])
+    bodies = Model(reality.machine, tuple(e for e in reality.effects if not isinstance(e, ForceEffect)))
     push = _push(reality)
     found = []
     for trial in trials_of(reality):
@@ -66,7 +67,7 @@ def _measured(reality: MachineReality, bodies: Model, trial: Trial, push: _Push 
 
 def trials_of(reality: MachineReality) -> list[Trial]:
     """What is done, each from rest at its first angles."""
-    model, found = machine_model(reality.machine), []
+    model, found = Model(reality.machine), []
     for design, start, notes in zip(reality.trials, reality.starts, reality.notes, strict=True):
         recording = _recording(reality, design.name, design.time, design.command, start, notes)
         trial = Trial.of(recording, start)
@@ -117,7 +118,7 @@ def _push(reality: MachineReality) -> _Push | None:
     torque, bound, rubbing = ca.SX.zeros(nj), ca.SX.zeros(nj), set()
     by_name = dict(zip(robot.joint_names, range(nj), strict=True))
     at = Motion(
-        reality.leg, time, {name: q[j] for name, j in by_name.items()}, {name: v[j] for name, j in by_name.items()},
+        reality.robot, time, {name: q[j] for name, j in by_name.items()}, {name: v[j] for name, j in by_name.items()},
         dict(zip(robot.actuator_names, ca.vertsplit(command), strict=True)),
     )  # fmt: skip
     for effect in effects:
@@ -141,7 +142,8 @@ def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
     data = mujoco.MjData(model)
     at, dofs, drives = own.places.T
-    for j in push.rubbing if push else ():
+    rubbing = set(push.rubbing if push else ()) | {j for j, size in enumerate(own.loss) if size > 0}
+    for j in sorted(rubbing):
         harden(model, int(dofs[j]))
     loss = own.loss.copy()
     data.qpos[at] = trial.position
@@ -177,11 +179,11 @@ def machine_excess(reality: MachineReality, clean: Sequence[Array], effects: Seq
     of the physics step is none of it.
     """
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
-        model = machine_model(reality.machine, effects)
+        model = Model(reality.machine, tuple(effects))
         silent = machine_recordings(reality, clean, [np.zeros_like(c) for c in clean])
         segments = split(model, silent).train
         free, noise = uncertain(model), tuple(JointNoise(sigma) for sigma in reality.noise)
-        simulator = stepless_simulator(reality.machine, threads=1)
+        simulator = Simulator(engine_for(model).without_step_error(), threads=1)
         found = fit(free, segments, simulator=simulator, settings=SEARCH, noise=noise)
         joints = ((np.concatenate(found.residuals) / np.array(reality.noise)) ** 2).mean(axis=0)
         return rounded(joints, dict(zip(free.names, found.theta.tolist(), strict=True)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from equimus_ctrl.effects.base import Seen
-from equimus_ctrl.models.model import Model, places
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.sizes import Size
 
 
@@ -20,7 +20,7 @@ def machine_sizes(model: Model, seen: Mapping[str, Seen]) -> tuple[Size, ...]:
         model: of the machine.
         seen: what its recordings show of each place.
     """
-    where = places(model.morphology)
+    where = model.robot.places()
     rows: list[Size] = []
     for joint in where["joint"]:
         rows += _of_joint(joint, seen[joint])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import cast
 
 import numpy as np
 
@@ -17,9 +16,7 @@ from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import Model, machine_of, places
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import TrialDesign
 from equimus_ctrl.proof.machine_sizes import machine_sizes
 from equimus_ctrl.proof.outside import OUTSIDE
@@ -33,6 +30,7 @@ from equimus_ctrl.proof.realities import (
     stream,
 )
 from equimus_ctrl.proof.sizes import Size, by_another_name, measured_by
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array, Recording
 
 LITTLE_KNOWN = {"damping": 0.4, "quadratic_damping": 0.4, "frictionloss": 0.4, "armature": 0.4}
@@ -48,7 +46,7 @@ ATTEMPTS, STREAMS = 100, 10
 
 @dataclass(frozen=True, eq=False)
 class MachineReality(Reality):
-    """One concealed reality of a machine; ``leg`` is the machine.
+    """One concealed reality of an MJCF robot.
 
     Attributes:
         starts: for each trial (nj,) angles at its start [rad or m].
@@ -63,9 +61,9 @@ class MachineReality(Reality):
     scales: dict[tuple[str, str], tuple[float, float | None]] = field(default_factory=dict)
 
     @property
-    def machine(self) -> Machine:
+    def machine(self) -> MjcfRobot:
         """With its true numbers."""
-        return cast("Machine", self.leg)
+        return mjcf_of(self.robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +91,7 @@ class Experiment:
 
 def require_bare_machine(model: Model) -> None:
     """Raise ConfigError where a model is of no machine, or has effects already."""
-    if machine_of(model) is None:
+    if not isinstance(model.robot, MjcfRobot):
         raise ConfigError(f"{model.name} is no machine from MuJoCo's XML; a leg's experiments are drawn")
     if model.effects:
         raise ConfigError(f"{model.name} has effects already; prove with the machine alone")
@@ -121,8 +119,8 @@ def draw_machine(
     seen = seen_places(model, segments)
     table = machine_sizes(model, seen)
     real, drawn = _other_numbers(rng, model)
-    spans = [seen[joint].span for joint in model.morphology.joint_names]
-    interval = seen[model.morphology.joint_names[0]].interval
+    spans = [seen[joint].span for joint in model.robot.joint_names]
+    interval = seen[model.robot.joint_names[0]].interval
     noise, correlation = draw_noise(
         rng, [(NOISE[0] * s, NOISE[1] * s) for s in spans], (CORRELATION[0] * interval, CORRELATION[1] * interval)
     )
@@ -143,7 +141,7 @@ def draw_machine(
                     row, type(effect), float(getattr(effect, row.parameter))
                 )
     return MachineReality(
-        case, seed, chosen, real.morphology, effects, outside, noise, correlation, tuple(designs),
+        case, seed, chosen, real.robot, effects, outside, noise, correlation, tuple(designs),
         np.zeros((len(designs), 0)),
         starts=tuple(np.array(r.position[0]) for r in experiment.recordings),
         notes=tuple(dict(r.notes) for r in experiment.recordings), drawn=drawn, scales=scales,
@@ -158,9 +156,7 @@ def _other_numbers(rng: np.random.Generator, model: Model) -> tuple[Model, tuple
         shares = {n: LITTLE_KNOWN.get(n.rpartition(".")[2], SPREAD) * rng.uniform(-1.0, 1.0) for n in names}
         try:
             real = model.with_parameters({n: float(f"{nominal[n] * (1 + s):.8g}") for n, s in shares.items()})
-            machine = machine_of(real)
-            assert machine is not None
-            machine.mujoco_model()
+            mjcf_of(real.robot).mujoco_model()
         except ModelError:  # inertias that no body can have
             continue
         return real, tuple(names)
@@ -176,7 +172,7 @@ def _attached(
         chosen = [names[k] for k in rng.choice(len(names), count, replace=False)]
         try:
             found = tuple(effect for name in chosen for effect in _one(rng, real, table, known[name]))
-            Model(real.morphology, tuple(e for e in found if e.name in REGISTRY))
+            Model(real.robot, tuple(e for e in found if e.name in REGISTRY))
         except (ConfigError, ModelError):  # excluded by each other, or not possible on this machine
             continue
         if all(_believable(effect, key, real) for effect in found for key in effect.parameter_info()):
@@ -185,14 +181,14 @@ def _attached(
 
 
 def _believable(effect: Effect, key: str, real: Model) -> bool:
-    low, high = effect.bounds(key, real.morphology)
+    low, high = effect.bounds(key, real.robot)
     return low <= float(getattr(effect, key)) <= high
 
 
 def _one(rng: np.random.Generator, real: Model, table: Sequence[Size], cls: type[Effect]) -> tuple[Effect, ...]:
     sites = sorted({row.at for row in table if row.effect == cls.name})
     if sites == [""]:
-        sites = [s for kind in cls.sits_at for s in places(real.morphology)[kind]]
+        sites = [s for kind in cls.sits_at for s in real.robot.places()[kind]]
     site = sites[int(rng.integers(len(sites)))]
     everywhere = len(sites) > 1 and cls.alike and "link" not in cls.sits_at and rng.random() < ALIKE_SHARE
     rows = [row for row in table if row.effect == cls.name and row.at in ("", site)]
@@ -211,7 +207,7 @@ def machine_recordings(reality: MachineReality, clean: Sequence[Array], disturbe
         clean: for each trial (n, nj) what sensors without noise would show [rad or m].
         disturbed: the noise.
     """
-    robot = cast("Morphology", reality.machine)
+    robot = reality.robot
     digits = int(3 - np.floor(np.log10(min(reality.noise))))
     return [
         Recording(

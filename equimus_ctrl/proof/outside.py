@@ -14,7 +14,8 @@ import casadi as ca
 
 from equimus_ctrl.effects.base import Effect, parameter
 from equimus_ctrl.effects.force import ForceEffect, Parameters
-from equimus_ctrl.models.morphology import ElasticActuator, Morphology
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.morphology import ElasticActuator, elastic_of
 
 OUTSIDE: dict[str, type[Effect]] = {}
 """Name → class of everything from outside the catalogue."""
@@ -31,14 +32,14 @@ class Motion:
     """What such physics can depend on, as CasADi expressions, by name of joint or actuator.
 
     Attributes:
-        robot: the leg.
+        robot: that moves.
         time: since the trial's start [s].
         x: angle of a joint [rad] or length of an actuator [m].
         rate: its derivative.
         pressure: of each actuator [Pa].
     """
 
-    robot: Morphology
+    robot: Robot
     time: ca.SX
     x: Mapping[str, ca.SX]
     rate: Mapping[str, ca.SX]
@@ -46,7 +47,7 @@ class Motion:
 
     def actuator(self, name: str) -> ElasticActuator:
         """The actuator called ``name``."""
-        return self.robot.actuators[self.robot.actuator_names.index(name)]
+        return elastic_of(self.robot).actuators[self.robot.actuator_names.index(name)]
 
 
 @dataclass(frozen=True)
@@ -238,7 +239,7 @@ class Fade(MotionEffect):
         return {self.location: -lost * own.area * at.pressure[self.location]}
 
 
-def acts_on(effect: Effect, robot: Morphology) -> tuple[str, ...]:
+def acts_on(effect: Effect, robot: Robot) -> tuple[str, ...]:
     """The joints and actuators that an effect pushes."""
     if not isinstance(effect, MotionEffect):
         return (effect.location,)

@@ -11,12 +11,13 @@ import numpy as np
 
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.errors import ConfigError, unknown_name
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.model import Model, places
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import sizes
 from equimus_ctrl.proof.designs import DURATION, TRIALS, TrialDesign, design
 from equimus_ctrl.proof.outside import OUTSIDE
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Morphology, elastic_of
 from equimus_ctrl.types import Array
 
 Kind = Literal["none", "single", "pair", "outside"]
@@ -92,7 +93,7 @@ class Reality:
         case: its number.
         seed: of the whole proof.
         kind: how much is left out of the nominal model.
-        leg: the leg with its true numbers.
+        robot: with its true parameters.
         effects: from the catalogue.
         outside: physics from outside it.
         noise: standard deviation of each joint's noise [rad].
@@ -104,7 +105,7 @@ class Reality:
     case: int
     seed: int
     kind: Kind
-    leg: Morphology
+    robot: Robot
     effects: tuple[Effect, ...]
     outside: tuple[Effect, ...]
     noise: tuple[float, ...]
@@ -114,8 +115,13 @@ class Reality:
 
     @property
     def model(self) -> Model:
-        """The leg with its effects from the catalogue."""
-        return Model(self.leg, self.effects)
+        """The robot with its effects from the catalogue."""
+        return Model(self.robot, self.effects)
+
+    @property
+    def leg(self) -> Morphology:
+        """The robot, where it has elastic actuators."""
+        return elastic_of(self.robot)
 
 
 def draw(
@@ -200,7 +206,7 @@ def _attach(rng: np.random.Generator, name: str, leg: Morphology, known: dict[st
     cls = known[name]
     kind = cls.sits_at[int(rng.integers(len(cls.sits_at)))]
     # The last link's tip is the foot: one place is not to have two names.
-    sites = [site for site in places(leg)[kind] if kind != "link" or site != leg.foot]
+    sites = [site for site in leg.places()[kind] if kind != "link" or site != leg.foot]
     everywhere = len(sites) > 1 and name in ALIKE and rng.random() < ALIKE_SHARE
     location = sites[int(rng.integers(len(sites)))]
     values = _values(rng, cls, kind, location)

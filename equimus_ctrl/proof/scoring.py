@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, Literal
 
-from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.proof.answers import OURS, Case, Method, Places
 from equimus_ctrl.proof.estimates import HeldOut, Number, coverage, found_numbers, held_out, own_numbers
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import Tally, confusion, tally
+from equimus_ctrl.robots.base import Robot
 
 SCHEMA = "equimus-ctrl/proof-score/1"
 MOST_FALSE_ALARMS = 0.01
@@ -186,7 +186,7 @@ def score(
     truths: Sequence[Mapping[str, Any]],
     reports: Sequence[Mapping[str, Any]],
     baselines: Sequence[Mapping[Method, Mapping[str, Any]]],
-    robot: Morphology,
+    robot: Robot,
 ) -> Score:
     """Compare what was said with what is true.
 

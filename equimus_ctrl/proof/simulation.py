@@ -29,10 +29,10 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place
-from equimus_ctrl.models.morphology import Morphology, pack, structure
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.realities import NOISE_STREAM, Reality, stream
+from equimus_ctrl.robots.elastic.morphology import Morphology, pack, structure
 from equimus_ctrl.types import Array, Recording
 
 RATE = 1920.0

@@ -22,7 +22,7 @@ from typing import Any
 
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
-from equimus_ctrl.models.model import Model, machine_of, nominal_model
+from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.machine_simulation import FINER, machine_excess, simulate_machine
 from equimus_ctrl.proof.machines import ATTEMPTS, Experiment, MachineReality, draw_machine, machine_recordings
@@ -35,6 +35,7 @@ from equimus_ctrl.proof.strength import excess as leg_excess
 from equimus_ctrl.recordings.checks import Limits
 from equimus_ctrl.recordings.folders import holds, read_text, write_folder, write_text
 from equimus_ctrl.recordings.sets import read_set
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
 SCHEMA = "equimus-ctrl/proof-truth/1"
@@ -66,8 +67,7 @@ class Request:
     def of_machine(cls, root: Path, seed: int, kind: Kind | None, experiment: Experiment) -> Request:
         """Of a machine; trials, their duration and the physics' rate follow from what is done with it."""
         times = [r.time for r in experiment.recordings]
-        machine = machine_of(experiment.model)
-        assert machine is not None
+        machine = mjcf_of(experiment.model.robot)
         longest = max(float(t[-1] - t[0]) for t in times)
         return cls(root, seed, kind, len(times), longest, FINER / machine.timestep, experiment)
 
@@ -148,15 +148,16 @@ def truth_of(reality: Reality, clean: list[Any]) -> dict[str, Any]:
         own = {"effect": name, "locations": locations, "parameters": parameters, "alone": alone.total}
         found.append({**own, **_scales(reality, name)})
     beyond = [
-        {"effect": e.name, "locations": acts_on(e, reality.leg), "parameters": e.parameters()} for e in reality.outside
+        {"effect": e.name, "locations": acts_on(e, reality.robot), "parameters": e.parameters()}
+        for e in reality.outside
     ]
-    joints = reality.leg.joint_names
+    joints = reality.robot.joint_names
     return {
         "schema": SCHEMA,
         "seed": reality.seed,
         "case": reality.case,
         "kind": reality.kind,
-        "parameters": {name: reality.leg.parameters()[name] for name in changed_names(reality)},
+        "parameters": {name: reality.robot.parameters()[name] for name in changed_names(reality)},
         "findings": found,
         "outside": beyond,
         "noise_rad": dict(zip(joints, reality.noise, strict=True)),
@@ -270,9 +271,9 @@ def recorded(folder: Path, model: Model) -> tuple[Recording, ...]:
     Raises:
         RecordingError: where they cannot be read.
     """
-    if machine_of(model) is None:
+    if model.robot.traits.commands_are_pressures:
         return read_set(folder)
-    joints, actuators = model.morphology.joint_names, model.morphology.actuator_names
+    joints, actuators = model.robot.joint_names, model.robot.actuator_names
     return read_set(folder, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators))
 
 

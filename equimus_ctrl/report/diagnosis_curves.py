@@ -17,8 +17,7 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import SensorEffect
 from equimus_ctrl.identification.parameters import place_unit, unit_of
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.model import Model, machine_of
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_panels import (
     BEYOND,
     Line,
@@ -33,6 +32,7 @@ from equimus_ctrl.report.diagnosis_panels import (
 )
 from equimus_ctrl.report.diagnosis_signals import command_panels, sensor_panels
 from equimus_ctrl.report.diagnosis_words import coordinate, number, quantity, reading
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
 POINTS, POSES = 240, 121
@@ -151,12 +151,9 @@ class _Law:
 def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) -> list[Panel]:
     """Push against the coordinate, against its rate, around a loop and after a step: those that say anything."""
     place, seen = best.location, scene.seen[best.location]
-    joint = place in scene.model.morphology.joint_names
-    machine = machine_of(scene.model)
-    long, short = ("rad", units.noun(scene.model, place)) if joint else ("m", "length")
-    torque = "N·m" if joint else "N"
-    if machine is not None:
-        long, torque = machine.turned(long, place), machine.turned(torque, place)
+    joint = place in scene.model.robot.joint_names
+    short = units.noun(scene.model, place) if joint else "length"
+    long, torque = (place_unit(scene.model, unit, place) for unit in ("rad | m", "N·m | N"))
     if best.scales:
         return [_area_panel(scene, best, others)]
     law, rest = _Law.of(best, seen.push), [_Law.of(o, seen.push) for o in others]
@@ -244,8 +241,8 @@ def _area_panel(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) 
 
 def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:
     """What another robot's weight, springs and stops do to the joints at rest, and which numbers it has."""
-    m = scene.model.morphology
-    if machine_of(scene.model) is not None:
+    m = scene.model.robot
+    if not isinstance(m, Morphology):  # whose weight, springs and stops are known joint by joint
         return [Panel("numbers of the effect", rows=_numbers_of(scene.model, best[0]))]
 
     def robot(effects: Sequence[Effect]) -> Morphology:

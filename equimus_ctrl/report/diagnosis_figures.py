@@ -123,7 +123,7 @@ def _draw_residuals(axes: Axes, diagnosis: Diagnosis, k: int, j: int) -> None:
 
 def _draw_commands(axes: Axes, diagnosis: Diagnosis, segment: Segment) -> None:
     values, _, _ = commands(segment)
-    for a, name in enumerate(diagnosis.model.morphology.actuator_names):
+    for a, name in enumerate(diagnosis.model.robot.actuator_names):
         shown = values[:, a] * units.command(diagnosis.model, name).factor
         axes.step(segment.trial.sample_times, shown, where="post", color=style.actuator_colour(a), linewidth=1.1)
 
@@ -138,7 +138,7 @@ def _position_label(diagnosis: Diagnosis, joint: str) -> str:
 
 
 def _command_label(diagnosis: Diagnosis) -> str:
-    told = {units.command(diagnosis.model, name).unit for name in diagnosis.model.morphology.actuator_names}
+    told = {units.command(diagnosis.model, name).unit for name in diagnosis.model.robot.actuator_names}
     return f"[{', '.join(sorted(told))}]" if told != {""} else "command"
 
 
@@ -167,7 +167,7 @@ def before_after_figure(diagnosis: Diagnosis) -> Figure:
         block.align_ylabels()
     handles = _state_handles(states)
     handles.append(Patch(facecolor=style.SHADE, label="± 2 σ of the noise"))
-    for a, name in enumerate(diagnosis.model.morphology.actuator_names):
+    for a, name in enumerate(diagnosis.model.robot.actuator_names):
         handles.append(Line2D([], [], color=style.actuator_colour(a), linewidth=1.4, label=f"command of {name}"))
     style.legend_below(figure, handles)
     return figure
@@ -175,7 +175,7 @@ def before_after_figure(diagnosis: Diagnosis) -> Figure:
 
 def residuals_figure(diagnosis: Diagnosis) -> Figure:
     """Size and mean of the residuals against time since a step, the joint's angle and speed, and the commands."""
-    m = diagnosis.model.morphology
+    m = diagnosis.model.robot
     states = story.states(diagnosis)[1:]
     segments = (*diagnosis.train, *diagnosis.heldout)
     rows = {s: (*diagnosis.residuals[s].train, *diagnosis.residuals[s].heldout) for s in states}
@@ -190,10 +190,10 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
         (f"command of {name} {u.bracket}".rstrip(), given[:, a] * u.factor)
         for a, (name, u) in enumerate(zip(m.actuator_names, told, strict=True))
     ]
-    figure = style.new_figure(WIDTH + 1, 0.9 + 3.3 * len(m.joints), "Where the error lies")
+    figure = style.new_figure(WIDTH + 1, 0.9 + 3.3 * len(m.joint_names), "Where the error lies")
     columns = 3 + len(shared)
     grid = figure.subplots(
-        2 * len(m.joints), columns, squeeze=False, sharey="row", height_ratios=[1.3, 1] * len(m.joints)
+        2 * len(m.joint_names), columns, squeeze=False, sharey="row", height_ratios=[1.3, 1] * len(m.joint_names)
     )
     for j, joint in enumerate(m.joint_names):
         place, fast, unit = (of(model, joint) for of in (units.position, units.speed, units.error))

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.identification.results import together
-from equimus_ctrl.models.model import machine_of
 from equimus_ctrl.report import diagnosis_text as story
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
@@ -266,7 +265,7 @@ def _detectable(diagnosis: Diagnosis) -> str:
 
 def _provenance(diagnosis: Diagnosis, command_line: str) -> str:
     rows = [("model", diagnosis.model.name)]
-    if machine_of(diagnosis.model) is None:
+    if diagnosis.model.robot.traits.has_stance:
         rows.append(("phase", diagnosis.model.phase))
     for words, segments in (("trials fitted", diagnosis.train), ("trials held out", diagnosis.heldout)):
         names = dict.fromkeys(s.trial.name for s in segments)

@@ -15,7 +15,7 @@ from equimus_ctrl.effects.base import Effect, Seen
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 BEYOND = 0.12
@@ -114,22 +114,22 @@ class Scene:
             pair = self.values(first), self.values(second)
             return None if pair[0] is None or pair[1] is None else pair[0] - pair[1]
         kind, _, name = coordinate.partition(".")
-        m = self.model.morphology
+        m = self.model.robot
         if kind == "time" and not name:
             return np.concatenate([s.trial.sample_times - s.trial.start for s in self.segments])
         if kind in ("pos", "vel") and name in m.joint_names:
             return np.asarray((self.angles if kind == "pos" else self.speeds)[:, m.joint_names.index(name)])
         if kind == "cmd" and name in m.actuator_names:
             return np.asarray(self.commands[:, m.actuator_names.index(name)])
-        if kind == "len" and name in m.actuator_names and machine_of(self.model) is None:
-            kinematics, own = Kinematics(m, self.model.phase), m.actuator_names.index(name)
+        if kind == "len" and name in m.actuator_names and m.traits.forces_along_actuators:
+            kinematics, own = Kinematics(self.model.morphology, self.model.phase), m.actuator_names.index(name)
             poses = self.angles[:: max(len(self.angles) // FEW, 1)]
             return np.array([kinematics.lengths(q)[own] for q in poses])
         return None
 
     def position(self, place: str) -> Array:
         """(m,) angles of a joint or lengths of an actuator."""
-        joint = place in self.model.morphology.joint_names
+        joint = place in self.model.robot.joint_names
         values = self.values(f"{'pos' if joint else 'len'}.{place}")
         assert values is not None
         return values

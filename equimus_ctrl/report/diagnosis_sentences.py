@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import Estimate, Finding
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_words import estimate_text, listed, quantity
 
 
@@ -57,9 +57,9 @@ class _Told:
 
 
 def _pressures(t: _Told) -> str:
-    if machine_of(t.model) is not None:
-        return f"The {t.one_or('push', 'pushes')} of {t.at}"
-    return f"The {t.one_or('pressure', 'pressures')} of {t.at}"
+    if t.model.robot.traits.commands_are_pressures:
+        return f"The {t.one_or('pressure', 'pressures')} of {t.at}"
+    return f"The {t.one_or('push', 'pushes')} of {t.at}"
 
 
 def _transport_delay(t: _Told) -> str:
@@ -109,7 +109,7 @@ def _supply_coupling(t: _Told) -> str:
 
 
 def _coulomb_friction(t: _Told) -> str:
-    if t.places[0] in t.model.morphology.joint_names:
+    if t.places[0] in t.model.robot.joint_names:
         return f"Dry friction at {t.the} of {t['friction']}{t.one_or('', ' each')}."
     return f"Dry friction along {t.at} of {t['friction']}{t.one_or('', ' each')}."
 
@@ -216,10 +216,7 @@ def _torque_saturation(t: _Told) -> str:
 
 
 def _payload_mass(t: _Told) -> str:
-    if machine_of(t.model) is not None:
-        return f"At {t.at} sits a mass of {t['mass']} that is not in the model."
-    where = "the foot" if t.places[0] == "foot" else f"the tip of the {t.places[0]}"
-    return f"At {where} sits a mass of {t['mass']} that is not in the model."
+    return f"At {t.model.robot.carrying_point(t.places[0])} sits a mass of {t['mass']} that is not in the model."
 
 
 def _gravity_tilt(t: _Told) -> str:

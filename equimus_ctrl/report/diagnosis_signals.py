@@ -12,7 +12,7 @@ from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, sample, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.identification.parameters import place_unit
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_panels import Line, Panel, Scene, band, changes, in_time, name_of, settled
 from equimus_ctrl.report.diagnosis_words import number, quantity
 from equimus_ctrl.types import Array
@@ -36,11 +36,12 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
         best: the effects.
         others: the same with other numbers.
     """
-    names = scene.model.morphology.actuator_names
+    names = scene.model.robot.actuator_names
     own = names.index(best[0].location)
     shown_in = units.command(scene.model, names[own])
     factor = shown_in.factor
-    push = "pressure" if machine_of(scene.model) is None else "what acts"
+    pressures = scene.model.robot.traits.commands_are_pressures
+    push = "pressure" if pressures else "what acts"
     commands = scene.commands
     rest = [i for i in range(len(names)) if i != own]
     grid = np.linspace(0.0, max(float(commands[:, own].max()), 1.0), POINTS)
@@ -87,7 +88,7 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
     lines = (Line(shown, response((), half), "without", True), Line(shown, moving, name_of(best)))
     around = band(shown, moving, [response(o, half) for o in others])
     ends = [f"{number(value * factor)} {shown_in.unit}".rstrip() for value in (high, low)]
-    if machine_of(scene.model) is None:
+    if pressures:
         ends = [quantity(high, "Pa"), quantity(low, "Pa")]
     title = f"a step to {ends[0]} and back to {ends[1]}"
     return [*found, Panel(title, axis, f"{push} of {names[own]} {shown_in.bracket}", lines, around)]
@@ -103,7 +104,7 @@ def sensor_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequenc
 
     Args: as of ``command_panels``.
     """
-    m = scene.model.morphology
+    m = scene.model.robot
     joint = best[0].location
     place, what = units.position(scene.model, joint), units.noun(scene.model, joint)
     own = m.joint_names.index(joint)

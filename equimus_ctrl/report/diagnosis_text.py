@@ -210,6 +210,8 @@ def tell(console: Console, diagnosis: Diagnosis) -> None:
         say(text, style="bold")
 
     say(trials(diagnosis), style="dim")
+    if diagnosis.engine.reason:
+        say(diagnosis.engine.sentence, style="dim")
     head(verdict(diagnosis))
     first, *joints = against_noise(diagnosis)
     say(first)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from equimus_ctrl.diagnosis.results import Estimate, Named
 from equimus_ctrl.diagnosis.units import Reading
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 
 DIGITS, MOST_DIGITS = 3, 5
 """Significant digits of a number without an interval, and of any."""
@@ -146,11 +146,11 @@ def coordinate(text: str, model: Model | None = None) -> str:
         text: as ``diagnosis.flexible`` calls it.
         model: of the robot, whose joints may slide and whose commands may be no pressures.
     """
-    machine = None if model is None else machine_of(model)
     words = dict(_COORDINATES)
-    if machine is not None:
+    if model is not None and not model.robot.traits.commands_are_pressures:
         words["cmd"] = "the command of {}"
-        sliding = [joint.name for joint in machine.joints if joint.slides]
+    sliding = [] if model is None else [name for name in model.robot.joint_names if model.robot.slides(name)]
+    if sliding:
         text = re.sub(r"\bpos\.([^−()+·]+)", lambda m: f"place.{m[1]}" if m[1] in sliding else m[0], text)
     text = re.sub(r"^time( at .*)?$|^time(?=·)", lambda m: f"the time since a trial's start{m[1] or ''}", text)
     text = re.sub(r"sign\(vel\.([^()]+)\)", r"the direction in which \1 moves", text)

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import ArrayLike
 
-from equimus_ctrl.models.morphology import BASE, Morphology, Phase, Point
 from equimus_ctrl.report import style
+from equimus_ctrl.robots.elastic.morphology import BASE, Morphology, Phase, Point
 from equimus_ctrl.types import Array
 
 MM = 1e3

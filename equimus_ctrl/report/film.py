@@ -14,9 +14,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.report import style
 from equimus_ctrl.report.drawing import Skeleton, base_span, first_pass, skeleton
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Run
 

@@ -70,7 +70,7 @@ def identification_figures(found: Identification) -> dict[str, Figure]:
 
 def shown_trials(found: Identified) -> list[Shown]:
     """All trials, those fitted first."""
-    nj = len(found.fit.model.morphology.joints)
+    nj = len(found.fit.model.robot.joint_names)
     gap = np.full((1, nj), np.nan)
     trials = []
     for index, recording in enumerate(found.recordings):
@@ -109,7 +109,7 @@ def _telling(trials: list[Shown]) -> list[tuple[Shown, str]]:
 def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
     """Measured and predicted angles of a few trials, a row each, a column for each joint."""
     model = found.fit.model
-    joints = model.morphology.joint_names
+    joints = model.robot.joint_names
     chosen = _telling(trials)
     width = min(5.2 * len(joints) + 0.6, 15.0)
     figure = style.new_figure(width, 1.1 + 1.75 * len(chosen), f"Measured and predicted, {found.engine} engine")
@@ -142,7 +142,7 @@ def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
 def residuals_figure(found: Identified, trials: list[Shown]) -> Figure:
     """For each joint: the RMSE of every trial before and after, and when in each trial the residual arises."""
     model = found.fit.model
-    joints = model.morphology.joint_names
+    joints = model.robot.joint_names
     count = len(trials)
     height = 1.6 + 2 * 0.4 + len(joints) * max(0.19 * count, 0.9)
     figure = style.new_figure(12.0, height, "What is left over, trial by trial")

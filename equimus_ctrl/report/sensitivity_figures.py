@@ -24,7 +24,7 @@ def sensitivity_figures(found: Sensitivity) -> dict[str, Figure]:
 
 def map_figure(found: Sensitivity) -> Figure:
     """RMSE for every parameter and change, a map for each joint, all on one logarithmic scale."""
-    joints = found.model.morphology.joint_names
+    joints = found.model.robot.joint_names
     felt = np.array([k for k in range(len(found.names)) if not np.all(found.local[k] == 0)], dtype=int)
     n, idle = len(felt), len(found.names) - len(felt)
     title = "RMSE with one parameter changed at a time"
@@ -70,7 +70,7 @@ def map_figure(found: Sensitivity) -> Figure:
 
 def curves_figure(found: Sensitivity) -> Figure:
     """RMSE against the change of those parameters that matter most, all others faint."""
-    joints = found.model.morphology.joint_names
+    joints = found.model.robot.joint_names
     figure = style.new_figure(5.4 * len(joints) + 0.6, 5.0, "RMSE against the change of each parameter")
     grid = figure.subplots(1, len(joints), squeeze=False)[0]
     shares = np.concatenate([100 * found.shares, [0.0]])
@@ -114,7 +114,7 @@ def curves_figure(found: Sensitivity) -> Figure:
 
 def local_figure(found: Sensitivity) -> Figure:
     """How much one per cent of each parameter moves the predictions, to first order."""
-    joints, n = found.model.morphology.joint_names, len(found.names)
+    joints, n = found.model.robot.joint_names, len(found.names)
     figure = style.new_figure(9.5, 1.7 + ROW * n, "How far one per cent of each parameter moves the predictions")
     axes = figure.add_subplot()
     values = 1e3 * found.local

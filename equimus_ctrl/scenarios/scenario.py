@@ -12,8 +12,8 @@ import numpy as np
 
 from equimus_ctrl.errors import ConfigError, EquimusError, unknown_name
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.plants.events import Event
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.types import Array, Recording, Reference, Start, frozen_array
 
 RANGE_MARGIN = 0.1

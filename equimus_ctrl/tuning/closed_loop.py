@@ -22,7 +22,7 @@ from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, Phase, structure
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, structure
 from equimus_ctrl.scenarios.references import SampledReference
 from equimus_ctrl.tuning import loop_kernel
 from equimus_ctrl.tuning.ensemble import Member

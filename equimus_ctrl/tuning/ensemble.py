@@ -12,8 +12,8 @@ from equimus_ctrl.effects.valves import POWER, ValveEffect, valve_settings
 from equimus_ctrl.engines.batch import KNOWN_KINDS
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, Phase, pack
 from equimus_ctrl.models.spread import OF_ACTUATORS, groups, latin_hypercube, strayed
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack
 from equimus_ctrl.tuning.study import EnsembleSettings
 from equimus_ctrl.types import Array
 

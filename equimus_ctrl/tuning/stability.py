@@ -19,8 +19,8 @@ from equimus_ctrl.effects.valves import DELAY, ShapingEffect, command_for, shape
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.linear import state_matrices, valve_lag, with_valves
-from equimus_ctrl.models.morphology import Morphology, Phase
 from equimus_ctrl.models.spread import latin_hypercube
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.tuning.ensemble import Member
 from equimus_ctrl.types import Array
 

@@ -14,7 +14,7 @@ import numpy as np
 from equimus_ctrl.engines.batch import STEP, Trial, simulate
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.engines import Progress, finer, silent
 from equimus_ctrl.validation.experiment import undamped

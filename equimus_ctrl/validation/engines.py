@@ -15,7 +15,7 @@ from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
 from equimus_ctrl.models.mjcf import SolverSettings, build_spec, compile_with_stops
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, Phase
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.experiment import Experiment
 from equimus_ctrl.validation.plan import SAMPLE_RATE

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.models.morphology import Morphology, Phase, pack
+from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.plan import SAMPLE_RATE
 

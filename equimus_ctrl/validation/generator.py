@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.morphology import BASE, ElasticActuator, Joint, Link, Morphology, Point
+from equimus_ctrl.robots.elastic.morphology import BASE, ElasticActuator, Joint, Link, Morphology, Point
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.experiment import Experiment
 from equimus_ctrl.validation.plan import SAMPLE_RATE

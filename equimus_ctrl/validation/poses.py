@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.models.leg import nominal_leg
-from equimus_ctrl.models.morphology import Morphology, structure
+from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.elastic.morphology import Morphology, structure
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.reference import evaluate
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.engines import Progress, mujoco_runs, native_runs, reduced_runs, silent
 from equimus_ctrl.validation.experiment import Experiment

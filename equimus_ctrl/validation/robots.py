@@ -12,7 +12,7 @@ import numpy as np
 
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.steps import step_divisor
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.engines import Progress, finer, mujoco_runs, reduced_runs, silent
 from equimus_ctrl.validation.experiment import Experiment

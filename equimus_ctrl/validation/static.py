@@ -14,7 +14,7 @@ from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import place
-from equimus_ctrl.models.morphology import Morphology
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.engines import BLOCK, NativeBatch, Progress, mujoco_equilibrium, silent
 from equimus_ctrl.validation.experiment import Experiment, any_force

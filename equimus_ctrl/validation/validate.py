@@ -14,7 +14,7 @@ from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.machine import processes
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.morphology import Morphology, structure
+from equimus_ctrl.robots.elastic.morphology import Morphology, structure
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.conservation import ConservationResult, conservation_case
 from equimus_ctrl.validation.engines import Progress

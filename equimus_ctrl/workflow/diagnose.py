@@ -12,11 +12,12 @@ import numpy as np
 from equimus_ctrl.diagnosis.candidates import uncertain
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
-from equimus_ctrl.diagnosis.moves import SearchSettings
+from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.split import check_settings, split
+from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.errors import ConfigError, EquimusError
-from equimus_ctrl.models.model import Model, machine_of, nominal_model
+from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.workflow.identify import Some, choose
 from equimus_ctrl.workflow.machines import read_free
 from equimus_ctrl.workflow.runs import load_scenario
@@ -40,6 +41,7 @@ def diagnose_recordings(
     shoot: float | None = None,
     parameters: Path | None = None,
     most: int = 3,
+    engine: EngineName | None = None,
     threads: int | None = None,
     progress: Progress = lambda stage, share, best: None,
 ) -> Diagnosis:
@@ -56,9 +58,11 @@ def diagnose_recordings(
         heldout: patterns of the names of trials that only judge; see ``diagnosis.split.split`` for the default.
         until: of every trial only what comes before this time is fitted, and the rest judges too [s].
         window: (from, to) of each trial that counts at all [s].
-        shoot: length of the windows that trials of a machine are cut into [s]; see ``split.window_length``.
+        shoot: length of the windows that trials are cut into where nothing holds the robot in place [s]; see
+            ``split.window_length``.
         parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` adds, ``bounds`` win.
         most: largest number of effects.
+        engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         threads: all cores by default.
         progress: called with the stage, the share done and the best hypothesis so far.
 
@@ -70,7 +74,7 @@ def diagnose_recordings(
         raise ConfigError(f"the largest number of effects is {most}, expected 1 to 6")
     if until is not None and not math.isfinite(until):
         raise ConfigError(f"the end of what is fitted is {until:g} s, expected a finite time")
-    if shoot is not None and machine_of(model) is None:
+    if shoot is not None and model.robot.traits.held_in_place:
         raise ConfigError("windows to shoot over are for robots from MuJoCo's XML; a leg's trials are fitted whole")
     trials = choose(gather(recordings, model), select)
     if parameters is not None:
@@ -78,15 +82,15 @@ def diagnose_recordings(
     chosen = uncertain(model, free, bounds, fix)
     parts = split(model, trials, heldout=heldout, until=until, window=window, shoot=shoot)
     check_settings(chosen, parts)
-    settings = DiagnosisSettings(SearchSettings(most_parts=most), threads)
-    return diagnose(
-        chosen, parts, settings=settings, designs=() if machine_of(model) else sweeps(model), progress=progress
-    )
+    settings = DiagnosisSettings(SearchSettings(most_parts=most), threads, engine)
+    return diagnose(chosen, parts, settings=settings, designs=sweeps(model), progress=progress)
 
 
 def sweeps(model: Model) -> list[Design]:
-    """Experiments that ``equimus-ctrl run chirp`` can make with a robot."""
-    designs = []
+    """Experiments that ``equimus-ctrl run chirp`` can make with a robot; none where its commands are no pressures."""
+    designs: list[Design] = []
+    if not model.robot.traits.commands_are_pressures:
+        return designs
     for values in product(*SWEEPS.values()):
         settings = dict(zip(SWEEPS, values, strict=True))
         options = {key: f"{value:g}" for key, value in settings.items()}

@@ -8,34 +8,34 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.split import window_length
-from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
-from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
-from equimus_ctrl.engines.predict import Engine, behind_sensors, check_columns
+from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.engines.choice import engine_for
+from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.crosscheck import cross_check
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.parameters import free_parameters
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged, together
-from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.sensitivity import SHARES, Sensitivity, sensitivity
-from equimus_ctrl.identification.simulators import STEPS_FINER, Simulator, machine_simulator, reduced_simulator
+from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
 from equimus_ctrl.identification.step_error import with_step_error
-from equimus_ctrl.models.model import Model, machine_of, nominal_model
+from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.recordings import StaticPoses, read_static_poses
 from equimus_ctrl.recordings.sheet import header_of
 from equimus_ctrl.recordings.upstream import STATIC_POSES, kind
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.machines import read_free
 from equimus_ctrl.workflow.scores import gather
 
-TRIALS_ONLY = {"window": None, "shoot": None, "fit_start": False, "engine": "reduced", "dt": None}
+TRIALS_ONLY = {"window": None, "shoot": None, "fit_start": False, "engine": None, "dt": None}
 """What poses at rest have no use for, and the value that asks for nothing."""
 FOLD_SHARE = 0.15
 """What a fold of the cross-check takes beside the search, for the share done."""
@@ -46,26 +46,26 @@ Progress = Callable[[str, float, float], None]
 there is none yet."""
 
 
-def simulator_of(engine: str, dt: float | None = None, threads: int | None = None) -> Simulator:
+def simulator_of(
+    engine: str | None,
+    dt: float | None = None,
+    threads: int | None = None,
+    model: Model | None = None,
+    trials: Sequence[Recording] = (),
+) -> Simulator:
     """The engine by its name: ``reduced`` or ``mujoco``, with a physics step [s] of its own choice by default.
+
+    For a model's robot, by default the nominal leg, and what it did in some trials; see ``engine_for``.
 
     Raises:
         ConfigError: for another name or a step that is none.
     """
-    if engine not in ("reduced", "mujoco"):
-        raise ConfigError(unknown_name("engine", engine, ("reduced", "mujoco")))
-    if dt is not None and not 0 < dt < float("inf"):
-        raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
-    if engine == "reduced":
-        return reduced_simulator(dt, threads)
-    settings = replace(FAST_SETTINGS, timestep=dt) if dt else None
-
-    def run(models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]) -> Any:
-        trials = [s.trial for s in segments]
-        true = [behind_sensors(models, rows) for rows in starts]
-        return simulate_mujoco(models, trials, starts=true, settings=settings, threads=threads)
-
-    return run
+    names = get_args(EngineName)
+    if engine is not None and engine not in names:
+        raise ConfigError(unknown_name("engine", engine, names))
+    positions = [trial.position for trial in trials]
+    chosen = engine_for(model or nominal_model(), cast("EngineName | None", engine), dt, positions)
+    return Simulator(chosen, threads)
 
 
 def choose(trials: Sequence[Recording], patterns: Sequence[str] | None) -> list[Recording]:
@@ -94,7 +94,7 @@ def identify_recordings(
     window: tuple[float, float] | None = None,
     shoot: float | None = None,
     fit_start: bool = False,
-    engine: Engine = "reduced",
+    engine: EngineName | None = None,
     dt: float | None = None,
     threads: int | None = None,
     folds: int = FOLDS,
@@ -114,7 +114,7 @@ def identify_recordings(
         window: (from, to) [s] of each trial that is compared; all of it by default.
         shoot: cut into windows of this length, each from its own free start [s].
         fit_start: let each trial's first angles be free.
-        engine: ``"reduced"`` or ``"mujoco"``.
+        engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         dt: physics step [s].
         threads: all cores by default.
         folds: of the cross-check; less than two for none.
@@ -128,15 +128,15 @@ def identify_recordings(
     if folds < 0:
         raise ConfigError(f"the cross-check has {folds} folds, expected 0 or more")
     model = model or nominal_model()
-    simulator = simulator_of(engine, dt, threads)
     trials = choose(gather(recordings, model), select)
+    simulator = simulator_of(engine, dt, threads, model, trials)
     others = [] if heldout is None else _unseen(gather(heldout, model), trials)
     parameters = free_parameters(model, free, bounds, fix)
-    if machine_of(model) is not None:
-        engine, simulator = "mujoco", machine_simulator(dt, threads)
+    in_place = model.robot.traits.held_in_place
+    if not in_place:
         shoot = shoot or window_length(model, trials, window, simulator) or math.inf
     segments = cut(model, trials, window=window, shoot=shoot, fit_start=fit_start)
-    judged = cut(model, others, window=window, shoot=None if machine_of(model) is None else shoot)
+    judged = cut(model, others, window=window, shoot=None if in_place else shoot)
     share = _Share(min(folds, len(trials)) if min(folds, len(trials)) > 1 else 0, settings or FitSettings())
     progress("compiling", 0.0, math.nan)
     simulator([model], segments[:1], [segments[0].start[None, :]])
@@ -159,18 +159,17 @@ def identify_recordings(
         settings,
         lambda done: progress("cross-check", share.of_folds(done), best),
     )
-    if (machine := machine_of(model)) is not None:
-        other = machine_simulator((dt or machine.timestep) / STEPS_FINER, threads)
-        found = with_step_error(found, segments, simulator, other, 1 / STEPS_FINER)
+    if (step := simulator.engine.discretisation) is not None:
+        other = Simulator(simulator.engine.with_finer_step(), threads)
+        found = with_step_error(found, segments, simulator, other, 1 / step.finer)
     checked = time.perf_counter()
     pairs = zip(
         judged, residuals_of(model, judged, simulator), residuals_of(found.model, judged, simulator), strict=True
     )
     unseen = tuple(Judged(s.trial.name, before, after, s) for s, before, after in pairs)
     progress("done", 1.0, best)
-    return Identified(
-        found, tuple(segments), tuple(trials), check, unseen, engine, searched - begun, checked - searched
-    )
+    took = searched - begun, checked - searched
+    return Identified(found, tuple(segments), tuple(trials), check, unseen, simulator.engine, *took)
 
 
 class _Share:
@@ -311,7 +310,7 @@ def identify_files(
     model = model or nominal_model()
     if parameters is not None:
         free, bounds = read_free(parameters, model).with_more(free, bounds)
-    if machine_of(model) is not None:
+    if not model.robot.traits.held_in_place:  # so poses at rest tell nothing
         own = identify_recordings(
             sources, model, free=free, fix=fix, bounds=bounds, select=select, heldout=heldout or None,
             progress=progress, **trials_only,
@@ -364,7 +363,8 @@ def identify_files(
         trials, start, free=chosen.names, bounds=limits, heldout=others, progress=progress, **trials_only
     )
     # What was held out is judged against the model as it came, whatever the poses made of it.
-    simulator = simulator_of(trials_only.get("engine", "reduced"), trials_only.get("dt"), trials_only.get("threads"))
+    engine, dt, threads = (trials_only.get(key) for key in ("engine", "dt", "threads"))
+    simulator = simulator_of(engine, dt, threads, model)
     judged = [
         replace(h, before=residuals_of(model, [h.segment], simulator)[0])
         for h in found.heldout
@@ -399,7 +399,7 @@ def sensitivity_of(
     parameters: Sequence[str] = ("*",),
     shares: Sequence[float] = SHARES,
     window: tuple[float, float] | None = None,
-    engine: Engine = "reduced",
+    engine: EngineName | None = None,
     dt: float | None = None,
     threads: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
@@ -413,7 +413,7 @@ def sensitivity_of(
         parameters: names or patterns.
         shares: by which each is changed.
         window: (from, to) [s] of each trial that is compared.
-        engine: ``"reduced"`` or ``"mujoco"``.
+        engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         dt: physics step [s].
         threads: all cores by default.
         progress: called with the share done.
@@ -422,7 +422,7 @@ def sensitivity_of(
         EquimusError: where something given cannot be used.
     """
     model = model or nominal_model()
-    own = machine_of(model) is not None
-    simulator = machine_simulator(dt, threads) if own else simulator_of(engine, dt, threads)
-    segments = cut(model, choose(gather(recordings, model), select), window=window)
+    trials = choose(gather(recordings, model), select)
+    simulator = simulator_of(engine, dt, threads, model, trials)
+    segments = cut(model, trials, window=window)
     return sensitivity(model, segments, patterns=parameters, shares=shares, simulator=simulator, notify=progress)

@@ -15,15 +15,16 @@ from equimus_ctrl.effects.valves import DELAY, FirstOrderLag, TransportDelay
 from equimus_ctrl.engines.machine import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
-from equimus_ctrl.models.machine import Machine
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import Limits, read_set
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Recording
 
 FORMAT = "equimus-ctrl/parameters/1"
 
 
-def load_machine(path: Path, source: str | None = None) -> Machine:
+def load_machine(path: Path, source: str | None = None) -> MjcfRobot:
     """The machine of a file of MuJoCo's XML.
 
     Args:
@@ -35,19 +36,21 @@ def load_machine(path: Path, source: str | None = None) -> Machine:
     """
     name, xml, assets = presets.read_mjcf(path)
     try:
-        return Machine(name, xml, assets, source or path.name)
+        return MjcfRobot(name, xml, assets, source or path.name)
     except ModelError as error:
         raise ModelError(f"{path}: {str(error).removeprefix(f'{name}: ')}") from None
 
 
-def read_machine_set(files: Sequence[Path], machine: Machine) -> tuple[Recording, ...]:
-    """Trials of a machine: any commands, its joints and actuators in its order.
+def read_trials(files: Sequence[Path], robot: Robot) -> tuple[Recording, ...]:
+    """Trials of a robot: pressures within a leg's limits, or any commands of its joints and actuators in its order.
 
     Raises:
         RecordingError: where a file cannot be read or lacks one of them.
     """
-    joints, actuators = machine.joint_names, machine.actuator_names
-    hinges = [joint.name for joint in machine.joints if not joint.slides]
+    if robot.traits.commands_are_pressures:
+        return read_set(files)
+    joints, actuators = robot.joint_names, robot.actuator_names
+    hinges = [name for name in joints if not robot.slides(name)]
     return read_set(files, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators, hinges))
 
 
@@ -149,8 +152,7 @@ def write_corrected(path: Path, model: Model, source: Path | None = None) -> tup
     Raises:
         ConfigError: where the model is of no machine.
     """
-    if machine_of(model) is None:
-        raise ConfigError(f"{model.name}: is no robot of MuJoCo's XML")
+    mjcf_of(model.robot)
     xml, left = corrected_xml(model, "" if source is None else presets.relative(source, path.parent))
     presets.write_text(path, xml)
     return left

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.model import Model, machine_model, machine_of, model_from_dict, model_to_dict, nominal_model
+from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
+from equimus_ctrl.robots.elastic.morphology import Morphology
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.workflow.machines import load_machine, write_corrected
 
 
@@ -20,7 +22,7 @@ def load_model(path: Path | str | None = None) -> Model:
     if path is None:
         return nominal_model()
     if Path(path).suffix.lower() in presets.MJCF:
-        return machine_model(load_machine(Path(path)))
+        return Model(load_machine(Path(path)))
     folder, data = Path(path).parent, presets.read_toml(Path(path))
     if not data:
         raise ConfigError(f"{path}: is empty; a model file has a morphology, parameters or effects, or names an mjcf")
@@ -34,7 +36,7 @@ def load_elastic(path: Path | str | None = None) -> Model:
         ConfigError, ModelError: see ``load_model``; also for a robot of MuJoCo's XML.
     """
     model = load_model(path)
-    if machine_of(model) is not None:
+    if not isinstance(model.robot, Morphology):
         raise ConfigError(
             f"{path}: is a robot of MuJoCo's XML, which this is not for; identify, diagnose, prove, score, "
             "sensitivity, list parameters and recordings check take it"
@@ -44,7 +46,7 @@ def load_elastic(path: Path | str | None = None) -> Model:
 
 def renamed(model: Model, name: str) -> Model:
     """The model under another name, such as its file's, so that a table shows which one it is of."""
-    return replace(model, morphology=replace(model.morphology, name=name))
+    return replace(model, robot=replace(model.robot, name=name))
 
 
 def save_model(path: Path | str, model: Model, near: Path | None = None) -> list[Path]:
@@ -59,13 +61,13 @@ def save_model(path: Path | str, model: Model, near: Path | None = None) -> list
         The files written.
     """
     path = Path(path)
-    machine = machine_of(model)
-    if machine is None:
+    robot = model.robot
+    if not isinstance(robot, MjcfRobot):
         presets.write_text(path, presets.toml_text(model_to_dict(model)))
         return [path]
     data = model_to_dict(model)
     if near is not None:
-        found = near if near.suffix.lower() in presets.MJCF else near.parent / machine.source
+        found = near if near.suffix.lower() in presets.MJCF else near.parent / robot.source
         data["mjcf"] = presets.relative(found, path.parent)
     whole = path.with_suffix(".xml")
     if (near is not None and whole.resolve() == found.resolve()) or (whole.exists() and not path.exists()):

@@ -12,7 +12,7 @@ from typing import Any
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.machine import processors
-from equimus_ctrl.models.model import Model, machine_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.apart import each_apart
 from equimus_ctrl.proof.designs import DURATION, TRIALS
@@ -22,6 +22,7 @@ from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import digest, seal_of_all
 from equimus_ctrl.proof.store import Request, make_cases, open_truth
 from equimus_ctrl.recordings.folders import read_text
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many cases are done, and how many there are."""
@@ -132,7 +133,7 @@ def put_to_proof(
         progress(STAGES[2], case + 1, cases)
     reports = [_read(request.report(case)) for case in range(cases)]
     others = [_read(request.baselines(case))["answers"] if baselines else {} for case in range(cases)]
-    found = score(truths, reports, others, request.model.morphology)
+    found = score(truths, reports, others, request.model.robot)
     return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun)
 
 
@@ -158,8 +159,7 @@ def _claim(request: Request) -> None:
         "robot": request.model.name,
     }
     if request.experiment is not None:
-        machine = machine_of(request.experiment.model)
-        assert machine is not None
+        machine = mjcf_of(request.experiment.model.robot)
         wanted |= {"recordings_sha256": digest(request.experiment.recordings), "model_sha256": machine.digest}
     text = read_text(path)
     if text is None:

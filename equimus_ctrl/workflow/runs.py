@@ -14,12 +14,12 @@ from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.models.morphology import Morphology
 from equimus_ctrl.plants.hardware.plant import HardwarePlant, LoopCounts
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.registry import PlantRequest, make_plant
 from equimus_ctrl.plants.replay import ReplayPlant
 from equimus_ctrl.recordings import locate, read_set
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.simulate import run

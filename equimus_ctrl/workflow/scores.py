@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.engines.predict import Engine, check_columns, predict
+from equimus_ctrl.engines.base import Engine, EngineName
+from equimus_ctrl.engines.choice import engine_for
+from equimus_ctrl.engines.predict import check_columns, predict
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.model import Model, machine_of, nominal_model
+from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.recordings import read_set
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.machines import read_machine_set
+from equimus_ctrl.workflow.machines import read_trials
 
 MOST_RATE = 1e5
 """Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""
@@ -48,21 +50,24 @@ class RecordingsScore:
         model: the model.
         trials: one score each.
         rmse: (nj,) over all samples of all trials [rad].
+        engine: that predicted.
     """
 
     model: Model
     trials: tuple[TrialScore, ...]
     rmse: Array
+    engine: Engine
 
     def to_dict(self) -> dict[str, Any]:
         """What ``score --json`` prints."""
-        joints = self.model.morphology.joint_names
+        joints = self.model.robot.joint_names
 
         def table(values: Array) -> dict[str, float]:
             return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
 
         return {
             "model": self.model.name,
+            "engine": self.engine.to_dict(),
             "rmse_rad": table(self.rmse),
             "trials": [{"name": t.recording.name, "rmse_rad": table(t.rmse)} for t in self.trials],
         }
@@ -84,8 +89,7 @@ def gather(
     files = [Path(item) for item in given if isinstance(item, Path | str)]
     trials = [item for item in given if isinstance(item, Recording)]
     if files or not trials:
-        machine = None if model is None else machine_of(model)
-        trials += read_set(files) if machine is None else read_machine_set(files, machine)
+        trials += read_set(files) if model is None else read_trials(files, model.robot)
     return trials
 
 
@@ -93,7 +97,7 @@ def score_recordings(
     recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
     model: Model | None = None,
     *,
-    engine: Engine = "reduced",
+    engine: EngineName | None = None,
     window: tuple[float, float] | None = None,
     rate: float | None = None,
     progress: Callable[[float], None] | None = None,
@@ -103,7 +107,7 @@ def score_recordings(
     Args:
         recordings: files, folders or trials.
         model: the nominal leg by default.
-        engine: ``"reduced"`` or ``"mujoco"``.
+        engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         window: (from, to) [s] of each trial that counts; all of it by default.
         rate: of a grid to compare on [Hz]; the recording's own rows by default.
         progress: called with the share done.
@@ -118,8 +122,9 @@ def score_recordings(
     for trial in trials:
         check_columns(model, trial)
     scores = []
+    chosen = engine_for(model, engine, positions=[trial.position for trial in trials])
     for k, trial in enumerate(trials):
-        predicted = predict(model, trial, engine=engine)
+        predicted = predict(model, trial, engine=chosen.name)
         error = _scored_error(trial, predicted, window, rate)
         squares = (error**2).sum(axis=0)
         scores.append(TrialScore(trial, predicted, np.sqrt(squares / len(error)), squares, len(error)))
@@ -127,7 +132,7 @@ def score_recordings(
             progress((k + 1) / len(trials))
     total = sum(s.samples for s in scores)
     rmse = np.sqrt(np.sum([s.squares for s in scores], axis=0) / total)
-    return RecordingsScore(model, tuple(scores), rmse)
+    return RecordingsScore(model, tuple(scores), rmse, chosen)
 
 
 def _scored_error(trial: Recording, predicted: Array, window: tuple[float, float] | None, rate: float | None) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from equimus_ctrl.models.machine_plan import Assets, spec_of
+from equimus_ctrl.robots.mjcf.plan import Assets, spec_of
 
 HARD = 0.9999
 """Impedance of dry friction: what a rubbing joint at rest creeps is this near to nothing."""

@@ -10,198 +10,72 @@ its parent's frame; the base frame is the world's. Units are SI.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from numbers import Real
-from typing import Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
-from equimus_ctrl.errors import ModelError, nearest, unknown_name
+from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
+from equimus_ctrl.robots.base import Robot, RobotTraits
+from equimus_ctrl.robots.elastic.form import ElasticForm
+from equimus_ctrl.robots.elastic.parts import (
+    BASE,
+    ElasticActuator,
+    Joint,
+    JointStop,
+    Link,
+    Point,
+    check_finite,
+    check_least,
+    require,
+)
+from equimus_ctrl.robots.mechanics import Channel, Mechanics
 from equimus_ctrl.types import Array, frozen_array
+
+__all__ = [
+    "BASE", "BUILT_IN", "ElasticActuator", "Joint", "JointStop", "Link", "Morphology", "Phase", "Point", "elastic_of",
+    "pack", "structure",
+]  # fmt: skip
 
 Phase = Literal["swing", "stance"]
 """Swing: the base is fixed. Stance: the foot is pinned, the base translates and keeps its orientation."""
 
-BASE = "base"
 RESERVED = (BASE, "world")
 
+DEFAULT_KINDS = ("stiffness", "area", "rest_length", "damping")
+"""What an actuator's bench values tell least: free by default, with the joints' damping."""
+_FACTOR = {"stiffness": 3.0, "area": 3.0, "mass": 3.0, "inertia": 3.0, "damping": 10.0}
+_SHARE = {"rest_length": 0.3, "radius": 0.3, "length": 0.1, "com": 0.5, "gravity": 0.02}
+_AWAY = {"angle": 0.3, "tilt": 0.3, "com": 0.1, "damping": 1.0, "stiffness": 100.0, "base_mass": 1.0}
+_UNIT = {
+    "area": "m²", "rest_length": "m", "mass": "kg", "base_mass": "kg", "com": "m", "inertia": "kg·m²", "length": "m",
+    "radius": "m", "angle": "rad", "tilt": "rad", "gravity": "m/s²", "command_low": "Pa", "command_high": "Pa",
+}  # fmt: skip
 
-def _require(condition: bool, message: str) -> None:
-    if not condition:
-        raise ModelError(message)
-
-
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
-
-
-def _check_finite(owner: str, **values: float) -> None:
-    for key, value in values.items():
-        _require(_is_finite(value), f"{owner}: {key} is {value}, expected a finite number")
-
-
-def _check_least(owner: str, least: float, **values: float) -> None:
-    _check_finite(owner, **values)
-    for key, value in values.items():
-        _require(value >= least, f"{owner}: {key} is {value:g}, expected at least {least:g}")
-
-
-def _check_positive(owner: str, **values: float) -> None:
-    _check_finite(owner, **values)
-    for key, value in values.items():
-        _require(value > 0, f"{owner}: {key} is {value:g}, expected more than 0")
-
-
-@dataclass(frozen=True)
-class Point:
-    """A point fixed to a body, in polar coordinates of the body's frame.
-
-    Attributes:
-        body: a link's name, or ``"base"``.
-        radius: distance from the frame's origin [m].
-        angle: direction, from the body's first axis [rad].
-    """
-
-    body: str
-    radius: float
-    angle: float = 0.0
-
-    def __post_init__(self) -> None:
-        _check_least(f"point on {self.body}", 0.0, radius=self.radius)
-        _check_finite(f"point on {self.body}", angle=self.angle)
-
-    @classmethod
-    def cartesian(cls, body: str, x: float, y: float) -> Point:
-        """The point at (x, y) [m] of the body's frame."""
-        return cls(body, math.hypot(x, y), math.atan2(y, x))
-
-    @property
-    def xy(self) -> tuple[float, float]:
-        """Cartesian coordinates in the body's frame [m]."""
-        return self.radius * math.cos(self.angle), self.radius * math.sin(self.angle)
+TRAITS = RobotTraits(
+    catalogue="elastic",
+    starts_at_rest=True,
+    held_in_place=True,
+    smooth_motion=True,
+    forces_along_actuators=True,
+    commands_are_pressures=True,
+    trials_alike=True,
+    notes_set_parameters=False,
+    has_stance=True,
+    damping_known_within=4.0,
+    bounds_of_any_size=False,
+    least_command=500.0,
+    least_motion=5e-3,
+    most_angle=12.6,
+)
+"""Pneumatic muscles pull a robot with end stops to one pose; it is driven by valves, from rest, on a test bench."""
 
 
 @dataclass(frozen=True)
-class JointStop:
-    """A one-sided spring and damper: tau = stiffness·depth − damping·rate, never pulling.
-
-    Attributes:
-        angle: where it begins [rad].
-        stiffness: [N·m/rad].
-        damping: [N·m·s/rad], acting only while the stop is pressed.
-    """
-
-    angle: float
-    stiffness: float = 200.0
-    damping: float = 1.0
-
-    def __post_init__(self) -> None:
-        _check_finite("joint stop", angle=self.angle)
-        _check_least("joint stop", 0.0, stiffness=self.stiffness, damping=self.damping)
-
-
-@dataclass(frozen=True)
-class Link:
-    """A rigid link.
-
-    Attributes:
-        name: unique name.
-        length: from its joint to its tip [m].
-        mass: [kg].
-        com: centre of mass, along the link from its joint [m].
-        inertia: about the centre of mass [kg·m²].
-    """
-
-    name: str
-    length: float
-    mass: float
-    com: float
-    inertia: float
-
-    def __post_init__(self) -> None:
-        _check_positive(f"link {self.name!r}", length=self.length, mass=self.mass)
-        _check_finite(f"link {self.name!r}", com=self.com)
-        _check_least(f"link {self.name!r}", 0.0, inertia=self.inertia)
-
-    @classmethod
-    def rod(cls, name: str, length: float, mass: float) -> Link:
-        """A thin uniform rod: centre of mass at half the length, inertia mL²/12."""
-        return cls(name, length, mass, length / 2, mass * length**2 / 12)
-
-
-@dataclass(frozen=True)
-class Joint:
-    """A hinge that carries ``child`` on ``parent``.
-
-    Attributes:
-        name: unique name.
-        parent: a link's name, or ``"base"``.
-        child: the link it carries.
-        damping: viscous damping [N·m·s/rad].
-        lower: stop at the lower end, or None.
-        upper: stop at the upper end, or None.
-        at: where on the parent; None means the parent's tip (the origin, on the base).
-    """
-
-    name: str
-    parent: str
-    child: str
-    damping: float = 0.0
-    lower: JointStop | None = None
-    upper: JointStop | None = None
-    at: Point | None = None
-
-    def __post_init__(self) -> None:
-        _check_least(f"joint {self.name!r}", 0.0, damping=self.damping)
-        if self.lower and self.upper:
-            _require(
-                self.lower.angle < self.upper.angle,
-                f"joint {self.name!r}: the lower stop at {self.lower.angle:g} rad is not below "
-                f"the upper one at {self.upper.angle:g} rad",
-            )
-        if self.at is not None:
-            _require(
-                self.at.body == self.parent,
-                f"joint {self.name!r}: sits on {self.at.body!r} but its parent is {self.parent!r}",
-            )
-
-
-@dataclass(frozen=True)
-class ElasticActuator:
-    """A linear elastic actuator that lengthens under pressure.
-
-    The force that pushes its ends apart is  area·P − stiffness·(l − rest_length) − damping·dl/dt.
-
-    Attributes:
-        name: unique name.
-        origin: one end.
-        insertion: the other end.
-        mass: spread evenly along it [kg].
-        stiffness: [N/m].
-        damping: [N·s/m].
-        rest_length: [m].
-        area: force per pressure [m²].
-    """
-
-    name: str
-    origin: Point
-    insertion: Point
-    mass: float
-    stiffness: float
-    damping: float
-    rest_length: float
-    area: float
-
-    def __post_init__(self) -> None:
-        owner = f"actuator {self.name!r}"
-        _check_positive(owner, rest_length=self.rest_length, area=self.area)
-        _check_least(owner, 0.0, mass=self.mass, stiffness=self.stiffness, damping=self.damping)
-
-
-@dataclass(frozen=True)
-class Morphology:
+class Morphology(Robot):
     """A planar tree of links with elastic actuators across them.
 
     Attributes:
@@ -221,6 +95,8 @@ class Morphology:
             no joint can lengthen.
     """
 
+    traits: ClassVar[RobotTraits] = TRAITS
+
     name: str
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
@@ -235,21 +111,21 @@ class Morphology:
     def __post_init__(self) -> None:
         for key in ("links", "joints", "actuators"):
             object.__setattr__(self, key, tuple(getattr(self, key)))
-        _check_least(self.name, 0.0, base_mass=self.base_mass)
-        _check_finite(self.name, gravity=self.gravity, tilt=self.tilt)
-        _check_finite(self.name, command_low=self.command_low, command_high=self.command_high)
-        _require(
+        check_least(self.name, 0.0, base_mass=self.base_mass)
+        check_finite(self.name, gravity=self.gravity, tilt=self.tilt)
+        check_finite(self.name, command_low=self.command_low, command_high=self.command_high)
+        require(
             self.command_low < self.command_high,
             f"{self.name}: the lowest command {self.command_low:g} Pa is not below the highest, "
             f"{self.command_high:g} Pa",
         )
-        _require(bool(self.links), f"{self.name}: a morphology needs at least one link")
-        _require(bool(self.actuators), f"{self.name}: a morphology needs at least one actuator")
+        require(bool(self.links), f"{self.name}: a morphology needs at least one link")
+        require(bool(self.actuators), f"{self.name}: a morphology needs at least one actuator")
         names = [item.name for group in (self.links, self.joints, self.actuators) for item in group]
         for name in names:
-            _require(names.count(name) == 1, f"{self.name}: the name {name!r} is used twice")
-            _require(name not in RESERVED, f"{self.name}: the name {name!r} is taken; it means the ground")
-            _require(name.isidentifier(), f"{self.name}: {name!r} is not a plain name of letters, digits and '_'")
+            require(names.count(name) == 1, f"{self.name}: the name {name!r} is used twice")
+            require(name not in RESERVED, f"{self.name}: the name {name!r} is taken; it means the ground")
+            require(name.isidentifier(), f"{self.name}: {name!r} is not a plain name of letters, digits and '_'")
         self._check_tree()
         self._check_actuators()
 
@@ -266,7 +142,7 @@ class Morphology:
                     f"{self.name}: link {joint.child!r} is carried by both joint {carried[joint.child]!r} and joint "
                     f"{joint.name!r}; a closed skeleton loop is not supported, each link hangs on one joint"
                 )
-            _require(
+            require(
                 joint.parent in reached,
                 f"{self.name}: joint {joint.name!r} hangs on {joint.parent!r} before any joint carries that link; "
                 "list parents first (a closed skeleton loop is not supported)",
@@ -274,7 +150,7 @@ class Morphology:
             carried[joint.child] = joint.name
             reached.add(joint.child)
         for link in self.links:
-            _require(link.name in carried, f"{self.name}: link {link.name!r} hangs on no joint")
+            require(link.name in carried, f"{self.name}: link {link.name!r} hangs on no joint")
         if self.foot not in link_names:
             raise ModelError(unknown_name("link", self.foot, link_names, f"{self.name}: foot"))
 
@@ -285,12 +161,12 @@ class Morphology:
             for point in (actuator.origin, actuator.insertion):
                 if point.body not in bodies:
                     raise ModelError(unknown_name("body", point.body, bodies, owner))
-            _require(
+            require(
                 actuator.origin.body != actuator.insertion.body,
                 f"{owner} has both ends on {actuator.origin.body!r}, so no joint moves it; "
                 "its ends must be on two different bodies",
             )
-            _require(
+            require(
                 not self._lies_on_pivot(actuator.origin, actuator.insertion)
                 and not self._lies_on_pivot(actuator.insertion, actuator.origin),
                 f"{owner} has an end on the only joint between its two bodies, so its length never changes; "
@@ -324,6 +200,25 @@ class Morphology:
         low = [j.lower.angle if j.lower else -math.inf for j in self.joints]
         high = [j.upper.angle if j.upper else math.inf for j in self.joints]
         return frozen_array(low, 1), frozen_array(high, 1)
+
+    def places(self) -> dict[str, tuple[str, ...]]:
+        """Kind of place → names of those an effect can sit at."""
+        return {
+            "joint": self.joint_names,
+            "actuator": self.actuator_names,
+            "link": tuple(link.name for link in self.links),
+            "foot": ("foot",),
+            "base": (BASE,),
+        }
+
+    @property
+    def foot_link(self) -> str:
+        """The link whose tip is the foot."""
+        return self.foot
+
+    def carrying_point(self, place: str) -> str:
+        """In words where a payload at a link or foot sits."""
+        return "the foot" if place == "foot" else f"the tip of the {place}"
 
     def without_stops(self) -> Morphology:
         """The same robot with joints that turn freely."""
@@ -413,8 +308,89 @@ class Morphology:
                 raise ModelError(
                     f"{self.name}: there is no parameter {name!r}{nearest(name, known)} (known: {', '.join(likely)})"
                 )
-            _require(isinstance(values[name], Real), f"{self.name}: {name} is {values[name]!r}, expected a number")
+            require(isinstance(values[name], Real), f"{self.name}: {name} is {values[name]!r}, expected a number")
         return _replaced(self, "", values)
+
+    def unit(self, name: str) -> str:
+        """The SI unit of a parameter."""
+        parts = name.split(".")
+        if parts[-1] in _UNIT:
+            return _UNIT[parts[-1]]
+        turning = parts[0] in self.joint_names
+        return {"stiffness": ("N/m", "N·m/rad"), "damping": ("N·s/m", "N·m·s/rad")}[parts[-1]][turning]
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """(low, high): how far a parameter is believed to be off at most, by its kind."""
+        value, kind = self._parameters[name], name.split(".")[-1]
+        if kind in _FACTOR and value > 0:
+            return value / _FACTOR[kind], value * _FACTOR[kind]
+        if kind in _SHARE and value > 0:
+            return value * (1 - _SHARE[kind]), value * (1 + _SHARE[kind])
+        away = _AWAY.get(kind, max(abs(value), 1.0))
+        least = 0.0 if kind in _FACTOR else -math.inf
+        return max(value - away, least), value + away
+
+    def default_names(self) -> list[str]:
+        """Stiffness, area, rest length and damping of every actuator, and damping of every joint."""
+        names = [f"{a.name}.{key}" for key in DEFAULT_KINDS for a in self.actuators]
+        return names + [f"{joint.name}.damping" for joint in self.joints]
+
+    def place_unit(self, unit: str, place: str) -> str:
+        """The unit of something at a joint or actuator, see ``Robot.place_unit``."""
+        joint, _, actuator = unit.partition(" | ")
+        return joint if place in self.joint_names or not actuator else actuator
+
+    def command_unit(self, actuator: str) -> str:
+        """Of an actuator's command: a pressure."""
+        return "Pa"
+
+    def length_unit(self, actuator: str) -> str:
+        """Of an actuator's length."""
+        return "m"
+
+    def mechanics(self) -> Mechanics:
+        everywhere = np.arange(len(self.joints))
+        named = {"joint": self.joint_names, "actuator": self.actuator_names}
+        channels = tuple(Channel(actuator=i) for i in range(len(self.actuators)))
+        return Mechanics(structure(self), pack(self), everywhere, everywhere, named, channels)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a model file says of it: a built-in by its name with what differs, else all of it."""
+        base = next((name for name, make in BUILT_IN.items() if self._is_like(make())), None)
+        if base is None:
+            return {"morphology": _without_none(asdict(self))}
+        reference = BUILT_IN[base]().parameters()
+        changed = {key: value for key, value in self._parameters.items() if value != reference[key]}
+        return {"morphology": base, "parameters": changed}
+
+    def _is_like(self, other: Morphology) -> bool:
+        """Whether the two differ in nothing but their name and parameters."""
+        if other.parameters().keys() != self._parameters.keys():
+            return False
+        return replace(other.with_parameters(self._parameters), name=self.name) == self
+
+
+BUILT_IN: dict[str, Callable[[], Morphology]] = {}
+"""The robots that model files know by name; ``robots.elastic.leg`` puts them there."""
+
+
+def elastic_of(robot: Robot) -> Morphology:
+    """A robot as what it has to be where elastic actuators are needed.
+
+    Raises:
+        ConfigError: where it has none.
+    """
+    if not isinstance(robot, Morphology):
+        raise ConfigError(f"{robot.name}: has no elastic actuators, which this is for; expected a robot that has")
+    return robot
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list | tuple):
+        return [_without_none(item) for item in value]
+    return value
 
 
 _Part = Morphology | Link | Joint | JointStop | ElasticActuator | Point
@@ -479,12 +455,9 @@ def pack(morphology: Morphology) -> Array:
     return np.array(out, dtype=np.float64)
 
 
-def structure(morphology: Morphology) -> tuple[tuple[int, ...], tuple[tuple[int, int], ...], int]:
-    """What the equations' form depends on: parents of the joints, bodies of each actuator, the foot's body.
-
-    Bodies are numbered by the joint that carries them; −1 is the base.
-    """
+def structure(morphology: Morphology) -> ElasticForm:
+    """What the form of a morphology's equations depends on."""
     index = {joint.child: i for i, joint in enumerate(morphology.joints)} | {BASE: -1}
     parents = tuple(index[joint.parent] for joint in morphology.joints)
     spans = tuple((index[a.origin.body], index[a.insertion.body]) for a in morphology.actuators)
-    return parents, spans, index[morphology.foot]
+    return ElasticForm(parents, spans, index[morphology.foot])

@@ -9,18 +9,27 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import lru_cache
+from threading import local
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
 from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
-from equimus_ctrl.models.machine_parts import HARD, add_mass, rotor_of, with_rotors, with_rotors_spec
-from equimus_ctrl.models.machine_plan import SLIDING, Assets, Axis, Drive, Plan, plan_of
-from equimus_ctrl.types import Array
+from equimus_ctrl.robots.base import Robot, RobotTraits
+from equimus_ctrl.robots.mechanics import Mechanics
+from equimus_ctrl.robots.mjcf.actuators import OWN
+from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
+from equimus_ctrl.robots.mjcf.form import obstacles
+from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
+from equimus_ctrl.robots.mjcf.parts import HARD, add_mass, rotor_of, with_rotors, with_rotors_spec
+from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
+from equimus_ctrl.types import Array, frozen_array
 
 BASE = "base"
 """The place of what concerns the whole machine."""
@@ -46,6 +55,24 @@ QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "s
 POSITIVE = frozenset(_FACTOR) - {"gain"}
 """Kinds of numbers that are at least 0."""
 
+TRAITS = RobotTraits(
+    catalogue="mjcf",
+    starts_at_rest=False,
+    held_in_place=False,
+    smooth_motion=False,
+    forces_along_actuators=False,
+    commands_are_pressures=False,
+    trials_alike=False,
+    notes_set_parameters=True,
+    has_stance=False,
+    damping_known_within=None,
+    bounds_of_any_size=True,
+    least_command=0.0,
+    least_motion=1e-4,
+    most_angle=math.inf,
+)
+"""Motors drive hinges and slides that nothing need hold in place; recordings are what somebody has."""
+
 
 @dataclass(frozen=True)
 class Compliance:
@@ -65,7 +92,7 @@ class Compliance:
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class MjcfRobot(Robot):
     """A robot from a MuJoCo model.
 
     Attributes:
@@ -82,6 +109,8 @@ class Machine:
     Raises:
         ModelError: where the XML is no model, or of a kind that is not for this.
     """
+
+    traits: ClassVar[RobotTraits] = TRAITS
 
     name: str
     xml: str
@@ -130,6 +159,12 @@ class Machine:
         return tuple(drive.name for drive in self.actuators)
 
     @property
+    def joint_range(self) -> tuple[Array, Array]:
+        """(low, high), each (nj,): ends of the joints [rad or m], ±inf where there are none."""
+        low, high = ([joint.range[side] for joint in self.joints] for side in (0, 1))
+        return frozen_array(low, 1), frozen_array(high, 1)
+
+    @property
     def timestep(self) -> float:
         """The physics step that the file asks for [s]."""
         return float(self.plan.base.opt.timestep)
@@ -148,11 +183,11 @@ class Machine:
         """Every number by its dotted name."""
         return {number.name: self.values.get(number.name, number.value) for number in self.plan.numbers.values()}
 
-    def has_parameters(self, names: Sequence[str] | Mapping[str, float]) -> bool:
+    def has_parameters(self, names: Iterable[str]) -> bool:
         """Whether it has numbers of all these names."""
         return all(name in self.plan.numbers for name in names)
 
-    def with_parameters(self, values: Mapping[str, float]) -> Machine:
+    def with_parameters(self, values: Mapping[str, float]) -> MjcfRobot:
         """A copy with some numbers replaced.
 
         Raises:
@@ -195,13 +230,33 @@ class Machine:
         """Whether a joint is a slide."""
         return next(axis.slides for axis in self.joints if axis.name == joint)
 
-    def turned(self, unit: str, place: str) -> str:
-        """The unit of something at a joint or actuator, given for a hinge."""
+    def place_unit(self, unit: str, place: str) -> str:
+        """The unit of something at a joint or actuator, see ``Robot.place_unit``."""
+        hinge, _, _ = unit.partition(" | ")
         drive = next((drive for drive in self.actuators if drive.name == place), None)
-        if unit == "command":
+        if hinge == "command":
             return drive.unit if drive else "1"
         joint = drive.joint if drive else place
-        return SLIDING.get(unit, unit) if joint in self.joint_names and self.slides(joint) else unit
+        return SLIDING.get(hinge, hinge) if joint in self.joint_names and self.slides(joint) else hinge
+
+    def command_unit(self, actuator: str) -> str:
+        """Of an actuator's command."""
+        return self.place_unit("command", actuator)
+
+    def length_unit(self, actuator: str) -> str:
+        """Of the coordinate of the joint that an actuator drives."""
+        return self.place_unit("rad", actuator)
+
+    def clipped_commands(self) -> dict[str, tuple[float, float]]:
+        """Actuator → the XML's ``ctrlrange``, where it has one: MuJoCo clips commands there."""
+        own = self.mujoco_model()
+        ranges = {drive.name: own.actuator_ctrlrange[drive.control] for drive in self.actuators}
+        limited = [drive.name for drive in self.actuators if own.actuator_ctrllimited[drive.control]]
+        return {name: (float(ranges[name][0]), float(ranges[name][1])) for name in limited}
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a model file says of it: the name of its XML, and what differs from that."""
+        return {"mjcf": self.source, "parameters": dict(self.values)}
 
     # What effects on bodies and drives need of a robot.
 
@@ -215,11 +270,11 @@ class Machine:
         """Angle by which gravity is turned about ``tilt_axis`` [rad]."""
         return self.parameters()["tilt"]
 
-    def with_payload(self, place: str, mass: float) -> Machine:
+    def with_payload(self, place: str, mass: float) -> MjcfRobot:
         """A copy that carries a mass [kg] at a site, or at the centre of mass of a body."""
         return replace(self, payloads=(*self.payloads, (place, mass)))
 
-    def with_compliance(self, joint: str, stiffness: float, damping: float, play: float = 0.0) -> Machine:
+    def with_compliance(self, joint: str, stiffness: float, damping: float, play: float = 0.0) -> MjcfRobot:
         """A copy with a spring between a joint and its drive, see ``Compliance``.
 
         Raises:
@@ -231,12 +286,13 @@ class Machine:
             )
         return replace(self, compliances=(*self.compliances, Compliance(joint, stiffness, damping, play)))
 
-    def with_play(self, joint: str, play: float) -> Machine:
+    def with_play(self, joint: str, play: float) -> MjcfRobot:
         """A copy with play between a joint and its drive; its ends are as hard as physics steps can follow."""
         return self.with_compliance(joint, 0.0, 0.0, max(play, LEAST_PLAY))
 
-    def check_flags(self, effects: Sequence[Effect]) -> None:
-        """Raise ConfigError where the XML switches off what an effect needs."""
+    def check(self, effects: Sequence[Effect]) -> None:
+        """As of any robot; also where the XML switches off what an effect needs, or lacks what it changes."""
+        super().check(effects)
         for effect in effects:
             for flag in effect.mujoco_flags:
                 if int(self.plan.base.opt.disableflags) & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}")):
@@ -244,14 +300,43 @@ class Machine:
                         f"{self.name}: effect {effect.name} needs what the XML switches off: "
                         f'<flag {flag}="disable"/>; leave that flag out'
                     )
+        changed_bodies(effects, self)
 
-    def with_gain(self, actuator: str, factor: float) -> Machine:
-        """A copy whose actuator's forces are as many times as large."""
+    def with_gain(self, actuator: str, factor: float) -> MjcfRobot:
+        """A copy whose actuator's forces are as many times as large.
+
+        Raises:
+            ConfigError: for an actuator whose force is not a gain and a bias.
+        """
+        i = self.plan.base.actuator(self._actuator(actuator)).id
+        if int(self.plan.base.actuator_gaintype[i]) in OWN:
+            raise ConfigError(f"{self.name}: actuator {actuator!r} has a law of its own, expected a gain and a bias")
         return replace(self, gains=(*self.gains, (actuator, factor)))
 
-    def with_limit(self, actuator: str, size: float) -> Machine:
+    def _actuator(self, command: str) -> str:
+        """MuJoCo's actuator that takes a command."""
+        return next(drive.actuator for drive in self.actuators if drive.name == command)
+
+    def with_limit(self, actuator: str, size: float) -> MjcfRobot:
         """A copy whose actuator's forces are limited to a size [N·m or N]."""
         return replace(self, limits=(*self.limits, (actuator, size)))
+
+    def mechanics(self) -> Mechanics:
+        assets = Assets(self.assets)
+        model, data = _scratch.blank(self.xml, assets, self.plan.base)
+        self._write_numbers(model)
+        drives = {}
+        for c in self.compliances:
+            dof = int(model.joint(c.joint).dofadr[0])
+            drives[c.joint] = float(model.dof_armature[dof]), c.stiffness, c.damping, c.play
+            model.dof_armature[dof] = 0.0
+        mujoco.mj_setConst(model, data)
+        return mechanics_of(model, self.xml, assets, self.joint_names, drives)
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """What compiled equations of motion cannot hold of it, a phrase each; contacts are another matter."""
+        return _obstacles(self.xml, Assets(self.assets))
 
     def mujoco_model(self, timestep: float | None = None) -> Any:
         """An ``mujoco.MjModel`` of one's own with all of this in it.
@@ -259,25 +344,38 @@ class Machine:
         Args:
             timestep: another physics step than the XML's [s].
         """
-        joints = tuple(c.joint for c in self.compliances)
-        base = with_rotors(self.xml, Assets(self.assets), joints) if joints else self.plan.base
-        model = copy.copy(base)
+        model = copy.copy(self._base())
         model.opt.timestep = timestep or model.opt.timestep
+        self._write(model)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+    def _base(self) -> Any:
+        """MuJoCo's model of the file, with a body for each drive that turns by itself; not to be changed."""
+        joints = tuple(c.joint for c in self.compliances)
+        return with_rotors(self.xml, Assets(self.assets), joints) if joints else self.plan.base
+
+    def _write_numbers(self, model: Any) -> None:
+        """Put all that is not as in the file into a copy of its model, drives that turn by themselves left out."""
         for name, value in self.values.items():
             self.plan.numbers[name].write(model, value)
         for place, mass in self.payloads:
             add_mass(model, place, mass)
         for name, factor in self.gains:
-            i = model.actuator(name).id
+            i = model.actuator(self._actuator(name)).id
             model.actuator_gainprm[i, :3] *= factor
             model.actuator_biasprm[i, :3] *= factor
         for name, size in self.limits:
-            i = model.actuator(name).id
+            i = model.actuator(self._actuator(name)).id
             own = (-size, size)
             if model.actuator_forcelimited[i]:
                 own = max(-size, model.actuator_forcerange[i, 0]), min(size, model.actuator_forcerange[i, 1])
             model.actuator_forcelimited[i] = 1
             model.actuator_forcerange[i] = own
+
+    def _write(self, model: Any) -> None:
+        """Put all that is not as in the file into a copy of its model."""
+        self._write_numbers(model)
         for c in self.compliances:
             tendon = model.tendon(rotor_of(c.joint)).id
             model.tendon_stiffness[tendon], model.tendon_damping[tendon] = c.stiffness, c.damping
@@ -290,8 +388,6 @@ class Machine:
             model.dof_armature[model.joint(rotor_of(c.joint)).dofadr[0]] = self.parameters()[f"{c.joint}.armature"]
             model.dof_armature[model.joint(c.joint).dofadr[0]] = 0.0
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-        return model
 
     def exported(self, model: Any, left: Sequence[str] = (), folder: str = "") -> str:
         """MuJoCo's XML of this machine with the numbers that an ``MjModel`` made of it has.
@@ -368,7 +464,7 @@ class Machine:
         rng = np.random.default_rng(0)
         states = rng.normal(size=(TRIES, 3, model.nv))
 
-        def forces(machine: Machine) -> Array:
+        def forces(machine: MjcfRobot) -> Array:
             m, rows = machine.mujoco_model(), []
             for q, v, a in states:
                 data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
@@ -385,6 +481,54 @@ class Machine:
                 basis = np.column_stack([basis, left / np.linalg.norm(left)])
                 kept.append(name)
         return kept
+
+
+def mjcf_of(robot: Robot) -> MjcfRobot:
+    """A robot as what it has to be where MuJoCo's XML is needed.
+
+    Raises:
+        ConfigError: where it is described otherwise.
+    """
+    if not isinstance(robot, MjcfRobot):
+        raise ConfigError(f"{robot.name}: is no robot of MuJoCo's XML")
+    return robot
+
+
+_WRITTEN = ("body_", "dof_", "jnt_", "qpos_", "tendon_", "actuator_")
+"""What arrays of a model begin with that a robot's numbers go into."""
+
+
+class _Scratch(local):
+    """One model for each file and thread whose numbers may be anything: to copy one takes longer than to write it."""
+
+    def __init__(self) -> None:
+        self.known: dict[tuple[str, Assets], tuple[Any, Any, list[tuple[Array, Array]]]] = {}
+
+    def blank(self, xml: str, assets: Assets, base: Any) -> tuple[Any, Any]:
+        """A model with the numbers of ``base``, to be used before the next is asked for, and its data."""
+        key = (xml, assets)
+        if key not in self.known:
+            if len(self.known) >= SCRATCHES:
+                self.known.clear()
+            model = copy.copy(base)
+            names = [n for n in dir(base) if n.startswith(_WRITTEN) and isinstance(getattr(base, n), np.ndarray)]
+            pairs = [(getattr(model, name), getattr(base, name)) for name in names]
+            self.known[key] = model, mujoco.MjData(model), [(own, given) for own, given in pairs if own.size]
+        model, data, pairs = self.known[key]
+        for own, given in pairs:
+            own[...] = given
+        model.opt.gravity[:], model.opt.timestep = base.opt.gravity, base.opt.timestep
+        model.opt.disableflags = base.opt.disableflags
+        return model, data
+
+
+SCRATCHES = 64
+_scratch = _Scratch()
+
+
+@lru_cache(maxsize=64)
+def _obstacles(xml: str, assets: Assets) -> tuple[str, ...]:
+    return tuple(obstacles(spec_of(xml, assets).compile()))
 
 
 def _fill(spec: Any, before: Any) -> None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 
-from equimus_ctrl.models.morphology import ElasticActuator, Joint, JointStop, Link, Morphology, Point
+from equimus_ctrl.robots.elastic.morphology import BUILT_IN, Morphology
+from equimus_ctrl.robots.elastic.parts import ElasticActuator, Joint, JointStop, Link, Point
 
 HIP_STOPS = (math.pi / 6, 5 * math.pi / 6)
 KNEE_STOPS = (-0.035, 2.0)
@@ -78,3 +79,4 @@ def ideal_leg() -> Morphology:
 
 
 MORPHOLOGIES = {"nominal_leg": nominal_leg, "ideal_leg": ideal_leg}
+BUILT_IN.update(MORPHOLOGIES)

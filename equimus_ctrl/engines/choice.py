@@ -1,0 +1,207 @@
+"""The engines, and which of them simulates a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.engines.base import Discretisation, Engine, EngineName
+from equimus_ctrl.engines.batch import Predicted, Trial, simulate
+from equimus_ctrl.engines.contacts import touching
+from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
+from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
+from equimus_ctrl.engines.step_choice import followed_step
+from equimus_ctrl.engines.steps import step_divisor
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.elastic.morphology import Morphology
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
+from equimus_ctrl.types import Array
+
+STEP = 3e-3
+"""Physics step of the reduced engine in fits [s], where the robot allows it: an error of 1e-5 rad, or 3e-5 rad with
+static friction, a hundredth of what sensors' noise is."""
+REDUCED_COARSER, REDUCED_FINER = 2.0, 3.0
+"""By what the reduced engine's step is multiplied to screen candidates, and divided to tell rivals apart."""
+MUJOCO_COARSER = 2.0
+"""Of MuJoCo's step, where candidates are screened."""
+STEPS_FINER = 4
+"""So many of MuJoCo's physics steps take the place of one where its error is looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedEngine(Engine):
+    """The exact Lagrangian in joint coordinates, compiled, all models of a batch in the lanes of one loop.
+
+    Attributes:
+        dt: physics step [s]; by default ``longest``, divided until it follows the first model that is simulated. It
+            then stays, so that a search always sees the same discretisation.
+        longest: [s].
+        reason: see ``Engine``.
+    """
+
+    name = "reduced"
+    batched = True
+    costly = False
+    responds_by = "linearised"
+
+    dt: float | None = None
+    longest: float = STEP
+    reason: str = ""
+    _chosen: list[float] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def step(self) -> float | None:
+        """The step that it took [s]; None where it has simulated nothing yet."""
+        return self._chosen[0] if self._chosen else self.dt
+
+    def simulate(
+        self, models: Sequence[Model], trials: Sequence[Trial], starts: Sequence[Array], threads: int | None = None
+    ) -> list[Predicted]:
+        if not self._chosen:
+            self._chosen.append(self.dt or self._short_enough(models[0], trials, [rows[0] for rows in starts]))
+        known = self.dt is not None
+        return simulate(models, trials, starts=starts, dt=self._chosen[0], threads=threads, check=known)
+
+    def _short_enough(self, model: Model, trials: Sequence[Trial], starts: Sequence[Array]) -> float:
+        if model.robot.traits.held_in_place:
+            m = changed_bodies(model.effects, model.morphology)
+            poses = [trial.position for trial in trials]
+            return self.longest / step_divisor(m, model.phase, poses, self.longest, stops=False)
+        return followed_step(model, trials, starts, self.longest)
+
+    def coarser(self) -> Engine:
+        return ReducedEngine(longest=self.longest * REDUCED_COARSER, reason=self.reason)
+
+    def finer(self) -> Engine:
+        return ReducedEngine(longest=self.longest / REDUCED_FINER, reason=self.reason)
+
+
+@dataclass(frozen=True, eq=False)
+class ElementEngine(Engine):
+    """MuJoCo with elastic actuators as 3-2-1 elements.
+
+    Attributes:
+        dt: physics step [s]; the fast settings' by default.
+    """
+
+    name = "mujoco"
+    batched = True
+    costly = False
+    responds_by = "linearised"
+
+    dt: float | None = None
+
+    def simulate(
+        self, models: Sequence[Model], trials: Sequence[Trial], starts: Sequence[Array], threads: int | None = None
+    ) -> list[Predicted]:
+        settings = replace(FAST_SETTINGS, timestep=self.dt) if self.dt else None
+        return simulate_mujoco(models, trials, starts=starts, settings=settings, threads=threads)
+
+
+@dataclass(frozen=True, eq=False)
+class MujocoEngine(Engine):
+    """MuJoCo with the XML's own integrator and solver.
+
+    Attributes:
+        robot: all that is simulated has its step and integrator.
+        dt: another physics step than the XML's [s].
+        reason: see ``Engine``.
+    """
+
+    name = "mujoco"
+    batched = False
+    costly = True
+    responds_by = "simulated"
+
+    robot: MjcfRobot
+    dt: float | None = None
+    reason: str = ""
+
+    @property
+    def discretisation(self) -> Discretisation:
+        """Of the XML's step, or the one that was asked for."""
+        return Discretisation(self.dt or self.robot.timestep, STEPS_FINER)
+
+    def simulate(
+        self, models: Sequence[Model], trials: Sequence[Trial], starts: Sequence[Array], threads: int | None = None
+    ) -> list[Predicted]:
+        return simulate_machines(models, trials, starts=starts, dt=self.dt, threads=threads)
+
+    def coarser(self) -> Engine:
+        return replace(self, dt=MUJOCO_COARSER * self.discretisation.step)
+
+    def with_finer_step(self) -> Engine:
+        return replace(self, dt=self.discretisation.step / STEPS_FINER)
+
+    def without_step_error(self) -> Engine:
+        """The error of first order goes (Richardson, 1911); Runge and Kutta's method has little at a part of it."""
+        if self.robot.mujoco_model().opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            return self.with_finer_step()
+        return ExtrapolatedEngine(self, self.with_finer_step())
+
+
+@dataclass(frozen=True, eq=False)
+class ExtrapolatedEngine(Engine):
+    """An engine without the error of first order of its step, as far as the step and a part of it tell.
+
+    Attributes:
+        coarse: with the step.
+        fine: with a part of it.
+    """
+
+    name = "mujoco"
+    batched = False
+    costly = True
+    responds_by = "simulated"
+
+    coarse: Engine
+    fine: Engine
+
+    def simulate(
+        self, models: Sequence[Model], trials: Sequence[Trial], starts: Sequence[Array], threads: int | None = None
+    ) -> list[Predicted]:
+        pairs = zip(*(e.simulate(models, trials, starts, threads) for e in (self.fine, self.coarse)), strict=True)
+        with np.errstate(all="ignore"):  # numbers after a divergence mean nothing
+            return [
+                Predicted(a.position + (a.position - b.position) / (STEPS_FINER - 1), np.minimum(a.reached, b.reached))
+                for a, b in pairs
+            ]
+
+
+def engine_for(
+    model: Model,
+    name: EngineName | None = None,
+    dt: float | None = None,
+    positions: Sequence[Array] = (),
+) -> Engine:
+    """The engine that simulates a model.
+
+    Args:
+        model: whose robot decides.
+        name: of the one that is asked for; by default the compiled equations of motion where they hold the robot.
+        dt: physics step [s]; the engine's own choice by default.
+        positions: (n, nj) each, of what is to be simulated: where bodies touch MuJoCo simulates.
+
+    Raises:
+        ConfigError: for a step that is none, or compiled equations that cannot hold the robot.
+    """
+    if dt is not None and not 0 < dt < float("inf"):
+        raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
+    robot = model.robot
+    if isinstance(robot, Morphology):
+        return ElementEngine(dt) if name == "mujoco" else ReducedEngine(dt)
+    own = mjcf_of(robot)
+    if name == "mujoco":
+        return MujocoEngine(own, dt, reason="it was asked for")
+    reason = next(iter(own.obstacles), None) or touching(own, positions)
+    if reason is None:
+        return ReducedEngine(dt, reason="compiled equations of motion hold all of the robot")
+    if name == "reduced":
+        raise ConfigError(f"{robot.name}: compiled equations of motion cannot hold {reason}; expected --engine mujoco")
+    return MujocoEngine(own, dt, reason=f"compiled equations of motion cannot hold {reason}")

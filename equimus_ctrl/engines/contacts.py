@@ -1,0 +1,33 @@
+"""Whether bodies of a robot touch where recordings have it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.types import Array
+
+LOOKED_AT = 400
+"""So many poses are looked at, spread evenly."""
+
+
+def touching(robot: MjcfRobot, positions: Sequence[Array]) -> str | None:
+    """Which geoms touch in one of the poses (n, nj), as a phrase; None where none do."""
+    model = robot.mujoco_model()
+    off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    if off or not positions or not (model.geom_contype.any() and model.geom_conaffinity.any()):
+        return None
+    poses = np.concatenate(positions)
+    data = mujoco.MjData(model)
+    places = [int(model.joint(name).qposadr[0]) for name in robot.joint_names]
+    for pose in poses[:: max(len(poses) // LOOKED_AT, 1)]:
+        data.qpos[places] = pose
+        mujoco.mj_fwdPosition(model, data)
+        for contact in data.contact[: data.ncon]:
+            if contact.dist < contact.includemargin and contact.exclude == 0:
+                names = [model.geom(int(g)).name or f"geom {int(g)}" for g in contact.geom]
+                return f"contacts, and {names[0]!r} touches {names[1]!r} in the recordings"
+    return None

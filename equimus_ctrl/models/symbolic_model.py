@@ -1,0 +1,162 @@
+"""The equations of motion of a robot as CasADi expressions, whatever kind of robot they were made from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from equimus_ctrl.models.parts import Actuation, Held, Inside, Limit, Rubbing, constrained, gaps, grips
+
+
+@dataclass(frozen=True, eq=False)
+class SymbolicModel:
+    """CasADi SX expressions of one structure; symbols are q, v, f, tau, p.
+
+    Attributes:
+        q: (nj,) joint coordinates [rad or m].
+        v: (nj,) their rates.
+        f: (na,) drive forces along the actuators [N].
+        tau: (nj,) torques on the joints [N·m or N].
+        p: parameter vector of the structure.
+        mass: (nj, nj) mass matrix M(q).
+        bias: (nj,) h(q, v), limits included.
+        smooth_bias: (nj,) h(q, v) without the limits.
+        static_bias: (nj,) h(q, 0) without the limits.
+        acceleration: (nj,) under f and tau, each limit pressed as it would be by itself.
+        lengths: (na,) actuator lengths [m].
+        jacobian: (na, nj) moment arms, ∂lengths/∂q.
+        foot: (2,) the foot's position relative to the base, where there is one [m].
+        knots: (2 or 3, nj + 1) the base's origin, then a point of each link, relative to the base [m].
+        kinetic: T [J].
+        potential: V [J], without the limits.
+        area: (na,) force for each unit of command.
+        rest_length: (na,) [m].
+        stop_torque: (nj,) what limits that are springs exert [N·m].
+        actuation: how commands become torques.
+        limits: (nl) ends of coordinates.
+        held: equalities.
+        rubbing: coordinates at which the robot itself can have dry friction.
+        inside: states of its own beside its motion.
+        u: (nu,) commands.
+    """
+
+    q: ca.SX
+    v: ca.SX
+    f: ca.SX
+    tau: ca.SX
+    p: ca.SX
+    mass: ca.SX
+    bias: ca.SX
+    smooth_bias: ca.SX
+    static_bias: ca.SX
+    acceleration: ca.SX
+    lengths: ca.SX
+    jacobian: ca.SX
+    foot: ca.SX
+    knots: ca.SX
+    kinetic: ca.SX
+    potential: ca.SX
+    area: ca.SX
+    rest_length: ca.SX
+    stop_torque: ca.SX
+    actuation: Actuation
+    limits: tuple[Limit, ...]
+    held: tuple[Held, ...]
+    rubbing: tuple[Rubbing, ...]
+    inside: Inside
+    u: ca.SX
+
+    @property
+    def static_pressure(self) -> ca.SX:
+        """(na,) commands that hold q at rest: the least-squares, least-norm solution of Jᵀ diag(s) P = h(q, 0)."""
+        drive = self.jacobian.T @ ca.diag(self.area)  # (nj, na)
+        return pseudo_solve(drive, self.static_bias)
+
+    @classmethod
+    def assembled(
+        cls,
+        q: ca.SX,
+        v: ca.SX,
+        p: ca.SX,
+        *,
+        mass: ca.SX,
+        bias: ca.SX,
+        actuation: Actuation,
+        lengths: ca.SX,
+        rest_length: ca.SX,
+        limits: Sequence[Limit],
+        held: Sequence[Held],
+        rubbing: Sequence[Rubbing],
+        foot: ca.SX,
+        knots: ca.SX,
+        potential: ca.SX,
+        inside: Inside | None = None,
+        commands: int | None = None,
+    ) -> SymbolicModel:
+        """The model with what follows from its parts.
+
+        Args:
+            q: symbols of the joint coordinates.
+            v: symbols of their rates.
+            p: symbols of the parameters.
+            mass: (nj, nj).
+            bias: (nj,) without the limits.
+            actuation: see the attributes, as what follows.
+            lengths: of the actuators.
+            rest_length: of the actuators.
+            limits: of coordinates.
+            held: equalities.
+            rubbing: of the robot itself.
+            foot: where there is one.
+            knots: to draw.
+            potential: of gravity and springs.
+            inside: states of its own; none by default.
+            commands: how many there are; one for each actuator by default.
+        """
+        na = lengths.numel()
+        f, tau = ca.SX.sym("f", na), ca.SX.sym("tau", q.numel())
+        springs = [k.row.T * (ca.fmin(k.depth, k.push) > 0) * k.push for k in limits if k.push is not None]
+        stop_torque = sum(springs, ca.SX(q.numel(), 1))
+        load = actuation.jacobian.T @ f + tau - bias
+        open_ended, none = ca.SX(len(limits), 1), ca.SX(0, 1)
+        free = acceleration = ldl_solve(*constrained(mass, load, held, limits, open_ended, open_ended))
+        if limits:
+            alone = grips(limits, gaps(limits, free) > 0)
+            acceleration = ldl_solve(*constrained(mass, load, held, limits, *alone))
+        return cls(
+            q, v, f, tau, p, mass, bias - stop_torque, bias, ca.substitute(bias, v, ca.SX.zeros(v.shape)),
+            acceleration, lengths, actuation.jacobian, foot, knots, v.T @ mass @ v / 2, potential, actuation.gain,
+            rest_length, stop_torque, actuation, tuple(limits), tuple(held), tuple(rubbing),
+            inside or Inside(none, lambda u: none, none, none), ca.SX.sym("u", na if commands is None else commands),
+        )  # fmt: skip
+
+
+def ldl_solve(matrix: ca.SX, rhs: ca.SX) -> ca.SX:
+    """Solve A x = b for a small symmetric positive definite A by LDLᵀ, written out as scalar operations."""
+    n = matrix.shape[0]
+    lower = ca.SX.eye(n)
+    d: list[ca.SX] = []
+    for j in range(n):
+        d.append(matrix[j, j] - sum((lower[j, k] ** 2 * d[k] for k in range(j)), ca.SX(0)))
+        for i in range(j + 1, n):
+            partial = sum((lower[i, k] * lower[j, k] * d[k] for k in range(j)), ca.SX(0))
+            lower[i, j] = (matrix[i, j] - partial) / d[j]
+    y: list[ca.SX] = []
+    for i in range(n):
+        y.append(rhs[i] - sum((lower[i, k] * y[k] for k in range(i)), ca.SX(0)))
+    x: list[ca.SX] = [y[i] / d[i] for i in range(n)]
+    for i in reversed(range(n)):
+        x[i] = x[i] - sum((lower[k, i] * x[k] for k in range(i + 1, n)), ca.SX(0))
+    return ca.vertcat(*x)
+
+
+def pseudo_solve(matrix: ca.SX, rhs: ca.SX) -> ca.SX:
+    """A⁺b of a small full-rank A, written out as scalar operations: exact where A is square."""
+    rows, columns = matrix.shape
+    if rows == columns:
+        return ca.inv_minor(matrix) @ rhs
+    if rows < columns:
+        return matrix.T @ ldl_solve(matrix @ matrix.T, rhs)
+    return ldl_solve(matrix.T @ matrix, matrix.T @ rhs)

@@ -1,0 +1,1 @@
+"""What robots are: one interface, and the kinds of robots that have it."""

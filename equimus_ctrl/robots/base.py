@@ -1,0 +1,209 @@
+"""What a robot says about itself, whatever it was described by."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from equimus_ctrl.effects import base as effects_base
+from equimus_ctrl.effects.base import Effect, Robots
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.robots.mechanics import Mechanics
+from equimus_ctrl.types import Array
+
+
+@dataclass(frozen=True)
+class RobotTraits:
+    """What kind of motion, recordings and commands a robot has. Each trait stands alone.
+
+    Which engine simulates the robot is none of them; see ``engines.base``.
+
+    Attributes:
+        catalogue: whose effects can be attached, see ``Effect.robots``.
+        starts_at_rest: a recording begins settled under the command before it. So a trial starts from its first angles
+            with zero velocity, and before its start it was there too. Else positions and velocities at the start are
+            read off the measurements, and before its start the robot moved as it does there.
+        held_in_place: springs pull every joint to one pose under each command. So small errors do not grow along a
+            trial, which can be fitted whole, and poses at rest tell parameters. Else errors add up: fits have many
+            local minima, and trials may have to be cut into shooting intervals.
+        smooth_motion: a motion of a tenth of a second is a parabola, so velocities are read off that much of a
+            recording and trusted as much as samples are. Motors change velocities within a few samples.
+        forces_along_actuators: actuators have a length of their own, which changes with the pose, and forces act along
+            it. Else a drive with a fixed gear is where its joint is, and forces act at joints alone.
+        commands_are_pressures: commands are pressures in Pa, so actuators fill and vent; else they are what each
+            actuator asks for.
+        trials_alike: all recordings are of one kind of experiment, so what is found in some has to show in the others.
+            Else some may never come near a drive's limit, say.
+        notes_set_parameters: notes of a recording may set parameters for it alone, such as a payload or a gain.
+        has_stance: it has a foot that can be pinned while the base moves.
+        damping_known_within: factor by which damping is off at most when missing physics is looked for; beyond, it
+            would stand in for what is missing. None where the parameter's own bounds are as narrow as is known.
+        bounds_of_any_size: bounds of parameters hold for robots of any size, so they lie far apart: what is near to one
+            is measured by the parameter, not by the way between its bounds.
+        least_command: commands that stay within this do not move it [unit of the commands]; 0 where it may move by
+            itself.
+        least_motion: a joint that stays within this does not move [rad or m].
+        most_angle: angles beyond this are degrees, not radians [rad].
+    """
+
+    catalogue: Robots
+    starts_at_rest: bool
+    held_in_place: bool
+    smooth_motion: bool
+    forces_along_actuators: bool
+    commands_are_pressures: bool
+    trials_alike: bool
+    notes_set_parameters: bool
+    has_stance: bool
+    damping_known_within: float | None
+    bounds_of_any_size: bool
+    least_command: float
+    least_motion: float
+    most_angle: float
+
+
+@dataclass(frozen=True, eq=False)
+class Robot(ABC):
+    """A robot: its joints and actuators, its parameters by dotted name, and where effects can be attached.
+
+    A subclass is a frozen dataclass.
+
+    Attributes:
+        name: what it is called.
+    """
+
+    traits: ClassVar[RobotTraits]
+    name: str
+
+    @property
+    @abstractmethod
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint names in the order of every vector of positions."""
+
+    @property
+    @abstractmethod
+    def actuator_names(self) -> tuple[str, ...]:
+        """Actuator names in the order of every vector of commands."""
+
+    @property
+    @abstractmethod
+    def joint_range(self) -> tuple[Array, Array]:
+        """(low, high), each (nj,): where the joints' ranges end [rad or m], ±inf where they do not."""
+
+    @property
+    @abstractmethod
+    def tilt(self) -> float:
+        """Angle by which gravity is turned [rad]."""
+
+    @abstractmethod
+    def places(self) -> dict[str, tuple[str, ...]]:
+        """Kind of place (see ``effects.base.PLACES``) → names of those an effect can sit at."""
+
+    def force_places(self) -> dict[str, tuple[str, ...]]:
+        """The same of effects that are a force: at actuators only where forces can act along them."""
+        along = self.traits.forces_along_actuators
+        return self.places() if along else {**self.places(), "actuator": ()}
+
+    @property
+    def foot_link(self) -> str | None:
+        """The link whose tip is the foot: the same place by another name. None where every place has one name."""
+        return None
+
+    def carrying_point(self, place: str) -> str:
+        """In words where a payload at a link or foot sits."""
+        return place
+
+    # Parameters.
+
+    @abstractmethod
+    def parameters(self) -> dict[str, float]:
+        """Every parameter by its dotted name."""
+
+    @abstractmethod
+    def has_parameters(self, names: Iterable[str]) -> bool:
+        """Whether all of these are names of ``parameters()``."""
+
+    @abstractmethod
+    def with_parameters(self, values: Mapping[str, float]) -> Self:
+        """A copy with some parameters replaced.
+
+        Raises:
+            ModelError: for a name that does not exist, or a value that cannot be.
+        """
+
+    @abstractmethod
+    def unit(self, name: str) -> str:
+        """The SI unit of a parameter."""
+
+    @abstractmethod
+    def bounds(self, name: str) -> tuple[float, float]:
+        """(low, high): how far a parameter is believed to be off at most."""
+
+    def size(self, name: str) -> float | None:
+        """A change that counts of a parameter whose value is 0; None where nothing but its bounds tells."""
+        return None
+
+    def positive(self, name: str) -> bool:
+        """Whether bounds below 0 are refused for a parameter. Where not, a value that cannot be is refused when set."""
+        return False
+
+    @abstractmethod
+    def default_names(self) -> list[str]:
+        """The parameters that are known least: free by default."""
+
+    # Units.
+
+    def slides(self, joint: str) -> bool:
+        """Whether a joint is a slide, with positions in m; else it is a hinge."""
+        return False
+
+    @abstractmethod
+    def place_unit(self, unit: str, place: str) -> str:
+        """The unit of something at a joint or actuator.
+
+        Args:
+            unit: of it at a hinge; ``joint unit | actuator unit`` where actuators have another, ``command`` for the
+                unit of commands.
+            place: the joint's or actuator's name.
+        """
+
+    @abstractmethod
+    def command_unit(self, actuator: str) -> str:
+        """Of an actuator's command."""
+
+    @abstractmethod
+    def length_unit(self, actuator: str) -> str:
+        """Of the coordinate along which an actuator acts; its rate is that over s."""
+
+    # What effects and recordings ask.
+
+    def clipped_commands(self) -> dict[str, tuple[float, float]]:
+        """Actuator → (low, high) at which a simulation clips its commands, for those where it does."""
+        return {}
+
+    @abstractmethod
+    def with_payload(self, place: str, mass: float) -> Self:
+        """A copy that carries a point mass [kg] at a link or foot."""
+
+    def check(self, effects: Sequence[Effect]) -> None:
+        """Raise ConfigError where effects cannot be attached: not to this kind of robot, not there, not together."""
+        effects_base.check_robots(effects, self.traits.catalogue, self.name)
+        anywhere, pushed = self.places(), self.force_places()
+        for effect in effects:
+            here = pushed if isinstance(effect, ForceEffect) else anywhere
+            effects_base.check_locations([effect], here, self.name)
+        effects_base.check_exclusive(effects, self, self.name)
+
+    @abstractmethod
+    def mechanics(self) -> Mechanics:
+        """The robot as compiled equations of motion take it.
+
+        Raises:
+            ModelError: where it has what they cannot hold.
+        """
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """What a model file says of it, beside its name."""

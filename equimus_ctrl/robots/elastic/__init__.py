@@ -1,0 +1,1 @@
+"""Planar robots driven by linear elastic actuators, described by their geometry."""

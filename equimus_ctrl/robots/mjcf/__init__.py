@@ -1,0 +1,1 @@
+"""Robots that MuJoCo's own XML describes."""

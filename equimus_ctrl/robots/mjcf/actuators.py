@@ -1,0 +1,194 @@
+"""Actuators of an MJCF robot: what they drive, and their numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.errors import ModelError
+from equimus_ctrl.robots.mjcf.entries import Axis, Drive, Number, setter
+from equimus_ctrl.robots.mjcf.form import INPUTS
+from equimus_ctrl.types import Array
+
+FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+"""Dynamics of actuators that commands alone tell the state of."""
+OWN = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
+"""Laws with parameters of their own."""
+_TRANSMISSIONS = tuple(
+    getattr(mujoco.mjtTrn, f"mjTRN_{kind}") for kind in ("JOINT", "JOINTINPARENT", "TENDON", "SITE", "SLIDERCRANK")
+)
+_GAINS = tuple(getattr(mujoco.mjtGain, f"mjGAIN_{kind}") for kind in ("FIXED", "AFFINE", "PID", "DCMOTOR"))
+_BIASES = tuple(getattr(mujoco.mjtBias, f"mjBIAS_{kind}") for kind in ("NONE", "AFFINE", "DCMOTOR"))
+_DYNAMICS = tuple(
+    getattr(mujoco.mjtDyn, f"mjDYN_{kind}")
+    for kind in ("NONE", "FILTER", "FILTEREXACT", "INTEGRATOR", "PID", "DCMOTOR")
+)
+TAKEN = (
+    "motor, position, velocity, intvelocity, damper, cylinder, general with fixed or affine gain and bias, pid and "
+    "dcmotor, at joints, tendons, sites and sliders with a crank"
+)
+
+
+def drives_of(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
+    """All commands of all actuators.
+
+    Args:
+        base: MuJoCo's model.
+        name: of the robot, for messages.
+        joints: all of it.
+
+    Raises:
+        ModelError: for an actuator without a name, or of a kind that neither engine takes.
+    """
+    data = mujoco.MjData(base)
+    mujoco.mj_forward(base, data)
+    moments = np.zeros((base.nout, base.nv))
+    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    found: list[Drive] = []
+    for i in range(base.nactuator):
+        found += _commands(base, i, name, joints, moments[int(base.actuator_outadr[i])])
+    if not found:
+        raise ModelError(f"{name}: has no actuator with a command")
+    return tuple(found)
+
+
+def _commands(base: Any, i: int, name: str, joints: Sequence[Axis], moment: Array) -> Iterator[Drive]:
+    own = base.actuator(i).name
+    told = f"{name}: actuator {own or i!r}"
+    if not own:
+        raise ModelError(f"{told} has no name, by which a recording's columns could be told")
+    _check(base, i, told)
+    holds = int(base.actuator_history[i, 0]) * float(base.opt.timestep)
+    if base.actuator_delay[i] > holds * (1 + 1e-9):
+        raise ModelError(
+            f"{told} has a delay of {base.actuator_delay[i]:g} s, and a buffer (nsample) that holds {holds:g} s of "
+            "commands, expected as much as the delay at least"
+        )
+    dynamics = int(base.actuator_dyntype[i])
+    at_joint = int(base.actuator_trntype[i]) in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    if at_joint:
+        axis = next(a for a in joints if a.index == int(base.actuator_trnid[i, 0]))
+    else:
+        axis = max(joints, key=lambda a: abs(moment[a.dof]))
+    state = int(base.actuator_actadr[i]) if dynamics in FILTERS else None
+    inputs = [word for bit, word in INPUTS.items() if int(base.actuator_ctrlspec[i]) & bit]
+    first, count = int(base.actuator_ctrladr[i]), int(base.actuator_ctrlnum[i])
+    for n in range(count):
+        limited = bool(base.actuator_ctrllimited[first + n])
+        low, high = (float(v) for v in base.actuator_ctrlrange[first + n]) if limited else (-math.inf, math.inf)
+        kind = inputs[n] if int(base.actuator_gaintype[i]) in OWN else ""
+        servo, unit = _kind(base, i, axis, at_joint, kind)
+        label = own if count == 1 else f"{own}.{kind}"
+        yield Drive(label, i, axis.name, servo, unit, (low, high), state, first + n, own)
+
+
+def _check(base: Any, i: int, told: str) -> None:
+    """Raise ModelError for an actuator that neither engine takes."""
+    for array, taken, what in (
+        (base.actuator_trntype, _TRANSMISSIONS, "transmission"),
+        (base.actuator_gaintype, _GAINS, "gain"),
+        (base.actuator_biastype, _BIASES, "bias"),
+        (base.actuator_dyntype, _DYNAMICS, "dynamics"),
+    ):
+        if int(array[i]) not in {int(kind) for kind in taken}:
+            kind = type(taken[0])(int(array[i])).name.partition("_")[2].lower()
+            raise ModelError(f"{told} has the {what} {kind!r}, which neither engine takes; expected {TAKEN}")
+    if base.actuator_plugin[i] >= 0:
+        raise ModelError(f"{told} is a plugin, which neither engine takes; expected {TAKEN}")
+
+
+def _kind(base: Any, i: int, axis: Axis, at_joint: bool, given: str) -> tuple[bool, str]:
+    """Whether a command is a goal for where something is, and its unit."""
+    place, push = ("m", "N") if axis.slides else ("rad", "N·m")
+    if given:
+        unit = {"pos": place, "vel": f"{place}/s", "ff": push, "voltage": "V"}[given]
+        return given == "pos", unit if at_joint or given == "voltage" else "1"
+    bias = base.actuator_biasprm[i]
+    affine = int(base.actuator_biastype[i]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    servo = bool(affine and bias[1] != 0)
+    if not at_joint or int(base.actuator_gaintype[i]) != int(mujoco.mjtGain.mjGAIN_FIXED):
+        return servo, "1"
+    if int(base.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
+        return servo, f"{place}/s" if servo else "1"
+    unit = place if servo else push if not affine and base.actuator_gainprm[i, 0] == 1 else "1"
+    return servo, f"{place}/s" if affine and not servo and bias[2] != 0 else unit
+
+
+def drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
+    """Numbers of actuators, each once."""
+    found: list[Number] = []
+    for drive in {drive.actuator: drive for drive in reversed(drives)}.values():
+        slides = int(base.jnt_type[base.joint(drive.joint).id]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        push, place = ("N", "m") if slides else ("N·m", "rad")
+        own = drive.actuator
+        law = _own_law if int(base.actuator_gaintype[drive.index]) in OWN else _gain_and_bias
+        found += law(base, drive, push, place)
+        if drive.state is not None:
+            write = setter("actuator", own, "actuator_dynprm", 0)
+            found.append(Number(f"{own}.time_constant", float(base.actuator_dynprm[drive.index, 0]), "s", write))
+        if base.actuator_delay[drive.index] > 0:
+            write = setter("actuator", own, "actuator_delay")
+            found.append(Number(f"{own}.delay", float(base.actuator_delay[drive.index]), "s", write))
+        bounds = base.actuator_forcerange[drive.index]
+        if base.actuator_forcelimited[drive.index] and math.isclose(*np.abs(bounds)):
+
+            def limit(model: Any, value: float, name: str = own) -> None:
+                model.actuator_forcerange[model.actuator(name).id] = -value, value
+
+            found.append(Number(f"{own}.force_limit", float(bounds[1]), push, limit))
+    order = [drive.actuator for drive in drives]
+    return sorted(found, key=lambda number: order.index(number.name.rpartition(".")[0]))
+
+
+def _gain_and_bias(base: Any, drive: Drive, push: str, place: str) -> Iterator[Number]:
+    i, own = drive.index, drive.actuator
+    gain, bias = float(base.actuator_gainprm[i, 0]), base.actuator_biasprm[i]
+    follows = not drive.servo and bias[2] != 0 and math.isclose(float(bias[2]), -gain)
+    if drive.servo and math.isclose(float(bias[1]), -gain):
+
+        def stiff(model: Any, value: float) -> None:
+            k = model.actuator(own).id
+            model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 1] = value, -value
+
+        yield Number(f"{own}.kp", gain, f"{push}/{place}", stiff)
+    elif follows:
+
+        def follow(model: Any, value: float) -> None:
+            k = model.actuator(own).id
+            model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 2] = value, -value
+
+        yield Number(f"{own}.kv", gain, f"{push}·s/{place}", follow)
+    elif int(base.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_FIXED):
+        unit = f"{push}/{drive.unit}" if drive.unit not in ("1", push) else "1" if drive.unit == push else push
+        yield Number(f"{own}.gain", gain, unit, setter("actuator", own, "actuator_gainprm", 0))
+    if not follows and (bias[2] != 0 or drive.servo):
+        yield _negative(base, drive, "kv", "actuator_biasprm", 2, f"{push}·s/{place}")
+
+
+def _own_law(base: Any, drive: Drive, push: str, place: str) -> Iterator[Number]:
+    i, own = drive.index, drive.actuator
+    stiffness, damping = f"{push}/{place}", f"{push}·s/{place}"
+    if int(base.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_PID):
+        yield _negative(base, drive, "kp", "actuator_biasprm", 1, stiffness)
+        yield _negative(base, drive, "kv", "actuator_biasprm", 2, damping)
+        entries = [("ki", 0, f"{push}/({place}·s)")]
+    else:
+        entries = [("resistance", 0, "Ω"), ("motorconst", 1, f"{push}/A"), ("kp", 4, stiffness)]
+        entries += [("ki", 5, f"{push}/({place}·s)"), ("kd", 6, damping)]
+    for key, entry, unit in entries:
+        value = float(base.actuator_gainprm[i, entry])
+        if value > 0:
+            yield Number(f"{own}.{key}", value, unit, setter("actuator", own, "actuator_gainprm", entry))
+
+
+def _negative(base: Any, drive: Drive, key: str, array: str, entry: int, unit: str) -> Number:
+    """A number that stands in MuJoCo's array with the other sign."""
+
+    def write(model: Any, value: float) -> None:
+        getattr(model, array)[model.actuator(drive.actuator).id, entry] = -value
+
+    return Number(f"{drive.actuator}.{key}", 0.0 - float(getattr(base, array)[drive.index, entry]), unit, write)

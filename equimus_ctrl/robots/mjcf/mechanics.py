@@ -1,0 +1,65 @@
+"""An MJCF robot as compiled equations take it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Channel, Mechanics
+from equimus_ctrl.robots.mjcf.form import FAR, TreeForm, form_of
+from equimus_ctrl.robots.mjcf.numbers import Drive, commands_between, pack
+from equimus_ctrl.robots.mjcf.plan import Assets
+
+_forms: dict[Any, TreeForm] = {}
+
+
+def mechanics_of(
+    model: Any, xml: str, assets: Assets, joint_names: Sequence[str], drives: Mapping[str, Drive]
+) -> Mechanics:
+    """The equations' form and numbers of a robot.
+
+    Args:
+        model: its ``mujoco.MjModel``, effects on its bodies and drives included.
+        xml: from which it was made.
+        assets: files that the XML names.
+        joint_names: of the joints that are measured.
+        drives: joint whose drive turns by itself → see ``numbers.pack``.
+
+    Raises:
+        ModelError: where the equations cannot hold it.
+    """
+    form = _form((xml, assets, bool(drives)), model)
+    names = [link.name for link in form.links]
+    joints = np.array([names.index(name) for name in joint_names], dtype=np.int64)
+    starts = np.array([list(joint_names).index(name) for name in names], dtype=np.int64)
+    loose = {names.index(name): drive for name, drive in drives.items()}
+    places = {"joint": names, "actuator": ()}
+    return Mechanics(form, pack(form, model, loose), joints, starts, places, tuple(_channels(form, model)))
+
+
+def _form(key: Any, model: Any) -> TreeForm:
+    if key not in _forms:
+        if len(_forms) > 256:
+            _forms.clear()
+        _forms[key] = form_of(model, flexible=key[2])
+    return _forms[key]
+
+
+def _channels(form: TreeForm, model: Any) -> list[Channel]:
+    """Of each command of each actuator."""
+    kinds = {"none": DIRECT, "filter": FILTERED, "integrator": INTEGRATED, "slew": SLEWED}
+    found = []
+    for i, own in enumerate(form.actuators):
+        k = own.index
+        for n in range(len(own.inputs)):
+            low, high = commands_between(form, model, i, n)
+            kind = kinds[own.dynamics] if n == 0 else DIRECT
+            bounded = own.limited_act and kind in (FILTERED, INTEGRATED)
+            least, most = model.actuator_actrange[k] if bounded else (-FAR, FAR)
+            number = float(model.actuator_dynprm[k, {"pid": 1, "dcmotor": 7}.get(own.law, 0)])
+            number = 0.0 if kind == DIRECT else number
+            delay = float(model.actuator_delay[k])
+            found.append(Channel(low, high, delay, kind, number, float(least), float(most), i))
+    return found

@@ -1,0 +1,229 @@
+"""What a MuJoCo XML says of an MJCF robot: its joints, its actuators, and every number that can be changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.errors import ModelError
+from equimus_ctrl.robots.mjcf.actuators import drive_numbers, drives_of
+from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, Number, setter
+from equimus_ctrl.types import Array
+
+
+@dataclass(frozen=True)
+class Assets:
+    """Files by name, compared by what they are, so that plans can be kept."""
+
+    files: Mapping[str, bytes]
+
+    def __hash__(self) -> int:
+        return hash(tuple(sorted(self.files)))
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a file says of an MJCF robot.
+
+    Attributes:
+        base: MuJoCo's model of it, not to be changed.
+        joints: all of them.
+        drives: all actuators.
+        bodies: names of those that move.
+        sites: names of those that move.
+        numbers: dotted name → number.
+        tilt_axis: (3,) about which gravity can be turned.
+        weights: joint → inertia that it moves by itself, where the file has it [kg·m² or kg].
+    """
+
+    base: Any
+    joints: tuple[Axis, ...]
+    drives: tuple[Drive, ...]
+    bodies: tuple[str, ...]
+    sites: tuple[str, ...]
+    numbers: Mapping[str, Number]
+    tilt_axis: Array
+    weights: Mapping[str, float]
+
+
+def _compiled(xml: str, assets: Assets, name: str) -> Any:
+    try:
+        return spec_of(xml, assets).compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(f"{name}: MuJoCo cannot load it ({reason})") from None
+
+
+def spec_of(xml: str, assets: Assets) -> Any:
+    """MuJoCo's specification of a file."""
+    spec = mujoco.MjSpec.from_string(xml, assets=dict(assets.files))
+    for body in spec.bodies:
+        body.simple = False  # what is balanced now may be unbalanced by a payload
+    return spec
+
+
+@lru_cache(maxsize=32)
+def plan_of(name: str, xml: str, assets: Assets) -> Plan:
+    """What a file says.
+
+    Raises:
+        ModelError: where MuJoCo cannot load it, or it is no machine of hinges and slides.
+    """
+    base = _compiled(xml, assets, name)
+    _check(base, name, xml)
+    joints = _joints(base, name)
+    drives = drives_of(base, name, joints)
+    moves = [b for b in range(1, base.nbody) if base.body_dofnum[b] or base.body_weldid[b]]
+    bodies = tuple(n for b in moves if (n := base.body(b).name) and base.body_mass[b] > 0)
+    sites = tuple(
+        s.name for s in (base.site(i) for i in range(base.nsite)) if s.name and base.site_bodyid[s.id] in moves
+    )
+    axis = _tilt_axis(base)
+    numbers = [*_body_numbers(base, bodies), *_joint_numbers(base, joints), *drive_numbers(base, drives)]
+    size = float(np.linalg.norm(base.opt.gravity))
+    down = np.array(base.opt.gravity)
+
+    def turned(model: Any, angle: float) -> None:
+        across = np.cross(axis, down) / max(size, 1e-300)
+        now = float(np.linalg.norm(model.opt.gravity))
+        model.opt.gravity[:] = now * (math.cos(angle) * down / max(size, 1e-300) + math.sin(angle) * across)
+
+    def heavy(model: Any, value: float) -> None:
+        model.opt.gravity[:] *= value / max(float(np.linalg.norm(model.opt.gravity)), 1e-300)
+
+    if size > 0:
+        numbers += [Number("gravity", size, "m/s²", heavy)]
+    numbers += [Number("tilt", 0.0, "rad", turned)]
+    return Plan(base, joints, drives, bodies, sites, {n.name: n for n in numbers}, axis, _weights(base, joints))
+
+
+SHORTEST, LONGEST = 1e-6, 0.1
+"""Physics steps that are none [s]."""
+ELEMENTS = ("flexcomp", "flex", "composite", "plugin")
+
+
+def _check(base: Any, name: str, xml: str) -> None:
+    """Raise ModelError for what neither engine takes, or numbers that are none."""
+    if base.nflex or base.nplugin:
+        for number, line in enumerate(xml.splitlines(), 1):
+            if (element := next((e for e in ELEMENTS if f"<{e}" in line), None)) is not None:
+                raise ModelError(
+                    f"{name}: line {number} of the XML has <{element}>, which neither engine takes; expected rigid "
+                    "bodies on hinges and slides"
+                )
+        raise ModelError(f"{name}: has a flex or a plugin, which neither engine takes; expected rigid bodies")
+    if not SHORTEST <= base.opt.timestep <= LONGEST:
+        raise ModelError(f"{name}: timestep is {base.opt.timestep:g} s, expected {SHORTEST:g} to {LONGEST:g} s")
+    if not np.all(np.isfinite(base.opt.gravity)):
+        raise ModelError(f"{name}: gravity is {base.opt.gravity.tolist()}, expected three finite numbers")
+    for prefix, kind, what in _CHECKED:
+        for field in dir(base):
+            values = getattr(base, field) if field.startswith(prefix) and not field.endswith(DERIVED) else None
+            if not isinstance(values, np.ndarray) or values.dtype.kind != "f" or not len(values):
+                continue
+            wrong = np.isnan(values.reshape(len(values), -1)).any(axis=1)
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                owner = getattr(base, kind)(int(base.dof_jntid[k]) if prefix == "dof_" else k).name or f"{what} {k}"
+                raise ModelError(f"{name}: {field.removeprefix(prefix)} of {what} {owner!r} is nan, expected a number")
+
+
+DERIVED = ("invweight0", "M0", "length0", "acc0", "lengthrange", "subtreemass")
+"""What MuJoCo works out of other numbers, which are told in their place."""
+_CHECKED = (
+    ("jnt_", "joint", "joint"), ("dof_", "joint", "joint"), ("body_", "body", "body"), ("site_", "site", "site"),
+    ("tendon_", "tendon", "tendon"), ("actuator_gainprm", "actuator", "actuator"),
+    ("actuator_biasprm", "actuator", "actuator"), ("actuator_forcerange", "actuator", "actuator"),
+)  # fmt: skip
+
+
+def _joints(base: Any, name: str) -> tuple[Axis, ...]:
+    kinds = mujoco.mjtJoint
+    found = []
+    for i in range(base.njnt):
+        joint, kind = base.joint(i), int(base.jnt_type[i])
+        if kind not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
+            what = "free" if kind == int(kinds.mjJNT_FREE) else "ball"
+            raise ModelError(
+                f"{name}: joint {joint.name or i!r} is a {what} joint, expected hinges and slides alone: the base has "
+                "to be fixed"
+            )
+        if not joint.name:
+            raise ModelError(f"{name}: joint {i} has no name, by which a recording's columns could be told")
+        limited = bool(base.jnt_limited[i])
+        low, high = (float(v) for v in base.jnt_range[i]) if limited else (-math.inf, math.inf)
+        slides = kind == int(kinds.mjJNT_SLIDE)
+        found.append(Axis(joint.name, i, int(base.jnt_qposadr[i]), int(base.jnt_dofadr[i]), slides, (low, high)))
+    if not found:
+        raise ModelError(f"{name}: has no joint")
+    return tuple(found)
+
+
+def _weights(base: Any, joints: Sequence[Axis]) -> dict[str, float]:
+    data = mujoco.MjData(base)
+    mujoco.mj_forward(base, data)
+    whole = np.zeros((base.nv, base.nv))
+    mujoco.mj_fullM(base, data, whole)
+    return {joint.name: float(whole[joint.dof, joint.dof]) for joint in joints}
+
+
+def _tilt_axis(base: Any) -> Array:
+    """A horizontal axis about which turning gravity matters to the first joint for which it does."""
+    data = mujoco.MjData(base)
+    mujoco.mj_kinematics(base, data)
+    down = np.array(base.opt.gravity)
+    size = np.linalg.norm(down)
+    if size > 0:
+        down /= size
+        for i in range(base.njnt):
+            own = data.xaxis[i]
+            slides = int(base.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+            axis = np.cross(down, own) if slides else own - down * (down @ own)
+            if np.linalg.norm(axis) > 0.1:
+                return np.asarray(axis / np.linalg.norm(axis))
+    return np.array([0.0, 1.0, 0.0])
+
+
+def _body_numbers(base: Any, bodies: Sequence[str]) -> list[Number]:
+    found = []
+    for name in bodies:
+        b = base.body(name).id
+        found.append(Number(f"{name}.mass", float(base.body_mass[b]), "kg", setter("body", name, "body_mass")))
+        moments = np.array(base.body_inertia[b])
+        share = moments / max(float(moments.max()), 1e-300)
+
+        def inertia(model: Any, value: float, name: str = name, shape: Array = share) -> None:
+            model.body_inertia[model.body(name).id] = value * shape
+
+        if moments.max() > 0:
+            found.append(Number(f"{name}.inertia", float(moments.max()), "kg·m²", inertia))
+        for k, axis in enumerate("xyz"):
+            found.append(
+                Number(f"{name}.com_{axis}", float(base.body_ipos[b, k]), "m", setter("body", name, "body_ipos", k))
+            )
+    return found
+
+
+def _joint_numbers(base: Any, joints: Sequence[Axis]) -> list[Number]:
+    found = []
+    for joint in joints:
+        d = joint.dof
+        rows = [
+            ("damping", base.dof_damping[d], "N·m·s/rad", "dof_damping"),
+            ("quadratic_damping", base.dof_dampingpoly[d, 0], "N·m·s²/rad²", "dof_dampingpoly"),
+            ("armature", base.dof_armature[d], "kg·m²", "dof_armature"),
+            ("frictionloss", base.dof_frictionloss[d], "N·m", "dof_frictionloss"),
+            ("stiffness", base.jnt_stiffness[joint.index], "N·m/rad", "jnt_stiffness"),
+            ("springref", base.qpos_spring[joint.position], "rad", "qpos_spring"),
+        ]
+        for key, value, unit, array in rows:
+            write = setter("joint", joint.name, array, *((0,) if array == "dof_dampingpoly" else ()))
+            told = SLIDING.get(unit, unit) if joint.slides else unit
+            found.append(Number(f"{joint.name}.{key}", float(value), told, write))
+    return found
