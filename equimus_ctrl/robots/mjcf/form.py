@@ -330,13 +330,12 @@ def _actuator_obstacles(m: Any) -> Iterator[str]:
 def _winds(m: Any, i: int) -> bool:
     """Whether MuJoCo takes the turn of an actuator's goal that is nearest."""
     site = int(m.actuator_trntype[i]) == int(mujoco.mjtTrn.mjTRN_SITE) and int(m.actuator_trnid[i, 1]) >= 0
-    gear = m.actuator_gear[int(m.actuator_outadr[i])]
-    return bool(
-        site
-        and not gear[:3].any()
-        and m.actuator_biasprm[i, 1]
-        and m.actuator_gainprm[i, 0] == -m.actuator_biasprm[i, 1]
-    )
+    if not site or m.actuator_gear[int(m.actuator_outadr[i]), :3].any():
+        return False
+    if int(m.actuator_gaintype[i]) in (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR)):
+        return bool(int(m.actuator_ctrlspec[i]) & 1)
+    stiffness = m.actuator_biasprm[i, 1]
+    return bool(stiffness and m.actuator_gainprm[i, 0] == -stiffness)
 
 
 _DYNAMICS: dict[Any, Dynamics] = {
