@@ -7,6 +7,11 @@ the best of all rounds is printed. The reduced engine runs each step response fo
 what fits and diagnoses do.
 
     python benchmarks/engines.py [--rates 80 120 240] [--runs 40] [--phase stance] [--rounds 7]
+
+With ``--mjcf`` in place of the leg: chains of 1 to 7 hinges, or the robots of MJCF files, in the reduced engine and in
+MuJoCo on one thread each. CPU time is the measure; compilation is timed in processes of its own with a new cache.
+
+    python benchmarks/engines.py --mjcf [FILE.xml ...] [--rounds 7]
 """
 
 from __future__ import annotations
@@ -15,11 +20,24 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
+from mjcf_chains import (
+    HELD,
+    InMujoco,
+    Work,
+    compile_times,
+    drive_torques,
+    fastest,
+    fresh_cache,
+    robot_files,
+    with_friction,
+)
 from scipy.integrate import solve_ivp
 
+from equimus_ctrl import workflow
 from equimus_ctrl.engines.batch import Trial, encode, simulate
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
 from equimus_ctrl.models.kinematics import Kinematics
@@ -27,9 +45,20 @@ from equimus_ctrl.models.mjcf import place
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.leg import MORPHOLOGIES
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 
 DURATION = 3.0
+STEP = 1e-3
+"""Of what is compared with the same integrator [s]."""
+REFERENCE = 1e-4
+"""Step of the reduced engine that errors are measured against [s]."""
+STEPS = (8e-3, 6e-3, 4e-3, 3e-3, 2e-3, 1e-3)
+"""Steps of the reduced engine among which the longest is sought that is no worse than MuJoCo [s]."""
+USUAL = (("Euler", 2e-3), ("Euler", 1e-3), ("implicitfast", 2e-3), ("implicitfast", 1e-3))
+"""MuJoCo's integrators and steps that people use [s]."""
+FRICTION = 0.05
+"""Dry friction, as a share of the drives' torque."""
 
 
 def exact(kinematics: Kinematics, q0: Array, pressure: Array, times: Array, rtol: float = 1e-10) -> Array:
@@ -102,7 +131,13 @@ def main() -> None:
     parser.add_argument("--reduced-rates", type=float, nargs="+", default=[250, 500, 1000], help="steps a second")
     parser.add_argument("--sets", type=int, default=32, help="parameter sets that the reduced engine runs side by side")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--mjcf", type=Path, nargs="*", metavar="FILE.xml", help="MJCF robots; chains of hinges if none"
+    )
     args = parser.parse_args()
+    if args.mjcf is not None:
+        compare_mjcf(args.mjcf, args.rounds, args.seed)
+        return
     leg = MORPHOLOGIES[args.leg]()
     q0, pressure = step_responses(leg, args.phase, args.runs, args.seed)
     m = leg.without_stops()
@@ -178,6 +213,112 @@ def reduced(m: Morphology, phase: Phase, q0: Array, pressure: Array, args: argpa
             f"{np.sqrt(np.mean(error**2)):9.1e} {np.abs(error).max():9.1e}",
             flush=True,
         )
+
+
+def compare_mjcf(files: list[Path], rounds: int, seed: int) -> None:
+    """The tables of MJCF robots."""
+    later: list[str] = []
+    print("Same integrator and step (RK4, 1 ms), 32 runs of 1 s, all steps recorded; million steps/s on one thread.")
+    print("Compilation: CPU time in a process of its own, for the first time and again from the cache.")
+    print("With dry friction: 5 % of the drives' torque in all joints (16 runs); without it elsewhere.")
+    print(
+        f"{'':20} {'':6} {'kernel [s]':>12}  {'reduced':>8} {'rollout':>14} {'Batch':>14} {'Python loop':>15}", end=""
+    )
+    print(f"  {'max |Δq|':>8}   {'dry friction: reduced, rollout':>30}  {'RMS Δq':>8}")
+    print(
+        f"{'robot':20} {'joints':>6} {'first':>6} {'again':>5}  {'':8} {'ratio':>14} {'ratio':>14} {'ratio':>15}",
+        end="",
+    )
+    print(f"  {'after 1 s':>8}   {'ratio':>30}  {'':8}")
+    with fresh_cache() as folder:
+        for xml in robot_files(files, Path(folder)):
+            first, again = compile_times(xml, Path(folder) / "cache")
+            robot = workflow.load_machine(xml)
+            smooth = with_friction(robot, np.zeros(len(robot.joint_names)))
+            print(f"{robot.name[:20]:20} {len(robot.joint_names):6} {first:6.1f} {again:5.2f}", end="  ", flush=True)
+            same_step(Work.of(smooth, 4, 1.0, seed), rounds)
+            rubbing(robot, Work.of(smooth, 2, 1.0, seed), rounds)
+            later += equal_error(Work.of(smooth, 2, DURATION, seed), rounds)
+    print(
+        f"\nEqual error: 16 runs of {DURATION:g} s, RMS of q sampled at 100 Hz against the reduced engine at 0.1 ms (whose"
+    )
+    print(
+        "own error is the difference from 0.05 ms); MuJoCo by rollout. Reduced: the longest of 8, 6, 4, 3, 2, 1 ms that is"
+    )
+    print("no worse. CPU time in ms for each simulated second of one run.")
+    print(
+        f"{'robot':20} {'MuJoCo':18} {'RMS error':>9} {'time':>7}   {'reduced':>7} {'RMS error':>9} {'time':>7}", end=""
+    )
+    print(f" {'ratio':>7}   {'error of the reference':>22}")
+    print("\n".join(later), flush=True)
+
+
+def same_step(work: Work, rounds: int) -> None:
+    """Both engines with the same integrator and step."""
+    mine = InMujoco(work, "RK4", STEP)
+    found, theirs = work.reduced(STEP, STEP), mine.rollout()
+    apart = max(np.abs(other - found[: len(other)]).max() for other in (theirs, mine.batched(), mine.loop()))
+    took = fastest(
+        {
+            "reduced": lambda: work.reduced(STEP, STEP),
+            "rollout": mine.rollout,
+            "batch": mine.batched,
+            "loop": mine.loop,
+        },
+        rounds,
+    )
+    took["loop"] *= work.runs / len(mine.loop())
+    speed = {name: work.runs * mine.steps / seconds / 1e6 for name, seconds in took.items()}
+    print(f"{speed['reduced']:8.2f}", end="")
+    for name, width in (("rollout", 8), ("batch", 8), ("loop", 9)):
+        print(f" {speed[name]:{width}.3f} {speed['reduced'] / speed[name]:4.0f}×", end="")
+    print(f"  {apart:8.0e}", end="   ", flush=True)
+
+
+def rubbing(robot: MjcfRobot, smooth: Work, rounds: int) -> None:
+    """Both with dry friction in all joints; MuJoCo's is a soft constraint, so that motions differ."""
+    limits = np.zeros(len(robot.joint_names))
+    model = robot.mujoco_model()
+    for drive in robot.actuators:
+        if drive.servo and model.actuator_forcelimited[drive.index]:
+            limits[robot.joint_names.index(drive.joint)] = model.actuator_forcerange[drive.index, 1]
+    work = smooth.on(with_friction(robot, FRICTION * np.where(limits > 0, limits, drive_torques(robot))))
+    mine = InMujoco(work, "RK4", STEP)
+    apart = np.sqrt(np.mean((work.reduced(STEP, STEP) - mine.rollout()) ** 2))
+    took = fastest({"reduced": lambda: work.reduced(STEP, STEP), "rollout": mine.rollout}, rounds)
+    speed = {name: work.runs * mine.steps / seconds / 1e6 for name, seconds in took.items()}
+    ratio = speed["reduced"] / speed["rollout"]
+    print(f"{speed['reduced']:16.2f} {speed['rollout']:8.3f} {ratio:4.0f}×  {apart:8.0e}", flush=True)
+
+
+def equal_error(work: Work, rounds: int) -> list[str]:
+    """Rows: what MuJoCo takes for its error, and what the reduced engine takes for no more."""
+    exact = work.reduced(REFERENCE, HELD)
+    half = work.part(1).reduced(REFERENCE / 2, HELD)
+    own = rms(exact[: len(half)] - half)
+    low, high = work.robot.joint_range
+    note = "" if np.all((exact > low) & (exact < high)) else "  (joints reach their ends)"
+    errors = {dt: rms(work.reduced(dt, HELD) - exact) for dt in STEPS}
+    theirs = {(name, dt): InMujoco(work, name, dt) for name, dt in USUAL}
+    jobs: dict[str, Callable[[], object]] = {f"{name} {dt}": made.rollout for (name, dt), made in theirs.items()}
+    jobs |= {f"{dt}": lambda dt=dt: work.reduced(dt, HELD) for dt in STEPS}  # type: ignore[misc]
+    took = {name: seconds / (work.runs * work.duration) * 1e3 for name, seconds in fastest(jobs, rounds).items()}
+    rows = []
+    for (name, dt), made in theirs.items():
+        error = rms(made.rollout()[:, :: round(HELD / dt)] - exact)
+        slow = took[f"{name} {dt}"]
+        row = f"{work.robot.name[:20]:20} {name:12} {dt * 1e3:g} ms {error:10.1e} {slow:7.3f}   "
+        step = next((dt for dt in STEPS if errors[dt] <= error), None)
+        if step is None:
+            row += f"none of {min(STEPS) * 1e3:g} ms and more (error there {errors[min(STEPS)]:.1e})"
+        else:
+            row += f"{step * 1e3:4g} ms {errors[step]:9.1e} {took[f'{step}']:7.4f} {slow / took[f'{step}']:6.0f}×"
+        rows.append(row + f"   {own:22.0e}{note}")
+    return rows
+
+
+def rms(error: Array) -> float:
+    return float(np.sqrt(np.mean(error**2)))
 
 
 if __name__ == "__main__":

@@ -120,7 +120,7 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
     span, trust = slope_span(model, recording), 1.0 if model.robot.traits.smooth_motion else LITTLE
     found: list[Segment] = []
     for a, b in pairwise(edges):
-        chosen = (time >= a) & ((time < b) | (b == high))
+        chosen = inside & (time >= a) & ((time < b) | (b == high))
         if np.count_nonzero(chosen) < LEAST_SAMPLES:
             continue
         start = np.concatenate(local_motion(recording, float(a), span))
