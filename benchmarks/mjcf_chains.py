@@ -1,7 +1,7 @@
 """Robots, commands and runs with which ``engines.py --mjcf`` compares the reduced engine and MuJoCo.
 
-Every run has commands that are held for 10 ms, as a controller of 100 Hz holds them, and a start of its own. Runs of one
-trial share the commands: the reduced engine has them side by side in the lanes of one loop.
+Commands are held for 10 ms, as a controller of 100 Hz holds them. Runs of one trial share them and differ in where they
+start: the reduced engine has them side by side in the lanes of one loop. Contacts are off.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ HELD = 0.01
 """So long a command is held [s]."""
 LANES = 8
 """Runs of one trial."""
-SHARE_OF_WEIGHT, ACCELERATION = 0.3, 3.0
-"""Torques of motors: this share of what gravity does in random poses, and what accelerates the joint so much [rad/s²]."""
+SHARE_OF_WEIGHT, ACCELERATION = 0.5, 6.0
+"""Torques of motors: a share of gravity's in random poses, and what accelerates the joint so much [rad/s²]."""
 FREQUENCIES = 0.3, 1.5
 """Of the sines of commands, lowest and highest [Hz]."""
 GOALS = 0.3
@@ -57,7 +57,7 @@ print(time.process_time() - begun)
 
 
 def chain(n: int) -> str:
-    """MJCF of n hinges one behind another: oblique frames, axes and inertias, damping, armature and motors, no geoms."""
+    """MJCF of n hinges in a row: oblique frames, axes and inertias, damping, armature and motors, no geoms."""
     bodies, motors = "", ""
     for i in range(n):
         size = 1.5 / (1 + 0.5 * i)
@@ -96,14 +96,23 @@ def with_friction(robot: MjcfRobot, size: Array) -> MjcfRobot:
     return robot.with_parameters({f"{j}.frictionloss": float(s) for j, s in zip(robot.joint_names, size, strict=True)})
 
 
+def mujoco_model(robot: MjcfRobot, integrator: str, dt: float) -> Any:
+    """MuJoCo's model of a robot with an integrator and a step [s], contacts off."""
+    model = robot.mujoco_model(dt)
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
+    return model
+
+
 def hanging_pose(robot: MjcfRobot) -> Array:
-    """(nj,) where gravity brings the joints to, their damping so large that they do not swing; servos hold the middle."""
-    model = robot.mujoco_model(2e-3)
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    """(nj,) where gravity brings the joints to, so much damped that they do not swing; servos hold the middle."""
+    model = mujoco_model(robot, "implicitfast", 2e-3)
     model.dof_damping[:] = np.maximum(20 * model.dof_M0, model.dof_damping)
     data = mujoco.MjData(model)
     low, high = robot.joint_range
-    middle = np.where(np.isfinite(low + high), (low + high) / 2, 0.0)
+    middle = np.zeros(len(low))
+    limited = np.isfinite(low) & np.isfinite(high)
+    middle[limited] = (low[limited] + high[limited]) / 2
     data.qpos[[axis.position for axis in robot.joints]] = middle + 0.1
     for drive in robot.actuators:
         if drive.servo:
@@ -126,6 +135,11 @@ def drive_torques(robot: MjcfRobot, seed: int = 0) -> Array:
         weights.append(np.abs(data.qfrc_bias[dofs]))
         inertias.append(np.diag(full)[dofs])
     return np.array(SHARE_OF_WEIGHT * np.mean(weights, axis=0) + ACCELERATION * np.mean(inertias, axis=0))
+
+
+def grid(duration: float, step: float) -> Array:
+    """Instants from 0 to the end [s]."""
+    return np.array(step * np.arange(round(duration / step) + 1), dtype=np.float64)
 
 
 def sines(times: Array, columns: int, rng: np.random.Generator) -> Array:
@@ -157,7 +171,7 @@ class Work:
         """Motors have torques of ``drive_torques``; servos have goals around the pose where the robot is at rest."""
         names, rng = robot.joint_names, np.random.default_rng(seed)
         rest, torque, model = hanging_pose(robot), drive_torques(robot), robot.mujoco_model()
-        times = HELD * np.arange(round(duration / HELD))
+        times = grid(duration, HELD)[:-1]
         commands = np.empty((trials, len(times), len(robot.actuators)))
         for t in range(trials):
             commands[t] = sines(times, commands.shape[2], rng)
@@ -169,6 +183,8 @@ class Work:
                 commands[:, :, i] = rest[joint] + GOALS * commands[:, :, i]
             else:
                 unit = model.actuator_gainprm[drive.index, 0] * model.actuator_gear[drive.index, 0]
+                if not unit:
+                    raise SystemExit(f"{robot.name}: actuator {drive.name!r} has no gain, expected motors and servos")
                 commands[:, :, i] *= torque[joint] / unit
         return cls(robot, duration, commands, position, velocity)
 
@@ -202,8 +218,7 @@ class Work:
 
     def trials(self, sampled: float) -> list[Trial]:
         """What ``simulate`` takes."""
-        times = HELD * np.arange(self.commands.shape[1])
-        out = sampled * np.arange(round(self.duration / sampled) + 1)
+        times, out = grid(self.duration, HELD)[:-1], grid(self.duration, sampled)
         return [
             Trial(f"{t}", times, rows, rows[0], 0.0, self.position[t, 0], out) for t, rows in enumerate(self.commands)
         ]
@@ -213,8 +228,7 @@ class InMujoco:
     """The same work in MuJoCo, with an integrator and a step [s]; all that can be allocated before is."""
 
     def __init__(self, work: Work, integrator: str, dt: float) -> None:
-        self.model = work.robot.mujoco_model(dt)
-        self.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+        self.model = mujoco_model(work.robot, integrator, dt)
         self.data, self.work, runs = mujoco.MjData(self.model), work, work.runs
         self.places = [axis.position for axis in work.robot.joints]
         self.qpos, self.qvel = np.zeros((runs, self.model.nq)), np.zeros((runs, self.model.nv))
