@@ -24,7 +24,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mjcf_chains import (
+from _mjcf_chains import (
     HELD,
     InMujoco,
     Work,

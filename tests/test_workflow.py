@@ -128,7 +128,8 @@ def test_the_score_as_plain_types(trial: eq.Recording) -> None:
     shares: list[float] = []
     found = eq.score_recordings([trial, trial], progress=shares.append).to_dict()
     assert shares == [0.5, 1.0]
-    assert set(found) == {"model", "rmse_rad", "trials"} and found["model"] == "nominal_leg"
+    assert set(found) == {"model", "engine", "rmse_rad", "trials"} and found["model"] == "nominal_leg"
+    assert found["engine"] == {"name": "reduced", "reason": ""}
     assert set(found["rmse_rad"]) == {"hip", "knee"}
     assert [set(t) for t in found["trials"]] == [{"name", "rmse_rad"}] * 2
     assert json.loads(presets.json_text(found)) == found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import get_args
 
 import mujoco
 import numpy as np
@@ -17,7 +18,7 @@ from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.step_choice import followed_step
 from equimus_ctrl.engines.steps import step_divisor
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
@@ -189,8 +190,10 @@ def engine_for(
         positions: (n, nj) each, of what is to be simulated: where bodies touch MuJoCo simulates.
 
     Raises:
-        ConfigError: for a step that is none, or compiled equations that cannot hold the robot.
+        ConfigError: for a step that is none, an unknown name, or compiled equations that cannot hold the robot.
     """
+    if name is not None and name not in get_args(EngineName):
+        raise ConfigError(unknown_name("engine", name, get_args(EngineName)))
     if dt is not None and not 0 < dt < float("inf"):
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
     robot = model.robot

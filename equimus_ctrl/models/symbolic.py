@@ -10,7 +10,7 @@ own damping Jᵀ c J v and the joint stops; an actuator's mass is spread evenly 
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import casadi as ca
 
@@ -42,9 +42,12 @@ def symbolic_model(morphology: Morphology, phase: Phase = "swing") -> SymbolicMo
     return build(structure(morphology), phase)
 
 
-@lru_cache(maxsize=32)
+@cache
 def build(form: Structure, phase: Phase) -> SymbolicModel:
-    """The equations of motion of a structure; a phase other than swing is one of elastic robots."""
+    """The equations of motion of a structure; a phase other than swing is one of elastic robots.
+
+    All are kept: what is made from one shares its symbols.
+    """
     return mjcf_equations(form) if isinstance(form, TreeForm) else _elastic_equations(form, phase)
 
 
