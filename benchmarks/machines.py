@@ -28,7 +28,7 @@ MACHINES = {
     "1 joint": (HERE.parent / "docs" / "examples" / "pendulum.xml", {"hinge": 1.2}),
     "2 joints": (HERE / "real_machines" / "double_pendulum_c1.xml", {"shoulder": 1.5, "elbow": 0.8}),
 }
-NOISE = 1e-3
+NOISE, FINE = 1e-3, 1e-4
 FOLDERS = "one_joint", "two_joints"
 
 
@@ -48,7 +48,7 @@ def recorded(real: Model, sizes: dict[str, float], seed: int) -> list[Recording]
         )
         start = rng.uniform(-0.6, 0.6, len(sizes))
         trial = Trial(f"run_{k}", at, torque, torque[0], 0.0, start, at)
-        angle = simulate_machines([real], [trial])[0].position[0]
+        angle = simulate_machines([real], [trial], dt=FINE)[0].position[0]
         angle = angle + rng.normal(0, NOISE, angle.shape)
         trials.append(Recording(trial.name, at, torque, angle, m.actuator_names, m.joint_names))
     return trials
