@@ -16,6 +16,7 @@ from equimus_ctrl.effects import CoulombFriction
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.identification.parameters import default_names, free_parameters
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow import load_machine, parameter_rows
@@ -59,7 +60,7 @@ MORE = {
     "drive.kv": (0.5, "N·m·s/rad"),
     "gravity": (9.81, "m/s²"),
     "tilt": (0.0, "rad"),
-}
+} | {f"{body}.{kind}": (0.0, "1") for body in ("arm", "rod") for kind in SHAPE}
 DERIVED = {
     "actuator_acc0", "body_invweight0", "body_subtreemass", "dof_M0", "dof_invweight0", "dof_length",
     "tendon_invweight0", "tendon_lengthspring",
@@ -239,7 +240,7 @@ def test_bounds_hold_every_number_and_nothing_negative_that_cannot_be() -> None:
     assert np.all(free.start < free.high)
     least = dict(zip(names, free.low, strict=True))
     for name in names:
-        if not name.endswith(("com_x", "com_y", "com_z", "springref", "tilt")):
+        if not name.endswith(("com_x", "com_y", "com_z", "springref", "tilt", *SHAPE)):
             assert least[name] >= 0, name
     assert least["arm.com_z"] < -0.3 and least["tilt"] < 0 and least["reach.springref"] < 0
 
@@ -383,7 +384,8 @@ def test_a_number_that_does_not_exist_is_told_with_those_that_do() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [n for n in CRANE.parameters() if not n.endswith(("com_x", "com_y", "com_z", "springref", "tilt", "gain"))]
+    "name",
+    [n for n in CRANE.parameters() if not n.endswith(("com_x", "com_y", "com_z", "springref", "tilt", "gain", *SHAPE))],
 )
 def test_what_cannot_be_negative_is_refused_as_such(name: str) -> None:
     told = refusal(lambda: CRANE.with_parameters({name: -0.5}))

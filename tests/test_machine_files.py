@@ -34,6 +34,7 @@ from equimus_ctrl.engines.machine import simulate_machines
 from equimus_ctrl.identification.parameters import default_names, free_parameters
 from equimus_ctrl.models.model import FORMAT, Model, model_from_dict, model_to_dict
 from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow import load_machine, load_model, offer, read_free, save_model
@@ -129,13 +130,15 @@ def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_fil
 
 
 def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: Path) -> None:
-    """To the six digits that are written; what gravity leans by is in its direction."""
+    """To the six digits that are written; what gravity leans by is in its direction, how mass is spread in the inertia."""
     machine = load_machine(crane_file)
-    changed = {name: 1.2345 * value + 0.0123 for name, value in machine.parameters().items() if name != "tilt"}
+    kept = "tilt", *SHAPE
+    changed = {name: 1.2345 * value + 0.0123 for name, value in machine.parameters().items() if not name.endswith(kept)}
     model = Model(machine.with_parameters(changed))
     save_model(tmp_path / "found.toml", model, crane_file)
     again = load_machine(tmp_path / "found.xml").parameters()
-    assert again == {name: pytest.approx(value, rel=1e-5) for name, value in (changed | {"tilt": 0.0}).items()}
+    there = dict.fromkeys(machine.parameters(), 0.0) | changed
+    assert again == {name: pytest.approx(value, rel=1e-5) for name, value in there.items()}
     np.testing.assert_array_equal(moved(load_model(tmp_path / "found.toml")), moved(model))
 
 
@@ -301,7 +304,7 @@ def test_included_files_are_read_into_one(tmp_path: Path) -> None:
     assert replace(machine, name="copy").parameters() == PENDULUM.parameters()
 
 
-SHAPE = "v 0 0 0\nv .2 0 0\nv 0 .2 0\nv 0 0 .2\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+SOLID = "v 0 0 0\nv .2 0 0\nv 0 .2 0\nv 0 0 .2\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MESHED = """<mujoco model="meshed"><compiler meshdir="parts"/><asset><mesh name="shape" file="shape.obj"/></asset>
   <worldbody><body name="arm"><joint name="pivot" axis="0 1 0" armature="0.01"/><geom type="mesh" mesh="shape"/></body>
   </worldbody><actuator><motor name="motor" joint="pivot"/></actuator></mujoco>"""
@@ -309,7 +312,7 @@ MESHED = """<mujoco model="meshed"><compiler meshdir="parts"/><asset><mesh name=
 
 def test_meshes_are_kept_with_the_machine_and_found_from_what_is_saved(tmp_path: Path) -> None:
     (tmp_path / "robot" / "parts").mkdir(parents=True)
-    (tmp_path / "robot" / "parts" / "shape.obj").write_text(SHAPE)
+    (tmp_path / "robot" / "parts" / "shape.obj").write_text(SOLID)
     (tmp_path / "robot" / "meshed.xml").write_text(MESHED)
     model = load_model(tmp_path / "robot" / "meshed.xml")
     assert model.parameters()["arm.mass"] == pytest.approx(1000 * 0.2**3 / 6, rel=1e-5)
@@ -323,8 +326,8 @@ def test_meshes_are_kept_with_the_machine_and_found_from_what_is_saved(tmp_path:
 
 def test_a_mesh_is_taken_from_where_mujoco_takes_it(tmp_path: Path) -> None:
     (tmp_path / "parts").mkdir()
-    (tmp_path / "parts" / "shape.obj").write_text(SHAPE)
-    (tmp_path / "shape.obj").write_text(SHAPE.replace(".2", ".4"))
+    (tmp_path / "parts" / "shape.obj").write_text(SOLID)
+    (tmp_path / "shape.obj").write_text(SOLID.replace(".2", ".4"))
     (tmp_path / "meshed.xml").write_text(MESHED)
     own = mujoco.MjModel.from_xml_path(str(tmp_path / "meshed.xml")).body("arm").mass[0]
     assert load_model(tmp_path / "meshed.xml").parameters()["arm.mass"] == pytest.approx(own, rel=1e-9)
@@ -332,7 +335,7 @@ def test_a_mesh_is_taken_from_where_mujoco_takes_it(tmp_path: Path) -> None:
 
 def test_machines_that_differ_in_a_mesh_alone_are_two() -> None:
     small, large = (
-        MjcfRobot("meshed", MESHED, {"shape.obj": SHAPE.replace(".2", size).encode()}) for size in (".2", ".4")
+        MjcfRobot("meshed", MESHED, {"shape.obj": SOLID.replace(".2", size).encode()}) for size in (".2", ".4")
     )
     assert large.parameters()["arm.mass"] == pytest.approx(8 * small.parameters()["arm.mass"], rel=1e-5)
     assert small.digest == replace(small, name="again").digest != large.digest

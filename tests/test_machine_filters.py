@@ -14,6 +14,7 @@ from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import filled, pushes, realise, simulate_machines
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.machines import corrected_xml
@@ -105,7 +106,7 @@ def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
     found = workflow.identify_recordings(recorded(machine), model, free=["motor.time_constant"], folds=0)
     assert found.fit.model.parameters()["motor.time_constant"] == pytest.approx(TAU, rel=0.02)
     machine = machine.with_parameters({"motor.time_constant": 0.05})
-    again = mujoco.MjModel.from_xml_string(machine.exported(machine.mujoco_model()))
+    again = mujoco.MjModel.from_xml_string(exported(machine, machine.mujoco_model()))
     assert again.actuator_dynprm[0, 0] == 0.05
 
 

@@ -56,7 +56,8 @@ def diagnose(
         typer.Option(
             "--free",
             metavar="NAME",
-            help="Numbers of the model that may be wrong; what is known least by default, see list parameters.",
+            help="Numbers of the model that may be wrong, such as '*.mass', or base_parameters; by default "
+            "what is known least, see list parameters.",
         ),
     ] = None,
     fix: Annotated[

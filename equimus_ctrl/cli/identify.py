@@ -50,7 +50,8 @@ def identify(
         typer.Option(
             "--free",
             metavar="NAME",
-            help="What may change, such as 'maa.*'; what is known least by default, see list parameters.",
+            help="What may change, such as 'maa.*', or base_parameters; by default what is known least, "
+            "see list parameters.",
         ),
     ] = None,
     fix: Annotated[

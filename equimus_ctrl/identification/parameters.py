@@ -112,6 +112,9 @@ class FreeParameters:
         return self.model.with_parameters(values)
 
 
+BASE = "base_parameters"
+
+
 def unit_of(model: Model, name: str) -> str:
     """The SI unit of a model's parameter."""
     if found := model.effect_parameters().get(name):
@@ -133,13 +136,15 @@ def default_names(model: Model) -> list[str]:
 def matching(model: Model, patterns: Sequence[str]) -> list[str]:
     """The parameter names that patterns such as ``*.damping`` mean, in the model's order.
 
+    ``base_parameters`` means the inertial parameters that motion can tell apart, see ``Robot.base_names``.
+
     Raises:
         ConfigError: for a pattern that means none.
     """
     known = list(model.parameters())
     found: set[str] = set()
     for pattern in patterns:
-        hits = fnmatch.filter(known, pattern)
+        hits = model.robot.base_names() if pattern == BASE else fnmatch.filter(known, pattern)
         if not hits:
             raise ConfigError(unknown_name("parameter", pattern, known, model.name))
         found |= set(hits)

@@ -153,6 +153,10 @@ class Robot(ABC):
     def default_names(self) -> list[str]:
         """The parameters that are known least: free by default."""
 
+    def base_names(self) -> list[str]:
+        """As many inertial parameters as inverse dynamics tell apart; none where a robot does not know."""
+        return []
+
     # Units.
 
     def slides(self, joint: str) -> bool:

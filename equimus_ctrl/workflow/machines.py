@@ -18,6 +18,7 @@ from equimus_ctrl.identification.parameters import default_bounds, default_names
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import Limits, read_set
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Recording
 
@@ -184,4 +185,4 @@ def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]
         own.mujoco.actuator_delay[drive.index] = late if held else 0.0
         if late > 0 and not held:
             left.append(f"{TransportDelay.name} at {drive.name}")
-    return own.machine.exported(own.mujoco, left, folder), tuple(left)
+    return exported(own.machine, own.mujoco, left, folder), tuple(left)

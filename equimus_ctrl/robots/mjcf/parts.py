@@ -1,42 +1,14 @@
-"""What is done to MuJoCo's model of a machine: masses added, drives that turn by themselves, friction made hard."""
+"""What is done to MuJoCo's model of a machine: drives that turn by themselves, friction made hard."""
 
 from __future__ import annotations
 
 from functools import lru_cache
 from typing import Any
 
-import mujoco
-import numpy as np
-
 from equimus_ctrl.robots.mjcf.plan import Assets, spec_of
 
 HARD = 0.9999
 """Impedance of dry friction: what a rubbing joint at rest creeps is this near to nothing."""
-
-
-def add_mass(model: Any, place: str, mass: float) -> None:
-    """A point mass at a site, or at the centre of mass of a body (parallel axes)."""
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, place)
-    if site >= 0:
-        b, at = int(model.site_bodyid[site]), np.array(model.site_pos[site])
-    else:
-        b = int(model.body(place).id)
-        at = np.array(model.body_ipos[b])
-    own, com = float(model.body_mass[b]), np.array(model.body_ipos[b])
-    if mass == 0:
-        return
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, model.body_iquat[b])
-    turn = flat.reshape(3, 3)
-    middle = (own * com + mass * at) / (own + mass)
-    whole = turn @ np.diag(model.body_inertia[b]) @ turn.T
-    for m, arm in ((own, com - middle), (mass, at - middle)):
-        whole += m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    moments, axes = np.linalg.eigh(whole)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
-    mujoco.mju_mat2Quat(model.body_iquat[b], axes.ravel())
-    model.body_inertia[b], model.body_mass[b], model.body_ipos[b] = moments, own + mass, middle
 
 
 def rotor_of(joint: str) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.robots.mjcf.actuators import drive_numbers, drives_of
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, Number, setter
+from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.types import Array
 
 
@@ -203,11 +204,16 @@ def _body_numbers(base: Any, bodies: Sequence[str]) -> list[Number]:
 
         if moments.max() > 0:
             found.append(Number(f"{name}.inertia", float(moments.max()), "kg·m²", inertia))
+            found += [Number(f"{name}.{kind}", 0.0, "1", _together) for kind in SHAPE]
         for k, axis in enumerate("xyz"):
             found.append(
                 Number(f"{name}.com_{axis}", float(base.body_ipos[b, k]), "m", setter("body", name, "body_ipos", k))
             )
     return found
+
+
+def _together(model: Any, value: float) -> None:
+    """Numbers that say only together what they change, see ``inertia.reshape_inertia``."""
 
 
 def _joint_numbers(base: Any, joints: Sequence[Axis]) -> list[Number]:

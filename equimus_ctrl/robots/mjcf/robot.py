@@ -12,11 +12,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from threading import local
 from typing import Any, ClassVar
 
 import mujoco
-import numpy as np
 
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
@@ -26,9 +24,12 @@ from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.robots.mjcf.actuators import OWN
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
 from equimus_ctrl.robots.mjcf.form import obstacles
+from equimus_ctrl.robots.mjcf.independent import independent
+from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertia
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
-from equimus_ctrl.robots.mjcf.parts import HARD, add_mass, rotor_of, with_rotors, with_rotors_spec
+from equimus_ctrl.robots.mjcf.parts import HARD, rotor_of, with_rotors
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
+from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
 
 BASE = "base"
@@ -37,19 +38,12 @@ STIFF = 0.25
 """Rate of the end of a play, in units of 1/step."""
 LEAST_PLAY = 2e-9
 """A play that is none [rad or m]."""
-TRIES = 6
-"""States at which it is looked what a number changes."""
-CHANGED = 1e-3
-"""Share by which numbers are changed to see what they do."""
-INDEPENDENT = 1e-6
-"""A number whose effect is within this share of what others can do is left to them."""
-
 _FACTOR = {
     "mass": 3.0, "inertia": 3.0, "kp": 3.0, "kv": 10.0, "gain": 2.0, "gravity": 1.02, "stiffness": 10.0,
     "damping": 10.0, "quadratic_damping": 10.0, "armature": 10.0, "frictionloss": 10.0, "force_limit": 3.0,
     "time_constant": 10.0, "delay": 3.0,
 }  # fmt: skip
-_AWAY = {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0}
+_AWAY = dict.fromkeys(SHAPE, 0.5) | {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0}
 QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
 """So many times what takes an acceleration of 1 is what a joint is believed to have at most where the file says 0."""
 POSITIVE = frozenset(_FACTOR) - {"gain"}
@@ -359,6 +353,8 @@ class MjcfRobot(Robot):
         """Put all that is not as in the file into a copy of its model, drives that turn by themselves left out."""
         for name, value in self.values.items():
             self.plan.numbers[name].write(model, value)
+        for body, shape in self._shapes().items():
+            reshape_inertia(model, body, shape)
         for place, mass in self.payloads:
             add_mass(model, place, mass)
         for name, factor in self.gains:
@@ -372,6 +368,11 @@ class MjcfRobot(Robot):
                 own = max(-size, model.actuator_forcerange[i, 0]), min(size, model.actuator_forcerange[i, 1])
             model.actuator_forcelimited[i] = 1
             model.actuator_forcerange[i] = own
+
+    def _shapes(self) -> dict[str, list[float]]:
+        """Body → how its mass is spread, see ``SHAPE``, where that is not as in the file."""
+        bodies = {name.rpartition(".")[0] for name, value in self.values.items() if value and name.endswith(SHAPE)}
+        return {body: [self.values.get(f"{body}.{kind}", 0.0) for kind in SHAPE] for body in sorted(bodies)}
 
     def _write(self, model: Any) -> None:
         """Put all that is not as in the file into a copy of its model."""
@@ -389,98 +390,27 @@ class MjcfRobot(Robot):
             model.dof_armature[model.joint(c.joint).dofadr[0]] = 0.0
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
-    def exported(self, model: Any, left: Sequence[str] = (), folder: str = "") -> str:
-        """MuJoCo's XML of this machine with the numbers that an ``MjModel`` made of it has.
-
-        Args:
-            model: see ``mujoco_model``; numbers may have been changed in it since.
-            left: what the XML cannot hold, for a comment.
-            folder: of the files that it names, as seen from where it is to be.
-        """
-        joints = tuple(c.joint for c in self.compliances)
-        spec = with_rotors_spec(self.xml, Assets(self.assets), joints)
-        before = spec.compile()  # tells ids to what has no name
-        turn = 180 / math.pi if spec.compiler.degree else 1.0
-        for body in spec.bodies[1:]:
-            b = body.id
-            body.mass, body.ipos, body.inertia = model.body_mass[b], model.body_ipos[b], model.body_inertia[b]
-            body.iquat, body.explicitinertial, body.fullinertia = model.body_iquat[b], True, [math.nan] * 6
-            for geom in body.geoms:
-                geom.mass = 0.0
-        for joint in spec.joints:
-            j, d = model.joint(joint.name).id, model.joint(joint.name).dofadr[0]
-            joint.damping = [model.dof_damping[d], *model.dof_dampingpoly[d]]
-            joint.armature, joint.frictionloss = model.dof_armature[d], model.dof_frictionloss[d]
-            joint.stiffness = [model.jnt_stiffness[j], *model.jnt_stiffnesspoly[j]]
-            slides = int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
-            joint.springref = model.qpos_spring[model.joint(joint.name).qposadr[0]] * (1.0 if slides else turn)
-            joint.solref_friction, joint.solimp_friction = model.dof_solref[d], model.dof_solimp[d]
-        for actuator in spec.actuators:
-            a = model.actuator(actuator.name).id
-            actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
-            actuator.dynprm = model.actuator_dynprm[a]
-            actuator.dyntype, actuator.actearly = model.actuator_dyntype[a], bool(model.actuator_actearly[a])
-            actuator.delay = model.actuator_delay[a]
-            if model.actuator_delay[a]:
-                # Linear between samples: of a command that holds over whole steps the mean over a step.
-                actuator.nsample = max(actuator.nsample, math.ceil(model.actuator_delay[a] / model.opt.timestep - 1e-9))
-                actuator.interp = 1
-            actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
-        for tendon in spec.tendons:
-            t = tendon.id
-            tendon.limited, tendon.range = model.tendon_limited[t], model.tendon_range[t]
-            tendon.solref_limit, tendon.solimp_limit = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
-            tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]
-            tendon.damping = [model.tendon_damping[t], *model.tendon_dampingpoly[t]]
-            tendon.springlength = model.tendon_lengthspring[t]
-        spec.option.gravity = model.opt.gravity
-        _fill(spec, before)
-        spec.compile()
-        if folder and self.assets:
-            spec.meshdir, spec.texturedir = (f"{folder}/{own}".rstrip("/") for own in (spec.meshdir, spec.texturedir))
-        text: str = spec.to_xml()
-        if left:
-            text = text.replace("\n", f"\n  <!-- Not in here: {', '.join(left)}. -->\n", 1)
-        return text
-
     def default_names(self) -> list[str]:
         """Numbers that tell by themselves how it moves: masses, inertias, and of joints what the file does not leave 0.
 
-        Those that others can stand in for are left out; actuators are taken to be known.
+        Those that others can stand in for are left out; centres of mass, how masses are spread and actuators are taken
+        to be known.
         """
         own = [n.name for n in self.plan.numbers.values()]
         values = self.parameters()
         wanted = [
             n for kind in ("mass", "inertia", "armature") for n in own if n.endswith(f".{kind}") and values[n] > 0
         ]
-        kept = self._independent(wanted)
+        kept = independent(self, wanted)
         kinds = ("damping", "quadratic_damping", "frictionloss", "stiffness")
         return kept + [n for kind in kinds for n in own if n.rpartition(".")[2] == kind and values[n] > 0]
 
-    def _independent(self, names: Sequence[str]) -> list[str]:
-        """Of numbers on which forces depend linearly those that no combination of earlier ones can stand in for."""
-        model = self.mujoco_model()
-        data = mujoco.MjData(model)
-        rng = np.random.default_rng(0)
-        states = rng.normal(size=(TRIES, 3, model.nv))
-
-        def forces(machine: MjcfRobot) -> Array:
-            m, rows = machine.mujoco_model(), []
-            for q, v, a in states:
-                data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
-                mujoco.mj_inverse(m, data)
-                rows.append(data.qfrc_inverse.copy())
-            return np.concatenate(rows)
-
-        before, basis, kept = forces(self), np.empty((TRIES * model.nv, 0)), []
-        for name in names:
-            value = self.parameters()[name]
-            column = (forces(self.with_parameters({name: value * (1 + CHANGED)})) - before) / CHANGED
-            left = column - basis @ (basis.T @ column)
-            if np.linalg.norm(left) > INDEPENDENT * max(np.linalg.norm(before), np.linalg.norm(column)):
-                basis = np.column_stack([basis, left / np.linalg.norm(left)])
-                kept.append(name)
-        return kept
+    def base_names(self) -> list[str]:
+        """Of masses, centres, inertias and armatures as many as there are base parameters, see ``independent``."""
+        own = self.plan.numbers.values()
+        kinds = "mass", "com_x", "com_y", "com_z", "inertia", *SHAPE, "armature"
+        wanted = [n.name for kind in kinds for n in own if n.kind == kind]
+        return independent(self, [n for n in wanted if not n.endswith(".armature") or self.parameters()[n] > 0])
 
 
 def mjcf_of(robot: Robot) -> MjcfRobot:
@@ -494,51 +424,9 @@ def mjcf_of(robot: Robot) -> MjcfRobot:
     return robot
 
 
-_WRITTEN = ("body_", "dof_", "jnt_", "qpos_", "tendon_", "actuator_")
-"""What arrays of a model begin with that a robot's numbers go into."""
-
-
-class _Scratch(local):
-    """One model for each file and thread whose numbers may be anything: to copy one takes longer than to write it."""
-
-    def __init__(self) -> None:
-        self.known: dict[tuple[str, Assets], tuple[Any, Any, list[tuple[Array, Array]]]] = {}
-
-    def blank(self, xml: str, assets: Assets, base: Any) -> tuple[Any, Any]:
-        """A model with the numbers of ``base``, to be used before the next is asked for, and its data."""
-        key = (xml, assets)
-        if key not in self.known:
-            if len(self.known) >= SCRATCHES:
-                self.known.clear()
-            model = copy.copy(base)
-            names = [n for n in dir(base) if n.startswith(_WRITTEN) and isinstance(getattr(base, n), np.ndarray)]
-            pairs = [(getattr(model, name), getattr(base, name)) for name in names]
-            self.known[key] = model, mujoco.MjData(model), [(own, given) for own, given in pairs if own.size]
-        model, data, pairs = self.known[key]
-        for own, given in pairs:
-            own[...] = given
-        model.opt.gravity[:], model.opt.timestep = base.opt.gravity, base.opt.timestep
-        model.opt.disableflags = base.opt.disableflags
-        return model, data
-
-
-SCRATCHES = 64
-_scratch = _Scratch()
+_scratch = Scratch()
 
 
 @lru_cache(maxsize=64)
 def _obstacles(xml: str, assets: Assets) -> tuple[str, ...]:
     return tuple(obstacles(spec_of(xml, assets).compile()))
-
-
-def _fill(spec: Any, before: Any) -> None:
-    """Give each keyframe a value for every filter: its own, or of one that is new the key's command."""
-    filters = [i for i, actuator in enumerate(spec.actuators) if int(actuator.dyntype)]
-    if len(filters) == before.na:
-        return
-    for key in spec.keys:
-        own, commands = np.array(key.act), np.array(key.ctrl)
-        own = own if len(own) else np.zeros(before.na)
-        commands = commands if len(commands) else np.zeros(before.nu)
-        places = before.actuator_actadr
-        key.act = np.array([own[places[i]] if places[i] >= 0 else commands[i] for i in filters])

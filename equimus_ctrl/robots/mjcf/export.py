@@ -1,0 +1,83 @@
+"""An MJCF robot as MuJoCo's XML again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.robots.mjcf.parts import with_rotors_spec
+from equimus_ctrl.robots.mjcf.plan import Assets
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+
+
+def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str = "") -> str:
+    """MuJoCo's XML of a robot with the numbers that an ``MjModel`` made of it has.
+
+    Args:
+        robot: whose.
+        model: see ``mujoco_model``; numbers may have been changed in it since.
+        left: what the XML cannot hold, for a comment.
+        folder: of the files that it names, as seen from where it is to be.
+    """
+    joints = tuple(c.joint for c in robot.compliances)
+    spec = with_rotors_spec(robot.xml, Assets(robot.assets), joints)
+    before = spec.compile()  # tells ids to what has no name
+    turn = 180 / math.pi if spec.compiler.degree else 1.0
+    for body in spec.bodies[1:]:
+        b = body.id
+        body.mass, body.ipos, body.inertia = model.body_mass[b], model.body_ipos[b], model.body_inertia[b]
+        body.iquat, body.explicitinertial, body.fullinertia = model.body_iquat[b], True, [math.nan] * 6
+        for geom in body.geoms:
+            geom.mass = 0.0
+    for joint in spec.joints:
+        j, d = model.joint(joint.name).id, model.joint(joint.name).dofadr[0]
+        joint.damping = [model.dof_damping[d], *model.dof_dampingpoly[d]]
+        joint.armature, joint.frictionloss = model.dof_armature[d], model.dof_frictionloss[d]
+        joint.stiffness = [model.jnt_stiffness[j], *model.jnt_stiffnesspoly[j]]
+        slides = int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        joint.springref = model.qpos_spring[model.joint(joint.name).qposadr[0]] * (1.0 if slides else turn)
+        joint.solref_friction, joint.solimp_friction = model.dof_solref[d], model.dof_solimp[d]
+    for actuator in spec.actuators:
+        a = model.actuator(actuator.name).id
+        actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
+        actuator.dynprm = model.actuator_dynprm[a]
+        actuator.dyntype, actuator.actearly = model.actuator_dyntype[a], bool(model.actuator_actearly[a])
+        actuator.delay = model.actuator_delay[a]
+        if model.actuator_delay[a]:
+            # Linear between samples: of a command that holds over whole steps the mean over a step.
+            actuator.nsample = max(actuator.nsample, math.ceil(model.actuator_delay[a] / model.opt.timestep - 1e-9))
+            actuator.interp = 1
+        actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
+    for tendon in spec.tendons:
+        t = tendon.id
+        tendon.limited, tendon.range = model.tendon_limited[t], model.tendon_range[t]
+        tendon.solref_limit, tendon.solimp_limit = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
+        tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]
+        tendon.damping = [model.tendon_damping[t], *model.tendon_dampingpoly[t]]
+        tendon.springlength = model.tendon_lengthspring[t]
+    spec.option.gravity = model.opt.gravity
+    _fill(spec, before)
+    spec.compile()
+    if folder and robot.assets:
+        spec.meshdir, spec.texturedir = (f"{folder}/{own}".rstrip("/") for own in (spec.meshdir, spec.texturedir))
+    text: str = spec.to_xml()
+    if left:
+        text = text.replace("\n", f"\n  <!-- Not in here: {', '.join(left)}. -->\n", 1)
+    return text
+
+
+def _fill(spec: Any, before: Any) -> None:
+    """Give each keyframe a value for every filter: its own, or of one that is new the key's command."""
+    filters = [i for i, actuator in enumerate(spec.actuators) if int(actuator.dyntype)]
+    if len(filters) == before.na:
+        return
+    for key in spec.keys:
+        own, commands = np.array(key.act), np.array(key.ctrl)
+        own = own if len(own) else np.zeros(before.na)
+        commands = commands if len(commands) else np.zeros(before.nu)
+        places = before.actuator_actadr
+        key.act = np.array([own[places[i]] if places[i] >= 0 else commands[i] for i in filters])

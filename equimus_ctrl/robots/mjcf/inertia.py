@@ -1,0 +1,80 @@
+"""Inertias of bodies that stay physical whatever their numbers are.
+
+A body's pseudo-inertia [[Σ, h], [hᵀ, m]] (Wensing, Kim & Slotine, "Linear matrix inequalities for physically
+consistent inertial parameter identification", 2018) is positive definite where its mass m and the second moments Σ_c
+about its centre of mass are, for Σ_c is its Schur complement. Mass and centre are numbers by themselves; Σ_c is
+
+    Σ_c = S½ E Eᵀ S½
+
+with S the file's own second moments along its principal axes, times the size of the inertia over the file's, and E
+upper triangular with the diagonal exp(d1), exp(d2), exp(−d1 − d2) and s12, s13, s23 above it. These are the
+log-Cholesky parameters of Rucker & Wensing, "Smooth parameterization of rigid-body inertia", 2022, about the centre of
+mass and relative to the file's own values, with the size apart. Any values give a body that can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.types import Array
+
+SHAPE = "inertia_d1", "inertia_d2", "inertia_s12", "inertia_s13", "inertia_s23"
+"""Kinds of the numbers of a body that say how its mass is spread about its centre; 0 as in the file."""
+
+
+def reshape_inertia(model: Any, body: str, shape: Sequence[float]) -> None:
+    """Spread a body's mass otherwise about its centre in an ``mujoco.MjModel``.
+
+    Args:
+        model: is changed.
+        body: its name.
+        shape: (5,) in the order of ``SHAPE``.
+    """
+    b = model.body(body).id
+    moments = np.array(model.body_inertia[b])
+    second = np.maximum(moments.sum() / 2 - moments, 0.0)
+    d1, d2, s12, s13, s23 = shape
+    upper = np.array([[np.exp(d1), s12, s13], [0.0, np.exp(d2), s23], [0.0, 0.0, np.exp(-d1 - d2)]])
+    root = np.sqrt(second)[:, None] * upper
+    spread = root @ root.T
+    turn = _turn(model, b)
+    _put(model, b, turn @ (np.trace(spread) * np.eye(3) - spread) @ turn.T)
+
+
+def add_mass(model: Any, place: str, mass: float) -> None:
+    """A point mass at a site, or at the centre of mass of a body (parallel axes)."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, place)
+    if site >= 0:
+        b, at = int(model.site_bodyid[site]), np.array(model.site_pos[site])
+    else:
+        b = int(model.body(place).id)
+        at = np.array(model.body_ipos[b])
+    own, com = float(model.body_mass[b]), np.array(model.body_ipos[b])
+    if mass == 0:
+        return
+    turn = _turn(model, b)
+    middle = (own * com + mass * at) / (own + mass)
+    whole = turn @ np.diag(model.body_inertia[b]) @ turn.T
+    for m, arm in ((own, com - middle), (mass, at - middle)):
+        whole += m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    _put(model, b, whole)
+    model.body_mass[b], model.body_ipos[b] = own + mass, middle
+
+
+def _turn(model: Any, b: int) -> Array:
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, model.body_iquat[b])
+    return flat.reshape(3, 3)
+
+
+def _put(model: Any, b: int, central: Array) -> None:
+    """Give a body a central inertia (3, 3) in its own axes."""
+    moments, axes = np.linalg.eigh(central)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    mujoco.mju_mat2Quat(model.body_iquat[b], axes.ravel())
+    model.body_inertia[b] = moments
