@@ -5,7 +5,7 @@ factorisation segment by segment, so that many short windows cost no more than t
 
     min ‖R δ − c‖² + λ‖D δ‖²   subject to   low ≤ θ + δ ≤ high
 
-for several λ at once and simulates all of them side by side.
+for several λ at once, by which the starts are damped too, and simulates all of them side by side.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import FreeParameters
-from equimus_ctrl.identification.problem import Derivatives, Point, Problem, Slopes
+from equimus_ctrl.identification.problem import Derivatives, Point, Problem
 from equimus_ctrl.identification.residuals import DIVERGED, joint_rmse
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator, simulator_for
@@ -179,8 +179,11 @@ def _fit(
             f"{samples} measured angles are too few for {p + free_starts} unknowns ({p} parameters and {free_starts} "
             "numbers of starts)"
         )
-    given = begin or [(parameters.start, [s.start for s in segments])]
-    point = min(problem.points([b[0] for b in given], [[b[1]] for b in given]), key=lambda tried: tried.cost)
+    measured = [s.start for s in segments]
+    given = begin or [(parameters.start, measured)]
+    # A window's start that an earlier fit has led astray goes on from what was measured.
+    choices = [[b[1], measured] if free_starts and begin else [b[1]] for b in given]
+    point = min(problem.points([b[0] for b in given], choices), key=lambda tried: tried.cost)
     if all(np.all(r[-1] == DIVERGED) for r in point.residuals):
         raise SimulationDiverged(f"{parameters.model.name}: the simulation diverges on every trial as the model came")
     before = point.residuals
@@ -195,9 +198,9 @@ def _fit(
         slopes = slopes or problem.slopes(point)
         weights = np.maximum(weights, np.linalg.norm(slopes.factor, axis=0))
         dampings = np.clip(damping * around, LEAST_DAMPING, MOST_DAMPING)
-        changes = [_step(parameters, point.theta, slopes, weights * np.sqrt(d)) for d in dampings]
+        changes = [_step(parameters, point.theta, slopes.damped(d), weights * np.sqrt(d)) for d in dampings]
         thetas = [parameters.moved(point.theta, parameters.scale * c) for c in changes]
-        starts = [problem.moved_starts(point, slopes, c) for c in changes]
+        starts = [problem.moved_starts(point, slopes, c, d) for c, d in zip(changes, dampings, strict=True)]
         tried: list[Point] = []
         for part in [slice(None)] if together else [slice(k, k + 1) for k in range(len(dampings))]:
             tried += problem.points(thetas[part], starts[part])
@@ -252,12 +255,13 @@ def _fit(
     return found
 
 
-def _step(parameters: FreeParameters, theta: Array, slopes: Slopes, damping: Array) -> Array:
+def _step(parameters: FreeParameters, theta: Array, slopes: tuple[Array, Array], damping: Array) -> Array:
     """(p,) the damped step within bounds, in units of the parameters' scale."""
+    factor, aim = slopes
     # What has no effect beyond rounding stays where it is.
-    least = IDLE * np.linalg.norm(slopes.factor, axis=0).max() + 1e-300
-    system = np.vstack([slopes.factor, np.diag(np.maximum(damping, least))])
-    target = np.concatenate([slopes.target, np.zeros(len(theta))])
+    least = IDLE * np.linalg.norm(factor, axis=0).max() + 1e-300
+    system = np.vstack([factor, np.diag(np.maximum(damping, least))])
+    target = np.concatenate([aim, np.zeros(len(theta))])
     low, high = (parameters.low - theta) / parameters.scale, (parameters.high - theta) / parameters.scale
     free = np.linalg.lstsq(system, target, rcond=None)[0]
     if np.all(free >= low) and np.all(free <= high):

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
@@ -23,20 +22,57 @@ Derivatives = tuple[list[Array], list[Array]]
 
 
 @dataclass(frozen=True, eq=False)
+class Elimination:
+    """A segment's start, eliminated from its residuals and their derivatives [N | J, r].
+
+    With N D⁻¹ = U diag(s) Vᵀ and D the norms of N's columns, a start that is damped by λ‖D δ‖² goes by
+    δ = D⁻¹ V diag(s/(s² + λ)) Uᵀ(r − J δθ), and leaves of the residuals what no start can take and √(λ/(s² + λ)) of the
+    rest.
+
+    Attributes:
+        turned: (s, p + 1) Uᵀ[J, r].
+        sizes: (s,) singular values.
+        back: (s, s) D⁻¹ V.
+    """
+
+    turned: Array
+    sizes: Array
+    back: Array
+
+    def left(self, damping: float) -> Array:
+        """(s, p + 1) rows that are left where the start is damped."""
+        return np.sqrt(damping / (self.sizes**2 + damping))[:, None] * self.turned
+
+    def step(self, change: Array, damping: float) -> Array:
+        """(s,) of the start, with a change (p,) of θ in units of its scale."""
+        target = self.turned[:, -1] - self.turned[:, :-1] @ change
+        return np.asarray(self.back @ (self.sizes / (self.sizes**2 + damping) * target))
+
+
+@dataclass(frozen=True, eq=False)
 class Slopes:
     """Derivatives at one point, the starts eliminated.
 
     Attributes:
         derivatives: by θ and by the starts.
-        factor: (p, p) R with the columns in units of the parameters' scale.
-        target: (p,) c.
-        starts: for each segment its (Q, R) of ∂/∂start, the weighted start below the samples.
+        whole: (p + 1, p + 1) triangle of [R, c], the columns of R in units of the parameters' scale.
+        starts: for each segment, see ``Elimination``; None where its start is not free.
     """
 
     derivatives: Derivatives
-    factor: Array
-    target: Array
-    starts: list[tuple[Array, Array]]
+    whole: Array
+    starts: list[Elimination | None]
+
+    @property
+    def factor(self) -> Array:
+        """(p, p) R."""
+        return self.whole[:-1, :-1]
+
+    def damped(self, damping: float) -> tuple[Array, Array]:
+        """(p, p) R and (p,) c where the starts are damped, see ``Elimination``."""
+        rows = [own.left(damping) for own in self.starts if own is not None]
+        found = _triangle(np.vstack([self.whole, *rows])) if rows else self.whole
+        return found[:-1, :-1], found[:-1, -1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +149,8 @@ class Problem:
         by_theta, by_start = known or self.derivatives(point)
         scale = self.parameters.scale
         p = len(scale)
-        rows, starts = [], []
+        rows: list[Array] = []
+        starts: list[Elimination | None] = []
         for segment, j, n, r, x in zip(self.segments, by_theta, by_start, point.residuals, point.starts, strict=True):
             count, s = j.shape[0] * j.shape[1], segment.free_start
             columns = self.whitened(segment, np.concatenate([j * scale, r[:, :, None], n], axis=2)).reshape(count, -1)
@@ -123,31 +160,27 @@ class Problem:
                 own = np.zeros((s, p + 1))
                 own[:, p] = self._start_residual(segment, x)
                 system = np.vstack([system, own])
-                basis, upper = np.linalg.qr(whole, mode="reduced")
-                starts.append((basis, upper))
-                system = system - basis @ (basis.T @ system)
+                norms = np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
+                basis, sizes, turn = np.linalg.svd(whole / norms, full_matrices=False)
+                turned = basis.T @ system
+                starts.append(Elimination(turned, sizes, turn.T / norms[:, None]))
+                system = system - basis @ turned
             else:
-                starts.append((np.empty((count, 0)), np.empty((0, 0))))
+                starts.append(None)
             rows.append(_triangle(system))
-        factor = _triangle(np.vstack(rows))
-        return Slopes((by_theta, by_start), factor[:p, :p], factor[:p, p], starts)
+        return Slopes((by_theta, by_start), _triangle(np.vstack(rows)), starts)
 
-    def moved_starts(self, point: Point, slopes: Slopes, change: Array) -> list[list[Array]]:
+    def moved_starts(self, point: Point, slopes: Slopes, change: Array, damping: float) -> list[list[Array]]:
         """Starts that go with a change (p,) of θ in units of its scale: the best to first order, a tenth of the way.
 
-        The latter is for where the motion depends on its start with a kink, as on a joint's stop.
+        The latter is for where the motion depends on its start with a kink, as on a joint's stop. Where it hardly
+        depends on it, as where dry friction stops a joint at once, damping alone keeps the start near.
         """
         moved = []
-        scale = self.parameters.scale
-        for k, segment in enumerate(self.segments):
-            start = point.starts[k].copy()
-            s = segment.free_start
-            if s:
-                basis, upper = slopes.starts[k]
-                left = self.whitened(segment, point.residuals[k] - slopes.derivatives[0][k] @ (scale * change)).ravel()
-                target = np.concatenate([left, self._start_residual(segment, start)])
-                start[:s] += solve_triangular(upper, basis.T @ target)
-            moved.append(start)
+        for start, own in zip(point.starts, slopes.starts, strict=True):
+            moved.append(start.copy())
+            if own is not None:
+                moved[-1][: len(own.sizes)] += own.step(change, damping)
         if not any(segment.free_start for segment in self.segments):
             return [moved]
         return [moved, [old + 0.1 * (new - old) for old, new in zip(point.starts, moved, strict=True)]]

@@ -28,8 +28,12 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
-LITTLE = 0.01
-"""Trust in starts that are read off what a motor drives."""
+INSTANTS = 200
+"""At most so many instants of a recording tell how well starts can be read off it."""
+WIDE = 3.0
+"""A start that was read off has a prior of so many times the standard deviation that it seems to have."""
+LEAST_TRUST = 1e-4
+"""In units of that in a sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +48,8 @@ class Segment:
         free_start: how many numbers of the start are free: none, the angles (nj), or angles and velocities (2 nj).
             What was read off the measurements then counts as one more sample, see ``start_weights``.
         slope_span: half the time over which a start was read off [s].
-        trust: of a start that was read off, in units of that of a sample: a parabola is no good likeness of a motion
-            that changes quickly.
+        trust: (2 nj,) in a start that was read off, in units of that in a sample [1, s]; None for what a parabola
+            through white noise deserves, see ``start_trust``.
     """
 
     trial: Trial
@@ -54,13 +58,14 @@ class Segment:
     start: Array
     free_start: int = 0
     slope_span: float = SLOPE_SPAN
-    trust: float = 1.0
+    trust: Array | None = None
 
     @property
     def start_weights(self) -> Array:
-        """(free_start,) what a start's distance from the measured one weighs: an angle's as much as a sample's."""
+        """(free_start,) what a start's distance from the measured one weighs, in units of a sample's residual."""
         nj = self.measured.shape[1]
-        return np.repeat([self.trust, self.trust * self.slope_span / 2], nj)[: self.free_start]
+        trust = np.repeat([1.0, self.slope_span / 2], nj) if self.trust is None else self.trust
+        return trust[: self.free_start]
 
 
 def cut(
@@ -117,7 +122,8 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
-    span, trust = slope_span(model, recording), 1.0 if model.robot.traits.smooth_motion else LITTLE
+    span = slope_span(model, recording)
+    trust = None if model.robot.traits.smooth_motion else start_trust(recording, span)
     found: list[Segment] = []
     for a, b in pairwise(edges):
         chosen = inside & (time >= a) & ((time < b) | (b == high))
@@ -145,3 +151,24 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
             f"{2 * LEAST_SAMPLES * np.median(np.diff(time)):.2g} s"
         )
     return found
+
+
+def start_trust(recording: Recording, span: float) -> Array:
+    """(2 nj,) how much starts that are read off a recording are to weigh, in units of a sample's residual [1, s].
+
+    A parabola is no good likeness of a motion that changes quickly: how far it is off is seen from what half its span
+    says at the same instants. The prior of a start is some times as wide.
+
+    Args:
+        recording: of motion that need not be smooth.
+        span: half the time over which starts are read off [s].
+    """
+    time = recording.time
+    chosen = np.unique(np.linspace(0, len(time) - 1, min(INSTANTS, len(time))).round().astype(int))
+    apart, left = [], []
+    for at in time[chosen]:
+        whole, part = (np.concatenate(local_motion(recording, float(at), s)) for s in (span, span / 2))
+        apart.append(whole - part)
+        left.append(recording.position[np.argmin(np.abs(time - at))] - whole[: len(whole) // 2])
+    noise, sizes = np.sqrt(np.mean(np.square(left), axis=0)), np.sqrt(np.mean(np.square(apart), axis=0))
+    return np.asarray(np.maximum(np.tile(noise, 2) / (WIDE * np.maximum(sizes, 1e-300)), LEAST_TRUST))
