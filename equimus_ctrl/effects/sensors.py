@@ -119,8 +119,8 @@ def shown(sensor: Array, angles: Array) -> Array:
 
 
 def behind(sensor: Array, measured: Array) -> Array:
-    """(…, nj) the angles of which sensors (nj, 4) show what is measured (…, nj), at rest [rad]."""
-    return np.asarray((measured - sensor[:, OFFSET]) / sensor[:, SCALE])
+    """(…, nj) the angles of which sensors (…, nj, 4) show what is measured (…, nj), at rest [rad]."""
+    return np.asarray((measured - sensor[..., OFFSET]) / sensor[..., SCALE])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

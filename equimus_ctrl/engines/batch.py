@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -324,8 +324,11 @@ def _simulated(
                 for first in range(0, len(chosen), LANES)
             ]
 
+    histories = _Histories()
+
     def work(task: _Task) -> None:
-        task.run(trials[task.trial], None if starts is None else starts[task.trial], dt, results[task.trial])
+        own = None if starts is None else starts[task.trial]
+        task.run(trials[task.trial], own, dt, results[task.trial], histories)
 
     count = min(threads or processors(), len(tasks))
     if count <= 1:
@@ -351,10 +354,34 @@ def _simulated(
 def _grouped(models: Sequence[Model], trial: Trial) -> list[tuple[list[int], Encoded]]:
     """Models by their structure: which, and their arrays."""
     groups: dict[tuple[Structure, str], list[int]] = {}
-    mechanics = [_mechanics(model, trial) for model in models]
+    known = {id(model): _mechanics(model, trial) for model in {id(model): model for model in models}.values()}
+    mechanics = [known[id(model)] for model in models]
     for i, (model, own) in enumerate(zip(models, mechanics, strict=True)):
         groups.setdefault((own.form, model.phase), []).append(i)
     return [(g, _encoded([models[i] for i in g], [mechanics[i] for i in g])) for g in groups.values()]
+
+
+class _Histories:
+    """What reaches the valves in trials, each worked out once for all models and windows that share it."""
+
+    def __init__(self) -> None:
+        self._single: dict[tuple[Hashable, ...], Array] = {}
+        self._blocks: dict[tuple[tuple[Hashable, ...], ...], tuple[Array, Array]] = {}
+
+    def block(self, coded: Encoded, rows: slice, trial: Trial) -> tuple[Array, Array]:
+        """(k, n, na) commands of some models, and (k, na) those before the first."""
+        keys = []
+        for model, counting in zip(coded.models[rows], coded.between[rows], strict=True):
+            shaping = tuple(effect for effect in model.effects if isinstance(effect, ShapingEffect))
+            # By which array it is: it lives as long as the trials that are simulated.
+            keys.append((id(trial.commands), trial.before.tobytes(), shaping, counting.tobytes()))
+            if keys[-1] not in self._single:
+                self._single[keys[-1]] = np.clip(shaped_for(model, trial), *counting)
+        known = tuple(keys)
+        if known not in self._blocks:
+            whole = np.array([self._single[key] for key in keys])
+            self._blocks[known] = np.ascontiguousarray(whole[:, 1:]), np.ascontiguousarray(whole[:, 0])
+        return self._blocks[known]
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,7 +400,7 @@ class _Task:
     rows: slice
     trial: int
 
-    def run(self, trial: Trial, start: Array | None, dt: float, result: Predicted) -> None:
+    def run(self, trial: Trial, start: Array | None, dt: float, result: Predicted, histories: _Histories) -> None:
         coded, chosen = self.coded, self.coded.models[self.rows]
         nj = result.position.shape[2]
         q0 = np.tile(trial.position, (len(chosen), 1))
@@ -381,11 +408,7 @@ class _Task:
         if start is not None:
             q0 = np.array(start[self.models, :nj])
             v0 = np.array(start[self.models, nj:]) if start.shape[1] > nj else v0
-        once = {effects: shaped_for(model, trial) for effects, model in {m.effects: m for m in chosen}.items()}
-        history = [
-            np.clip(once[model.effects], *counting)
-            for model, counting in zip(chosen, coded.between[self.rows], strict=True)
-        ]
+        commands, before = histories.block(coded, self.rows, trial)
         span = trial.sample_times[-1] - trial.start if len(trial.sample_times) else 0.0
         steps = max(int(np.ceil(span / dt - 1e-9)), 1)
         joints, moved = coded.mechanics[0].joints, coded.mechanics[0].starts
@@ -397,8 +420,8 @@ class _Task:
         coded.kernel.run_block(
             coded.parameters[self.rows].copy(),
             trial.times,
-            np.array([h[1:] for h in history]),
-            np.array([h[0] for h in history]),
+            commands,
+            before,
             coded.valve[self.rows].copy(),
             coded.follow[self.rows].copy(),
             first_activations(coded, self.rows, trial, q0),

@@ -99,14 +99,23 @@ def modelled_start(model: Model, recording: Recording) -> Array:
 
 def behind_sensors(models: Sequence[Model], shown: Array) -> Array:
     """(k, nj) angles, or (k, 2 nj) angles and velocities, behind what each model's sensors show (of the same shape)."""
-    nj = len(models[0].robot.joint_names)
-    found = np.array(shown)
-    for row, model in zip(found, models, strict=True):
-        sensor = sensor_settings(model.effects, model.robot.joint_names)
-        row[:nj] = behind(sensor, row[:nj])
-        row[nj:] /= sensor[: len(row) - nj, SCALE]
-        if len(row) > nj and not model.robot.traits.starts_at_rest:
-            row[:nj] += row[nj:] * sensor[:, LATE]  # it has moved on since
+    return behind_all(models, [shown])[0]
+
+
+def behind_all(models: Sequence[Model], shown: Sequence[Array]) -> list[Array]:
+    """The same for several arrays of one row a model each."""
+    names, traits = models[0].robot.joint_names, models[0].robot.traits
+    nj = len(names)
+    settings = {m.effects: sensor_settings(m.effects, names) for m in {m.effects: m for m in models}.values()}
+    sensor = np.array([settings[m.effects] for m in models])
+    found = []
+    for rows in shown:
+        true = np.array(rows)
+        true[:, :nj] = behind(sensor, true[:, :nj])
+        true[:, nj:] /= sensor[:, : true.shape[1] - nj, SCALE]
+        if true.shape[1] > nj and not traits.starts_at_rest:
+            true[:, :nj] += true[:, nj:] * sensor[:, :, LATE]  # it has moved on since
+        found.append(true)
     return found
 
 

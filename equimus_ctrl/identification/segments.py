@@ -125,6 +125,7 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
     span = slope_span(model, recording)
     trust = None if model.robot.traits.smooth_motion else start_trust(recording, span)
     found: list[Segment] = []
+    times, command, before = np.array(time), np.array(recording.command), np.array(recording.command_before)
     for a, b in pairwise(edges):
         chosen = inside & (time >= a) & ((time < b) | (b == high))
         if np.count_nonzero(chosen) < LEAST_SAMPLES:
@@ -133,9 +134,9 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
         position, velocity = np.split(behind_sensors([model], start[None, :])[0], 2)
         trial = Trial(
             f"{recording.name} from {a:.3f} s" if len(edges) > 2 else recording.name,
-            np.array(time),
-            np.array(recording.command),
-            np.array(recording.command_before),
+            times,
+            command,
+            before,
             float(a),
             position,
             np.array(time[chosen]),

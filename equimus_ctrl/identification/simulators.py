@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.engines.batch import Predicted
 from equimus_ctrl.engines.choice import STEP, ReducedEngine, engine_for
-from equimus_ctrl.engines.predict import behind_sensors
+from equimus_ctrl.engines.predict import behind_all
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
@@ -36,7 +36,7 @@ class Simulator:
             segments: what was done.
             starts: for each segment (k, 2 nj) as the sensors show them, one row a model.
         """
-        true = [behind_sensors(models, rows) for rows in starts]
+        true = behind_all(models, starts)
         return self.engine.simulate(models, [s.trial for s in segments], true, self.threads)
 
 

@@ -11,7 +11,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import mujoco
@@ -120,34 +120,34 @@ class MjcfRobot(Robot):
         object.__setattr__(self, "values", dict(self.values))
         _ = self.joints, self.actuators
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 of all that it is but its name and the file's."""
         files = [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(self.assets.items())]
         parts = (self.xml, files, sorted(self.values.items()), self.payloads, self.compliances, self.gains, self.limits)
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
-    @property
+    @cached_property
     def plan(self) -> Plan:
         """What the file says."""
         return plan_of(self.name, self.xml, Assets(self.assets))
 
-    @property
+    @cached_property
     def joints(self) -> tuple[Axis, ...]:
         """In the file's order."""
         return self.plan.joints
 
-    @property
+    @cached_property
     def actuators(self) -> tuple[Drive, ...]:
         """In the file's order."""
         return self.plan.drives
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Of the joints."""
         return tuple(joint.name for joint in self.joints)
 
-    @property
+    @cached_property
     def actuator_names(self) -> tuple[str, ...]:
         """Of the actuators."""
         return tuple(drive.name for drive in self.actuators)
