@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.computer import processors
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
@@ -27,7 +28,6 @@ from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, NotAvailable
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.parts import harden, rotor_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of

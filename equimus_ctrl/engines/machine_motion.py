@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from equimus_ctrl.computer import processors
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.machine import (
     Condition,
@@ -22,7 +23,6 @@ from equimus_ctrl.engines.machine import (
 )
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 

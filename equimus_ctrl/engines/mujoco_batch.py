@@ -13,10 +13,10 @@ import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import ArrayLike, NDArray
 
+from equimus_ctrl.computer import processors
 from equimus_ctrl.engines.limits import FOLLOWED, MAX_SPEED
 from equimus_ctrl.engines.steps import STABLE, rates_at
 from equimus_ctrl.errors import ConfigError, ModelError
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.mjcf import (
     ABSENT_STOP,
     POINT_INERTIA,

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from equimus_ctrl import presets
+from equimus_ctrl.computer import processors
 from equimus_ctrl.errors import ConfigError, EquimusError
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.apart import each_apart
