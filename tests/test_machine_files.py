@@ -30,7 +30,7 @@ from equimus_ctrl.effects import (
     ViscousFriction,
 )
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.identification.parameters import default_names, free_parameters
 from equimus_ctrl.models.model import FORMAT, Model, model_from_dict, model_to_dict
 from equimus_ctrl.robots.elastic.leg import nominal_leg
@@ -55,7 +55,7 @@ def driven(machine: MjcfRobot, until: float = 1.0) -> Trial:
 def moved(model: Model, trial: Trial | None = None) -> Array:
     machine = model.robot
     assert machine is not None
-    found = simulate_machines([model], [trial or driven(machine)], threads=1)[0]
+    found = simulate_mjcf([model], [trial or driven(machine)], threads=1)[0]
     assert found.sound.all()
     return found.position[0]
 

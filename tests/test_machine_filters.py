@@ -11,7 +11,7 @@ import pytest
 from equimus_ctrl import workflow
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import filled, pushes, realise, simulate_machines
+from equimus_ctrl.engines.mjcf import filled, pushes, realise, simulate_mjcf
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.export import exported
@@ -38,7 +38,7 @@ def cart(drive: str = FORCE) -> MjcfRobot:
 
 
 def moved(machine: MjcfRobot, trial: Trial, *effects: object) -> Array:
-    (found,) = simulate_machines([Model(machine, effects)], [trial], threads=1)  # type: ignore[arg-type]
+    (found,) = simulate_mjcf([Model(machine, effects)], [trial], threads=1)  # type: ignore[arg-type]
     assert found.sound.all()
     return np.asarray(found.position[0, :, 0])
 
@@ -161,10 +161,10 @@ def test_models_and_trials_with_delays_of_their_own_run_side_by_side() -> None:
         [replace(square(before=b), settings=s) for b in (0.0, 1.0) for s in ({}, {"motor.delay": 0.1})],
     )
     models = [Model(machine.with_parameters({"motor.delay": late})) for late in (0.01, 0.04, 0.07)]
-    found = simulate_machines(models, trials, threads=2)
+    found = simulate_mjcf(models, trials, threads=2)
     for k, model in enumerate(models):
         for trial, together in zip(trials, found, strict=True):
-            (alone,) = simulate_machines([model], [trial], threads=1)
+            (alone,) = simulate_mjcf([model], [trial], threads=1)
             np.testing.assert_array_equal(together.position[k], alone.position[0])
     assert len({predicted.position.tobytes() for predicted in found}) == len(trials)
 

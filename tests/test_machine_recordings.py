@@ -11,7 +11,7 @@ from machine_models import CRANE, PENDULUM, refusal
 
 from equimus_ctrl.diagnosis.split import check_settings, split
 from equimus_ctrl.effects import ViscousFriction
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.identification.parameters import free_parameters
@@ -49,7 +49,7 @@ def test_numbers_in_notes_reach_the_simulation(notes: dict[str, str], values: di
     (segment,) = cut(model, [recording(notes)])
     (plain,) = cut(model.with_parameters(values), [recording()])
     found, expected, unchanged = (
-        simulate_machines([m], [s.trial], starts=[s.start[None, :]], threads=1)[0].position
+        simulate_mjcf([m], [s.trial], starts=[s.start[None, :]], threads=1)[0].position
         for m, s in ((model, segment), (model.with_parameters(values), plain), (model, plain))
     )
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)

@@ -14,7 +14,7 @@ from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.machine_simulation import FINER, machine_excess, simulate_machine, trials_of
@@ -81,7 +81,7 @@ def test_there_is_a_size_for_every_effect_of_machines(two_joints: Experiment) ->
 def without_steps(model: Model, trials: Sequence[Trial]) -> list[Array]:
     """What the diagnosis' engine says of a step of nothing, from two."""
     dt = model.robot.timestep / FINER
-    fine, coarse = (simulate_machines([model], trials, dt=step, threads=1) for step in (dt, 2 * dt))
+    fine, coarse = (simulate_mjcf([model], trials, dt=step, threads=1) for step in (dt, 2 * dt))
     return [2 * a.position[0] - b.position[0] for a, b in zip(fine, coarse, strict=True)]
 
 

@@ -13,7 +13,7 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.engines.base import Discretisation, Engine, EngineName
 from equimus_ctrl.engines.batch import Predicted, Trial, simulate
 from equimus_ctrl.engines.contacts import touching
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.step_choice import followed_step
@@ -132,7 +132,7 @@ class MujocoEngine(Engine):
     def simulate(
         self, models: Sequence[Model], trials: Sequence[Trial], starts: Sequence[Array], threads: int | None = None
     ) -> list[Predicted]:
-        return simulate_machines(models, trials, starts=starts, dt=self.dt, threads=threads)
+        return simulate_mjcf(models, trials, starts=starts, dt=self.dt, threads=threads)
 
     def coarser(self) -> Engine:
         return replace(self, dt=MUJOCO_COARSER * self.discretisation.step)

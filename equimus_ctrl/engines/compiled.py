@@ -27,8 +27,8 @@ from equimus_ctrl.engines import (
     lane_kernel,
     lane_math,
     lane_steps,
-    machine_functions,
-    machine_kernel,
+    mjcf_functions,
+    mjcf_kernel,
 )
 from equimus_ctrl.engines.limits import NOTHING
 from equimus_ctrl.models import actuator_laws, augmented, codegen, mjcf_equations, parts, symbolic, symbolic_model, tree
@@ -87,10 +87,10 @@ def load(model: Morphology, phase: Phase, kernel: ModuleType, laws: Laws = ()) -
 
 
 @lru_cache(maxsize=8)
-def load_machine(laws: Laws) -> tuple[ModuleType, ModuleType]:
-    """What is generated for laws at joints of machines, and the kernel (``engines.machine_kernel``) with it."""
-    generated = _generated("machine_laws", _machine_source(laws), [])
-    return generated, _led(machine_kernel, {machine_functions.__name__: generated})
+def load_mjcf(laws: Laws) -> tuple[ModuleType, ModuleType]:
+    """What is generated for laws at joints of MJCF robots, and the kernel (``engines.mjcf_kernel``) with it."""
+    generated = _generated("mjcf_laws", _mjcf_source(laws), [])
+    return generated, _led(mjcf_kernel, {mjcf_functions.__name__: generated})
 
 
 def prepared(model: Morphology, phase: Phase) -> Array:
@@ -105,7 +105,7 @@ def mark_compiled(kernel: ModuleType) -> None:
 
 
 def is_marked_compiled(kernel: ModuleType) -> bool:
-    """Whether ``mark_compiled`` was called for a kernel on this machine."""
+    """Whether ``mark_compiled`` was called for a kernel on this computer."""
     return (cache_folder() / f"{kernel.__name__}.compiled").exists()
 
 
@@ -337,7 +337,7 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, key: str) -> str:
     return "\n".join([*header, "", functions])
 
 
-def _machine_source(laws: Laws) -> str:
+def _mjcf_source(laws: Laws) -> str:
     symbols = [{key: ca.SX.sym(f"{law.name}_{key}") for key in law.parameter_info()} for law in laws]
     count = max(sum(law.n_states for law in laws), 1)
     x, rate, load, z = *(ca.SX.sym(name) for name in ("x", "rate", "load")), ca.SX.sym("z", count)

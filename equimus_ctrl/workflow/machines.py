@@ -12,7 +12,7 @@ import mujoco
 from equimus_ctrl import presets
 from equimus_ctrl.effects.force import CoulombFriction, ForceEffect
 from equimus_ctrl.effects.valves import DELAY, FirstOrderLag, TransportDelay
-from equimus_ctrl.engines.machine import realise
+from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.model import Model
@@ -179,10 +179,10 @@ def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]
             "measurement",
         ):
             left.append(f"{effect.name} at {effect.location}")
-    for drive, late in zip(own.machine.actuators, own.valve[:, DELAY], strict=True):
+    for drive, late in zip(own.robot.actuators, own.valve[:, DELAY], strict=True):
         # By the XML and by effects together; MuJoCo reads what it has written a step before at the earliest.
         held = late >= own.mujoco.opt.timestep
         own.mujoco.actuator_delay[drive.index] = late if held else 0.0
         if late > 0 and not held:
             left.append(f"{TransportDelay.name} at {drive.name}")
-    return exported(own.machine, own.mujoco, left, folder), tuple(left)
+    return exported(own.robot, own.mujoco, left, folder), tuple(left)

@@ -1,4 +1,4 @@
-"""What is generated for the joints of machines: here only by name, so that the kernel can be read and checked."""
+"""What is generated for the joints of MJCF robots: here only by name, so that the kernel can be read and checked."""
 
 from __future__ import annotations
 

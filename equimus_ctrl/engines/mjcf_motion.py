@@ -1,4 +1,4 @@
-"""What moves inside a machine in a trial, and how it answers to small pushes: by simulating them."""
+"""What moves inside an MJCF robot in a trial, and how it answers to small pushes: by simulating them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from equimus_ctrl.computer import processors
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import (
+from equimus_ctrl.engines.mjcf import (
     Condition,
     Course,
     Realised,
@@ -32,7 +32,7 @@ SMALL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Pushed:
-    """A machine whose answers to small pushes are wanted, with its motions.
+    """An MJCF robot whose answers to small pushes are wanted, with its motions.
 
     Attributes:
         model: what moves.
@@ -101,8 +101,8 @@ def _on_steps(trial: Trial, torque: Array, dt: float, steps: int) -> Array:
     return np.ascontiguousarray(np.diff(sums, axis=0) / dt)
 
 
-def machine_motion(model: Model, trial: Trial, start: Array) -> Motion:
-    """Follow a machine through a trial.
+def mjcf_motion(model: Model, trial: Trial, start: Array) -> Motion:
+    """Follow an MJCF robot through a trial.
 
     Args:
         model: what moves.
@@ -117,9 +117,9 @@ def machine_motion(model: Model, trial: Trial, start: Array) -> Motion:
         course = follow(own, trial, start, commands_on(own, trial))
     if course.sound < len(course.q):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
-    names = own.machine.joint_names
-    gear = np.zeros((len(own.machine.actuators), len(names)))
-    for i, drive in enumerate(own.machine.actuators):
+    names = own.robot.joint_names
+    gear = np.zeros((len(own.robot.actuators), len(names)))
+    for i, drive in enumerate(own.robot.actuators):
         gear[i, names.index(drive.joint)] = own.mujoco.actuator_gear[own.mujoco.actuator_outadr[drive.index], 0]
     times = np.asarray(trial.sample_times)
     edges = np.vstack([np.zeros_like(course.ctrl[:1]), np.cumsum(course.ctrl, axis=0) * course.dt])
@@ -155,7 +155,7 @@ def _inner(course: Course, gear: Array, times: Array, command: Array) -> Inner:
 
 
 def pushed(model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale: Array) -> Pushed:
-    """A machine with its motions through trials.
+    """An MJCF robot with its motions through trials.
 
     Args:
         model: what moves.
@@ -166,5 +166,5 @@ def pushed(model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale
     Raises:
         SimulationDiverged: where it diverges in one of them.
     """
-    motions = tuple(machine_motion(model, trial, start) for trial, start in zip(trials, starts, strict=True))
+    motions = tuple(mjcf_motion(model, trial, start) for trial, start in zip(trials, starts, strict=True))
     return Pushed(model, tuple(trials), tuple(starts), motions, scale)

@@ -1,6 +1,6 @@
-"""Physics steps of machines: MuJoCo's own, and what it has no field for before each of them, in machine code.
+"""Physics steps of MJCF robots: MuJoCo's own, and what it has no field for before each of them, in machine code.
 
-A step of a small machine takes MuJoCo one or two microseconds; Python between two of them would take ten times that.
+A step of a small robot takes MuJoCo one or two microseconds; Python between two of them would take ten times that.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from equimus_ctrl.engines.machine_functions import N_STATES, joint_push, state_tuple
+from equimus_ctrl.engines.mjcf_functions import N_STATES, joint_push, state_tuple
 from equimus_ctrl.types import Array
 
 
@@ -32,7 +32,7 @@ def call(context: Any, address: Any, model: Any, data: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run_machine(
+def run_mjcf(
     step: int,
     model: int,
     data: int,
@@ -53,7 +53,7 @@ def run_machine(
     out_q: Array,
     out_v: Array,
 ) -> int:
-    """Step a machine; the number of steps after which all was still sound.
+    """Step a robot; the number of steps after which all was still sound.
 
     Args:
         step: address of MuJoCo's ``mj_step``.
