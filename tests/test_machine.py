@@ -19,7 +19,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
-from equimus_ctrl.workflow import load_machine, parameter_rows
+from equimus_ctrl.workflow import load_mjcf, parameter_rows
 
 # --- numbers ----------------------------------------------------------------------------------------------------
 
@@ -368,7 +368,7 @@ def test_an_xml_that_is_no_machine_is_refused_in_one_sentence(what: str, tmp_pat
     with pytest.raises(ModelError):
         MjcfRobot("cart", text)
     (tmp_path / "cart.xml").write_text(text)
-    told = refusal(lambda: load_machine(tmp_path / "cart.xml"))
+    told = refusal(lambda: load_mjcf(tmp_path / "cart.xml"))
     assert told.startswith(f"{tmp_path / 'cart.xml'}: ")
     assert message.removeprefix("cart: ").split(" (")[0] in told
 

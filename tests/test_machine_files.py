@@ -37,8 +37,8 @@ from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
-from equimus_ctrl.workflow import load_machine, load_model, offer, read_free, save_model
-from equimus_ctrl.workflow.machines import corrected_xml, write_corrected
+from equimus_ctrl.workflow import load_mjcf, load_model, offer, read_free, save_model
+from equimus_ctrl.workflow.mjcf import corrected_xml, write_corrected
 
 # --- model files ------------------------------------------------------------------------------------------------
 
@@ -111,7 +111,7 @@ HELD["all of them"] = tuple(effect for effects in HELD.values() for effect in ef
 
 @pytest.mark.parametrize("name", HELD)
 def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_file: Path, tmp_path: Path) -> None:
-    machine = load_machine(crane_file).with_parameters({"arm.mass": 2.25, "reach.damping": 2.0, "tilt": 0.05})
+    machine = load_mjcf(crane_file).with_parameters({"arm.mass": 2.25, "reach.damping": 2.0, "tilt": 0.05})
     model = Model(machine, HELD[name])
     path = tmp_path / "found" / "deep" / "model.toml"
     assert save_model(path, model, crane_file) == [path, path.with_suffix(".xml")]
@@ -131,12 +131,12 @@ def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_fil
 
 def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: Path) -> None:
     """To the six digits that are written; what gravity leans by is in its direction, how mass is spread in the inertia."""
-    machine = load_machine(crane_file)
+    machine = load_mjcf(crane_file)
     kept = "tilt", *SHAPE
     changed = {name: 1.2345 * value + 0.0123 for name, value in machine.parameters().items() if not name.endswith(kept)}
     model = Model(machine.with_parameters(changed))
     save_model(tmp_path / "found.toml", model, crane_file)
-    again = load_machine(tmp_path / "found.xml").parameters()
+    again = load_mjcf(tmp_path / "found.xml").parameters()
     there = dict.fromkeys(machine.parameters(), 0.0) | changed
     assert again == {name: pytest.approx(value, rel=1e-5) for name, value in there.items()}
     np.testing.assert_array_equal(moved(load_model(tmp_path / "found.toml")), moved(model))
@@ -146,7 +146,7 @@ def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: 
 @pytest.mark.parametrize("late", [(), (TransportDelay("servo", 0.02),)], ids=["prompt", "late"])
 def test_a_lag_is_a_filter_of_the_actuator(late: tuple[Effect, ...], tau: float, crane_file: Path) -> None:
     """MuJoCo's is half a step from the mean over a step, and as prompt as the command where it takes no time."""
-    machine = load_machine(crane_file)
+    machine = load_mjcf(crane_file)
     lag = FirstOrderLag("servo", tau)
     xml, left = corrected_xml(Model(machine, (lag, *late)))
     assert left == ()
@@ -165,7 +165,7 @@ def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> 
         ViscousFriction("reach", 1.0), FirstOrderLag("servo", 0.1), ConstantForce("reach", 1.0),
         SensorOffset("shoulder", 0.1), Backlash("reach", 0.01), TransportDelay("drive", 1e-5),
     )  # fmt: skip
-    model = Model(load_machine(crane_file), effects)
+    model = Model(load_mjcf(crane_file), effects)
     told = [f"{e.name} at {e.location}" for e in effects[2:]]
     xml, left = corrected_xml(model)
     assert list(left) == told and f"<!-- Not in here: {', '.join(told)}. -->" in xml
@@ -192,7 +192,7 @@ def test_the_xml_is_found_beside_the_model_file_from_anywhere(
 
 
 def test_a_model_that_is_saved_again_still_finds_its_xml(crane_file: Path, tmp_path: Path) -> None:
-    model = Model(load_machine(crane_file), (ViscousFriction("reach", 1.0),))
+    model = Model(load_mjcf(crane_file), (ViscousFriction("reach", 1.0),))
     first, second = tmp_path / "a" / "one.toml", tmp_path / "b" / "c" / "two.toml"
     save_model(first, model, crane_file)
     save_model(second, load_model(first), first)
@@ -201,14 +201,14 @@ def test_a_model_that_is_saved_again_still_finds_its_xml(crane_file: Path, tmp_p
 
 def test_saving_beside_the_xml_leaves_it_as_it_is(crane_file: Path) -> None:
     """The corrected XML must not take the place of the one that the model file changes."""
-    model = Model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    model = Model(load_mjcf(crane_file), (PayloadMass("tip", 0.7),))
     save_model(crane_file.with_suffix(".toml"), model, crane_file)
     assert crane_file.read_text() == ARM
     np.testing.assert_array_equal(moved(load_model(crane_file.with_suffix(".toml"))), moved(model))
 
 
 def test_an_xml_of_somebody_else_stays(crane_file: Path, tmp_path: Path) -> None:
-    model = Model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    model = Model(load_mjcf(crane_file), (PayloadMass("tip", 0.7),))
     (tmp_path / "keep.xml").write_text("<mujoco/>")
     assert save_model(tmp_path / "keep.toml", model, crane_file)[1].name == "keep_whole.xml"
     assert (tmp_path / "keep.xml").read_text() == "<mujoco/>"
@@ -291,14 +291,14 @@ def test_a_robot_without_a_name_is_called_after_its_file(tmp_path: Path) -> None
 
 def test_numbers_come_out_of_a_file_with_all_their_digits(tmp_path: Path) -> None:
     (tmp_path / "p.xml").write_text(pendulum(inertial='mass="0.123456789" pos="0 0 -0.3" diaginertia="1 1 1"'))
-    assert load_machine(tmp_path / "p.xml").parameters()["arm.mass"] == pytest.approx(0.123456789, rel=1e-12)
+    assert load_mjcf(tmp_path / "p.xml").parameters()["arm.mass"] == pytest.approx(0.123456789, rel=1e-12)
 
 
 def test_included_files_are_read_into_one(tmp_path: Path) -> None:
     drive = '<actuator><motor name="motor" joint="pivot"/></actuator>'
     (tmp_path / "drive.xml").write_text(f"<mujocoinclude>{drive}</mujocoinclude>")
     (tmp_path / "p.xml").write_text(pendulum().replace(drive, '<include file="drive.xml"/>'))
-    machine = load_machine(tmp_path / "p.xml")
+    machine = load_mjcf(tmp_path / "p.xml")
     (tmp_path / "drive.xml").unlink()
     assert machine.actuator_names == ("motor",)
     assert replace(machine, name="copy").parameters() == PENDULUM.parameters()

@@ -17,7 +17,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.machines import corrected_xml
+from equimus_ctrl.workflow.mjcf import corrected_xml
 
 MASS, TAU, DT = 2.0, 0.08, 1e-3
 FORCE = f'<general name="motor" joint="way" dyntype="filterexact" dynprm="{TAU}"/>'

@@ -20,7 +20,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
-from equimus_ctrl.workflow.machines import read_trials
+from equimus_ctrl.workflow.mjcf import read_trials
 
 
 def recording(notes: Mapping[str, str] | None = None, name: str = "trial", machine: MjcfRobot = PENDULUM) -> Recording:

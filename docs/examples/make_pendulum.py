@@ -18,8 +18,8 @@ from equimus_ctrl.types import Recording
 HERE = Path(__file__).resolve().parent
 NOISE = 1e-3
 
-machine = workflow.load_machine(HERE / "pendulum.xml")
-real = Model(machine, (CoulombFriction("hinge", 0.1),))
+robot = workflow.load_mjcf(HERE / "pendulum.xml")
+real = Model(robot, (CoulombFriction("hinge", 0.1),))
 rng = np.random.default_rng(7)
 time = np.arange(0, 5, 0.01)
 for k in range(4):

@@ -64,7 +64,7 @@ class Request:
     experiment: Experiment | None = None
 
     @classmethod
-    def of_machine(cls, root: Path, seed: int, kind: Kind | None, experiment: Experiment) -> Request:
+    def of_mjcf(cls, root: Path, seed: int, kind: Kind | None, experiment: Experiment) -> Request:
         """Of a machine; trials, their duration and the physics' rate follow from what is done with it."""
         times = [r.time for r in experiment.recordings]
         machine = mjcf_of(experiment.model.robot)
@@ -274,7 +274,7 @@ def recorded(folder: Path, model: Model) -> tuple[Recording, ...]:
     if model.robot.traits.commands_are_pressures:
         return read_set(folder)
     joints, actuators = model.robot.joint_names, model.robot.actuator_names
-    return read_set(folder, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators))
+    return read_set(folder, joints=joints, actuators=actuators, limits=Limits.of_mjcf(joints, actuators))
 
 
 def open_truth(request: Request, case: int) -> dict[str, Any]:

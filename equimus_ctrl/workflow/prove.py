@@ -110,7 +110,7 @@ def put_to_proof(
     if experiment is None:
         request = Request(folder, seed, kind, trials, duration)
     else:
-        request = Request.of_machine(folder, seed, kind, experiment)
+        request = Request.of_mjcf(folder, seed, kind, experiment)
     _claim(request)
     done = 0
 
