@@ -10,7 +10,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 import pytest
-from machine_models import CRANE, RIG, cart, pendulum, swinging
+from mjcf_models import CRANE, RIG, cart, pendulum, swinging
 
 from equimus_ctrl.effects import CoulombFriction, DriveCompliance, Effect, PayloadMass, ViscousFriction
 from equimus_ctrl.engines.batch import Trial, encode, simulate

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from machine_models import CRANE, PENDULUM
+from mjcf_models import CRANE, PENDULUM
 
 from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
 from equimus_ctrl.effects import CoulombFriction, NarrowingArea

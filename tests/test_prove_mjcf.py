@@ -1,4 +1,4 @@
-"""The proof of machines: realities that are what they are said to be, made by other code than the diagnosis uses."""
+"""The proof of MJCF robots: realities that are what they are said to be, made by other code than the diagnosis uses."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Eff
     )  # fmt: skip
 
 
-def test_there_is_a_size_for_every_effect_of_machines(two_joints: Experiment) -> None:
+def test_there_is_a_size_for_every_effect_of_mjcf_robots(two_joints: Experiment) -> None:
     model = two_joints.model
     table = mjcf_sizes(model, seen_places(model, two_joints.segments))
     own = {name for name, cls in REGISTRY.items() if "mjcf" in cls.robots}

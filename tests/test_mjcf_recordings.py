@@ -1,4 +1,4 @@
-"""Recordings of robots of MuJoCo's XML: numbers in their notes, and their columns."""
+"""Recordings of MJCF robots: numbers in their notes, and their columns."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from machine_models import CRANE, PENDULUM, refusal
+from mjcf_models import CRANE, PENDULUM, refusal
 
 from equimus_ctrl.diagnosis.split import check_settings, split
 from equimus_ctrl.effects import ViscousFriction
@@ -23,13 +23,13 @@ from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.mjcf import read_trials
 
 
-def recording(notes: Mapping[str, str] | None = None, name: str = "trial", machine: MjcfRobot = PENDULUM) -> Recording:
+def recording(notes: Mapping[str, str] | None = None, name: str = "trial", robot: MjcfRobot = PENDULUM) -> Recording:
     """Two seconds of a swinging pendulum."""
     time = np.arange(0, 2.001, 0.01)
-    na, nj = len(machine.actuators), len(machine.joints)
+    na, nj = len(robot.actuators), len(robot.joints)
     position = np.tile(0.3 * np.cos(4 * time)[:, None], (1, nj))
     return Recording(
-        name, time, np.zeros((len(time), na)), position, machine.actuator_names, machine.joint_names, notes=notes or {}
+        name, time, np.zeros((len(time), na)), position, robot.actuator_names, robot.joint_names, notes=notes or {}
     )
 
 
@@ -80,7 +80,7 @@ def test_notes_that_say_nothing_usable_are_told_with_the_recordings_name(notes: 
     assert told.startswith("third trial: ")
 
 
-def test_notes_of_numbers_are_for_machines_alone() -> None:
+def test_notes_of_numbers_are_for_mjcf_robots_alone() -> None:
     leg = Model(nominal_leg())
     time = np.arange(0, 2.001, 0.01)
     rest = Recording(
@@ -104,7 +104,7 @@ def test_a_number_that_every_recording_gives_cannot_be_free() -> None:
 
 
 def test_recordings_with_other_names_are_told_with_the_right_ones() -> None:
-    told = refusal(lambda: cut(Model(CRANE), [recording(machine=PENDULUM)]))
+    told = refusal(lambda: cut(Model(CRANE), [recording(robot=PENDULUM)]))
     assert all(name in told for name in (*CRANE.joint_names, *CRANE.actuator_names, "pivot", "motor"))
 
 
@@ -136,7 +136,7 @@ def test_wrong_columns_are_told_with_the_right_ones(header: str, parts: tuple[st
         read_trials([path], CRANE)
 
 
-def test_columns_come_in_the_machines_order_whatever_the_files(tmp_path: Path) -> None:
+def test_columns_come_in_the_robots_order_whatever_the_files(tmp_path: Path) -> None:
     header = "time,pos.reach,pos.shoulder,cmd.drive,cmd.servo,cmd.push"
     path = tmp_path / "trial.csv"
     rows = [f"{k * 0.01:.2f},{100 * k},{-0.1 * k:g},3,-2,1e6" for k in range(50)]

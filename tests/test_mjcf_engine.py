@@ -1,4 +1,4 @@
-"""Machines simulated: what moves freely is known in closed form, and what must not matter does not."""
+"""MJCF robots simulated: what moves freely is known in closed form, and what must not matter does not."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from machine_models import DT, RIG, RK4, M, Ran, cart, run, swinging, trial_of
+from mjcf_models import DT, RIG, RK4, M, Ran, cart, run, swinging, trial_of
 
 from equimus_ctrl.diagnosis.split import window_length
 from equimus_ctrl.effects import (
@@ -89,14 +89,14 @@ def crossings(found: Ran, level: float = 0.0) -> Array:
 
 def test_a_torsion_pendulum_has_the_period_of_its_inertia_and_stiffness() -> None:
     inertia, stiffness, rest = 0.1, 8.0, 0.3
-    machine = MjcfRobot(
+    robot = MjcfRobot(
         "torsion",
         f"""<mujoco><compiler angle="radian"/><option timestep="{DT}" gravity="0 0 0"/><worldbody><body name="disc">
         <joint name="wire" axis="0 0 1" stiffness="{stiffness}" springref="{rest}"/>
         <inertial mass="1" pos="0 0 0" diaginertia="0.05 0.05 {inertia}"/></body></worldbody>
         <actuator><motor name="m" joint="wire"/></actuator></mujoco>""",
     )
-    found = run(machine, q=rest + 0.5, until=8.0)
+    found = run(robot, q=rest + 0.5, until=8.0)
     times, omega = crossings(found, rest), math.sqrt(stiffness / inertia)
     assert len(times) > 20
     # cos(ω'·dt) = 1 − (ω·dt)²/2 is what the steps make of it.
@@ -322,37 +322,37 @@ def test_what_drives_and_gravity_push_is_told() -> None:
     np.testing.assert_allclose(weights[:, 0], WEIGHT * np.sin(angles[:, 0]), atol=1e-9)
 
 
-# --- recordings of machines -------------------------------------------------------------------------------------
+# --- recordings of MJCF robots -------------------------------------------------------------------------------------
 
 
-def recorded(machine: MjcfRobot, *effects: Effect, until: float = 3.0) -> Recording:
+def recorded(robot: MjcfRobot, *effects: Effect, until: float = 3.0) -> Recording:
     one = trial_of([(0.0, 0.0), (0.5, 1.0), (1.5, -1.0)], q=0.4, until=until, every=0.01)
-    found = run(machine, *effects, trial=one)
+    found = run(robot, *effects, trial=one)
     command = np.array([0.0 if t < 0.5 else 1.0 if t < 1.5 else -1.0 for t in one.sample_times])[:, None]
-    return Recording("r", found.t, command, found.x[:, None], machine.actuator_names, machine.joint_names)
+    return Recording("r", found.t, command, found.x[:, None], robot.actuator_names, robot.joint_names)
 
 
 def test_a_recording_is_predicted_from_where_and_how_fast_it_begins() -> None:
-    machine = hung('damping="0.1"')
-    recording = recorded(machine)
-    found = predict(Model(machine), recording, engine="mujoco")
+    robot = hung('damping="0.1"')
+    recording = recorded(robot)
+    found = predict(Model(robot), recording, engine="mujoco")
     np.testing.assert_allclose(found, recording.position, rtol=0, atol=5e-3)
-    exact = predict(Model(machine), recording, engine="mujoco", start=np.array([0.4, 0.0]))
+    exact = predict(Model(robot), recording, engine="mujoco", start=np.array([0.4, 0.0]))
     np.testing.assert_allclose(exact, recording.position, rtol=0, atol=1e-12)
     late = replace(
         recording, time=recording.time[40:], command=recording.command[40:], position=recording.position[40:]
     )
     for engine in ("mujoco", "reduced"):
-        np.testing.assert_allclose(predict(Model(machine), late, engine=engine), late.position, rtol=0, atol=0.02)
+        np.testing.assert_allclose(predict(Model(robot), late, engine=engine), late.position, rtol=0, atol=0.02)
 
 
 def test_a_window_of_a_late_sensor_begins_in_motion() -> None:
     """What a sensor shows at first is what was before the window, when the joint moved already."""
-    machine, effect = cart(), SensorDelay("way", 0.1)
+    robot, effect = cart(), SensorDelay("way", 0.1)
     time = np.arange(0, 2.001, 0.01)
     rolled = 0.8 * np.maximum(time - 0.1, 0.0)
     recording = Recording("r", time, np.zeros((len(time), 1)), rolled[:, None], ("motor",), ("way",))
-    model = Model(machine, (effect,))
+    model = Model(robot, (effect,))
     segments = cut(model, [recording], window=(0.5, 2.0), shoot=0.5)
     assert len(segments) == 3
     both = [Simulator(engine_for(model, name), 1) for name in ("reduced", "mujoco")]
@@ -368,10 +368,10 @@ def test_a_start_that_is_none_is_refused_in_a_sentence(start: Array) -> None:
 
 
 def test_whole_trials_are_compared_where_a_model_can_follow_them() -> None:
-    machine = hung('damping="0.1"')
-    recording = recorded(machine)
-    assert window_length(Model(machine), [recording], None) is None
-    off = Model(machine.with_parameters({"arm.com_z": -0.15}))
+    robot = hung('damping="0.1"')
+    recording = recorded(robot)
+    assert window_length(Model(robot), [recording], None) is None
+    off = Model(robot.with_parameters({"arm.com_z": -0.15}))
     length = window_length(off, [recording], None)
     assert length is not None and 0.5 <= length < 3.0
 

@@ -1,4 +1,4 @@
-"""Robots of MuJoCo's XML for tests, and runs of them."""
+"""MJCF robots for tests, and runs of them."""
 
 from __future__ import annotations
 
@@ -112,9 +112,9 @@ def trial_of(
     return Trial("t", times, values[:, None], before, 0.0, np.array([q]), samples, np.array([v]))
 
 
-def run(machine: MjcfRobot, *effects: Effect, dt: float | None = None, trial: Trial | None = None, **of: object) -> Ran:
+def run(robot: MjcfRobot, *effects: Effect, dt: float | None = None, trial: Trial | None = None, **of: object) -> Ran:
     one = trial or trial_of(**of)  # type: ignore[arg-type]
-    (found,) = simulate_mjcf([Model(machine, effects)], [one], threads=1, dt=dt)
+    (found,) = simulate_mjcf([Model(robot, effects)], [one], threads=1, dt=dt)
     assert found.sound.all()
     return Ran(one.sample_times, found.position[0, :, 0])
 

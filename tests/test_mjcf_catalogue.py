@@ -1,4 +1,4 @@
-"""Every effect of machines: seen where it is something, not where it is nothing, and told in its units; and one's own."""
+"""Every effect of MJCF robots: seen where it is something, not where it is nothing, and told in its units; and one's own."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from machine_models import DT, RIG, M, Ran, cart, run, swinging
+from mjcf_models import DT, RIG, M, Ran, cart, run, swinging
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
