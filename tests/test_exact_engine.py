@@ -21,8 +21,9 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.parts import constrained, gaps, grips
 from equimus_ctrl.models.symbolic import build, ldl_solve
-from equimus_ctrl.robots.mjcf.form import form_of, obstacles
 from equimus_ctrl.robots.mjcf.numbers import pack
+from equimus_ctrl.robots.mjcf.obstacles import obstacles
+from equimus_ctrl.robots.mjcf.reading import form_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.random_trees import ALL, controls, converged, random_tree

@@ -23,10 +23,10 @@ from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.robots.mjcf.actuators import OWN
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
-from equimus_ctrl.robots.mjcf.form import obstacles
 from equimus_ctrl.robots.mjcf.independent import independent
 from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertia
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
+from equimus_ctrl.robots.mjcf.obstacles import obstacles
 from equimus_ctrl.robots.mjcf.parts import HARD, rotor_of, with_rotors
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.scratch import Scratch
