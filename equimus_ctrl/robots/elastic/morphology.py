@@ -185,16 +185,6 @@ class Morphology(Robot):
         return math.hypot(x - at[0], y - at[1]) < 1e-9
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joint names in the order of every angle vector."""
-        return tuple(joint.name for joint in self.joints)
-
-    @property
-    def actuator_names(self) -> tuple[str, ...]:
-        """Actuator names in the order of every command vector."""
-        return tuple(actuator.name for actuator in self.actuators)
-
-    @property
     def joint_range(self) -> tuple[Array, Array]:
         """(low, high), each (n_joints,): where the stops begin [rad], ±inf where there is none."""
         low = [j.lower.angle if j.lower else -math.inf for j in self.joints]

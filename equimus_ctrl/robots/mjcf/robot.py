@@ -143,16 +143,6 @@ class MjcfRobot(Robot):
         return self.plan.drives
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Of the joints."""
-        return tuple(joint.name for joint in self.joints)
-
-    @property
-    def actuator_names(self) -> tuple[str, ...]:
-        """Of the actuators."""
-        return tuple(drive.name for drive in self.actuators)
-
-    @property
     def joint_range(self) -> tuple[Array, Array]:
         """(low, high), each (nj,): ends of the joints [rad or m], ±inf where there are none."""
         low, high = ([joint.range[side] for joint in self.joints] for side in (0, 1))
