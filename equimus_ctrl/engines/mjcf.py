@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -29,6 +28,7 @@ from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.robots.mjcf.parts import harden, rotor_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
@@ -153,17 +153,6 @@ def _laws(effects: Sequence[ForceEffect], joints: Sequence[str]) -> Array:
                 values.append(law.neutral.get(key, meta["high"]) if own is None else float(getattr(own, key)))
         rows.append(generated.prepare(np.array(values)))
     return np.array(rows)
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """MuJoCo's warnings of numbers that are huge are not printed meanwhile, nor put into a file: divergence is told."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 @cache
@@ -381,7 +370,7 @@ def simulate_mjcf(
             results[i].position[which], results[i].reached[which] = measured_of(own, path, trial.sample_times)
 
     tasks = [(which, chunk) for which in range(k) for chunk in chunks]
-    with quiet():
+    with quietly():
         _, kernel = compiled.load_mjcf(_stepped())
         if not kernel.run_mjcf.signatures:
             work(tasks.pop(0))

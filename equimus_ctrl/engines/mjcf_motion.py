@@ -18,12 +18,12 @@ from equimus_ctrl.engines.mjcf import (
     condition_of,
     follow,
     measured_of,
-    quiet,
     realise,
 )
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.types import Array
 
 SMALL = 1e-3
@@ -87,7 +87,7 @@ class Pushed:
                         found[i][:, :, column] = (seen - plain) / factor
 
         threads = processors()
-        with quiet(), ThreadPoolExecutor(threads) as pool:
+        with quietly(), ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, [range(k, count, threads) for k in range(threads)]))
         return found
 
@@ -113,7 +113,7 @@ def mjcf_motion(model: Model, trial: Trial, start: Array) -> Motion:
         SimulationDiverged: where the simulation does.
     """
     own = realise(model, trial)
-    with quiet():
+    with quietly():
         course = follow(own, trial, start, commands_on(own, trial))
     if course.sound < len(course.q):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")

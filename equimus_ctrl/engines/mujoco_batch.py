@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
@@ -25,6 +24,7 @@ from equimus_ctrl.models.mjcf import (
     element_slides,
     stop_tendon,
 )
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.robots.elastic.morphology import BASE, JointStop, Morphology, Phase, pack, structure
 from equimus_ctrl.types import Array
 
@@ -200,7 +200,7 @@ class MujocoBatch:
         record[clock] = np.empty((n, steps, 1))
         sound = np.full(n, steps)
         try:
-            with _quietly():
+            with quietly():
                 runs.rollout(steps, held, record=tuple(record), out=record)
         except mjbatch.SimulationError as error:
             sound[error.ids] = 0
@@ -442,14 +442,3 @@ def _generic(morphologies: Sequence[Morphology]) -> Morphology:
     m = replace(first, joints=tuple(joints))
     moved = {key: 0.0123 for key, value in m.parameters().items() if value == 0 and key.endswith((".radius", ".com"))}
     return m.with_parameters(moved)
-
-
-@contextmanager
-def _quietly() -> Iterator[None]:
-    """MuJoCo's warnings neither on the screen nor in its log; they are counted where they are read."""
-    previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(previous)

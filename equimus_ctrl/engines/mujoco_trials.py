@@ -21,8 +21,9 @@ from equimus_ctrl.engines.mujoco_forces import ForceStepper
 from equimus_ctrl.engines.steps import step_divisor, warn_if_coarse
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place, step_quietly
+from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import step_quietly
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 

@@ -22,13 +22,14 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.limits import MAX_SPEED
-from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, filled, measured_of, quiet, realise, steps_of
+from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, filled, measured_of, realise, steps_of
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.proof.mjcf import MjcfTruth, mjcf_recordings
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import Excess, rounded
@@ -58,7 +59,7 @@ def simulate_mjcf_truth(truth: MjcfTruth) -> list[Array]:
 
 def _measured(truth: MjcfTruth, bodies: Model, trial: Trial, push: _Push | None, steps: int) -> Array:
     own = realise(bodies, trial, truth.mjcf_robot.timestep / steps)
-    with quiet():
+    with quietly():
         course = _follow(own, trial, push)
     if course.sound < len(course.q):
         raise SimulationDiverged(f"case {truth.case} of seed {truth.seed}: the simulation diverged")
