@@ -24,7 +24,7 @@ from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.sensors import LATE, sample, sensor_settings
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
-from equimus_ctrl.engines.batch import Predicted, Trial
+from equimus_ctrl.engines.batch import Condition, Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
@@ -37,7 +37,6 @@ SETTLED = 10.0
 """Time constants after which a filter has forgotten what was."""
 AT_ONCE = 1e-9
 """A step in which nothing moves [s]."""
-Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
 
 
 @lru_cache(maxsize=1)
@@ -129,11 +128,6 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         valve,
         sensor_settings(model.effects, names),
     )
-
-
-def condition_of(trial: Trial) -> Condition:
-    """What tells apart trials in which a model has other numbers."""
-    return tuple(sorted(trial.settings.items())), tuple(sorted(trial.factors.items()))
 
 
 def _stepped() -> tuple[type[ForceEffect], ...]:
@@ -356,7 +350,7 @@ def simulate_mjcf(
         made: dict[Condition, Realised] = {}
         for i in chunk:
             trial = trials[i]
-            condition = condition_of(trial)
+            condition = trial.condition
             if condition not in made:
                 made[condition] = realise(models[which], trial, dt)
             own = made[condition]

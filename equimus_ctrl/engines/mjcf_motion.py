@@ -9,17 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.computer import processors
-from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.mjcf import (
-    Condition,
-    Course,
-    Realised,
-    commands_on,
-    condition_of,
-    follow,
-    measured_of,
-    realise,
-)
+from equimus_ctrl.engines.batch import Condition, Trial
+from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, follow, measured_of, realise
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
@@ -68,7 +59,7 @@ class Pushed:
         def work(columns: Sequence[int]) -> None:
             known: dict[Condition, Realised] = {}
             for i, trial in enumerate(self.trials):
-                condition = condition_of(trial)
+                condition = trial.condition
                 if condition not in known:
                     known[condition] = realise(self.model, trial)
                 own = known[condition]
