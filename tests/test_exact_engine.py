@@ -20,7 +20,8 @@ from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.parts import constrained, gaps, grips
-from equimus_ctrl.models.symbolic import build, ldl_solve
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import ldl_solve
 from equimus_ctrl.robots.mjcf.numbers import pack
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
 from equimus_ctrl.robots.mjcf.reading import form_of

@@ -35,9 +35,9 @@ from equimus_ctrl.engines.steps import warn_if_coarse
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.augmented import law_parameters, rubbing_places, slots_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
-from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Mechanics
+from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Mechanics, Structure
 from equimus_ctrl.robots.mjcf.form import FAR
 from equimus_ctrl.types import Array, Recording
 

@@ -31,11 +31,21 @@ from equimus_ctrl.engines import (
     mjcf_kernel,
 )
 from equimus_ctrl.engines.limits import NOTHING
-from equimus_ctrl.models import actuator_laws, augmented, codegen, mjcf_equations, parts, symbolic, symbolic_model, tree
+from equimus_ctrl.models import (
+    actuator_laws,
+    augmented,
+    codegen,
+    elastic_equations,
+    mjcf_equations,
+    parts,
+    symbolic,
+    symbolic_model,
+    tree,
+)
 from equimus_ctrl.models.augmented import Laws, expressions
-from equimus_ctrl.models.symbolic import Structure
 from equimus_ctrl.robots.elastic import form as elastic_form
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.robots.mjcf import form as mjcf_form
 from equimus_ctrl.robots.mjcf import numbers as mjcf_numbers
 from equimus_ctrl.types import Array
@@ -149,7 +159,8 @@ def _led(kernel: ModuleType, replaced: dict[str, ModuleType]) -> ModuleType:
 @lru_cache(maxsize=64)
 def _model(form: Structure, phase: Phase) -> ModuleType:
     """The functions of ``engines.model_functions`` for one structure."""
-    sources = [inspect.getsource(m) for m in (symbolic, symbolic_model, parts, tree, codegen, sys.modules[__name__])]
+    modules = (elastic_equations, symbolic, symbolic_model, parts, tree, codegen, sys.modules[__name__])
+    sources = [inspect.getsource(m) for m in modules]
     key = _digest([repr((form, phase)), *sources])
     path = cache_folder() / f"equimus_model_{key}.py"
     text = path.read_text(encoding="utf-8") if path.exists() else _source(form, phase)
@@ -169,8 +180,8 @@ def _lane_model(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
 def _sources() -> list[str]:
     """All that generated lanes are made by, laws left out."""
     modules = (
-        augmented, codegen, elastic_form, lane_functions, lane_math, mjcf_equations, mjcf_form, mjcf_numbers,
-        actuator_laws, parts, symbolic, symbolic_model, tree, sys.modules[__name__],
+        augmented, codegen, elastic_equations, elastic_form, lane_functions, lane_math, mjcf_equations, mjcf_form,
+        mjcf_numbers, actuator_laws, parts, symbolic, symbolic_model, tree, sys.modules[__name__],
     )  # fmt: skip
     return [inspect.getsource(module) for module in modules]
 
@@ -213,7 +224,7 @@ def _source(form: Structure, phase: Phase) -> str:
         codegen.Routine("actuator_lengths", {"q": m.q}, m.lengths),
         codegen.Routine("actuator_areas", {}, m.area),
         codegen.Routine("static_pressure", {"q": m.q}, m.static_pressure),
-        codegen.Routine("torque_pressure", {"q": m.q, "tau": m.tau}, symbolic.pseudo_solve(drive, m.tau)),
+        codegen.Routine("torque_pressure", {"q": m.q, "tau": m.tau}, symbolic_model.pseudo_solve(drive, m.tau)),
         codegen.Routine("pressure_torque", {"q": m.q, "f": m.f}, drive @ m.f),
     ]
     functions = codegen.generate(routines, m.p, DECORATOR)

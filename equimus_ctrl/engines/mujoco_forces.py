@@ -17,8 +17,8 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 STICKING = (0.9999, 0.9999, 0.001, 0.5, 2.0)

@@ -18,8 +18,8 @@ from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure
 from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 AT_REST = 1e-9

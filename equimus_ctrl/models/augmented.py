@@ -18,8 +18,10 @@ import casadi as ca
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.models.parts import constrained, gaps, grips
-from equimus_ctrl.models.symbolic import Structure, SymbolicModel, build, ldl_solve
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import SymbolicModel, ldl_solve
 from equimus_ctrl.robots.elastic.morphology import Phase
+from equimus_ctrl.robots.mechanics import Structure
 
 Laws = tuple[type[ForceEffect], ...]
 

@@ -20,8 +20,10 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build, pseudo_solve
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import pseudo_solve
 from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 

@@ -22,8 +22,10 @@ from equimus_ctrl.effects.sensors import sensor_settings
 from equimus_ctrl.effects.valves import FILL, FLOW, POWER, RATE, VENT, valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build, ldl_solve
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import ldl_solve
 from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 UNLIMITED = 1e9
