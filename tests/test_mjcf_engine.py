@@ -32,8 +32,8 @@ from equimus_ctrl.effects import (
     ViscousFriction,
 )
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.mjcf import pushes, realise, simulate_mjcf
-from equimus_ctrl.engines.mjcf_motion import mjcf_motion, pushed
+from equimus_ctrl.engines.mjcf import joint_forces, realise, simulate_mjcf
+from equimus_ctrl.engines.mjcf_motion import mjcf_motion, simulated_response
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.segments import cut
@@ -272,7 +272,7 @@ def test_the_answer_to_a_push_of_a_free_mass_is_known() -> None:
     one = trial_of(until=1.0, every=0.01)
     push = np.ones((100, 1, 2))
     push[:, 0, 1] = np.where(np.arange(100) < 30, -2.0, 0.0)
-    (found,) = pushed(Model(cart()), [one], [np.array([0.1, 0.5])], np.array([1.0])).response([push])
+    (found,) = simulated_response(Model(cart()), [one], [np.array([0.1, 0.5])], np.array([1.0])).response([push])
     t = one.sample_times
     np.testing.assert_allclose(found[:, 0, 0], t**2 / 2 / M, rtol=0, atol=DT / M)
     later = np.maximum(t - 0.3, 0)
@@ -295,7 +295,7 @@ def test_the_answer_to_a_push_is_the_difference_of_two_simulations(effects: tupl
     push = np.zeros((len(trials[0].sample_times) - 1, 2, 3))
     push[:, 0, 0], push[:, 1, 2] = 1.0, 1.0
     model = Model(RIG, effects)
-    found = pushed(model, trials, starts, np.array([1.0, 1.0])).response([push, push])
+    found = simulated_response(model, trials, starts, np.array([1.0, 1.0])).response([push, push])
     h = 1e-3
     for k, trial in enumerate(trials):
         for joint, column in (("shoulder", 0), ("reach", 2)):
@@ -311,13 +311,13 @@ def test_the_answer_to_a_push_is_the_difference_of_two_simulations(effects: tupl
 def test_pushes_belong_to_trials() -> None:
     one = trial_of(until=0.5, every=0.1)
     with pytest.raises(ConfigError, match="torques are for 2 trials, expected 1"):
-        pushed(Model(cart()), [one], [np.zeros(2)], np.ones(1)).response([np.ones((5, 1, 1))] * 2)
+        simulated_response(Model(cart()), [one], [np.zeros(2)], np.ones(1)).response([np.ones((5, 1, 1))] * 2)
 
 
 def test_what_drives_and_gravity_push_is_told() -> None:
     own = realise(Model(hung(), (ActuatorGain("motor", 2.0), TorqueSaturation("motor", 5.0))))
     angles = np.array([[0.0], [math.pi / 2], [-0.4]])
-    drives, weights = pushes(own, angles, np.zeros((3, 1)), np.array([[1.0], [-2.0], [4.0]]))
+    drives, weights = joint_forces(own, angles, np.zeros((3, 1)), np.array([[1.0], [-2.0], [4.0]]))
     np.testing.assert_allclose(drives[:, 0], [2.0, -4.0, 5.0], atol=1e-12)
     np.testing.assert_allclose(weights[:, 0], WEIGHT * np.sin(angles[:, 0]), atol=1e-9)
 

@@ -239,7 +239,7 @@ def test_a_model_is_its_dictionary() -> None:
 
 WRONG_FILES: dict[str, tuple[str, str]] = {
     'mjcf = "robto.xml"': ("there is no such file", "robto.xml"),
-    "mjcf = 3": ("mjcf is 3, expected the name of a file of MuJoCo's XML", ""),
+    "mjcf = 3": ("mjcf is 3, expected the name of an MJCF file", ""),
     'mjcf = "robot.xml"\nmorphology = "nominal_leg"': ("there is no key 'morphology'", "known: effects, format, mjcf"),
     'mjcf = "robot.xml"\nphase = "stance"': ("there is no key 'phase'", ""),
     'mjcf = "robot.xml"\nformat = "x"': (f"format is 'x', expected {FORMAT!r}", ""),

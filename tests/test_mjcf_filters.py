@@ -11,7 +11,7 @@ import pytest
 from equimus_ctrl import workflow
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.mjcf import filled, pushes, realise, simulate_mjcf
+from equimus_ctrl.engines.mjcf import filled, joint_forces, realise, simulate_mjcf
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.export import exported
@@ -77,7 +77,7 @@ def test_a_filter_sees_commands_as_they_arrive() -> None:
     time = np.arange(0, 1, 0.01)
     trial = Trial("t", time, np.ones((100, 1)), np.zeros(1), 0.4, np.zeros(1), time[41:], np.zeros(1))
     assert filled(own, trial)[0] == pytest.approx(1 - np.exp(-0.35 / TAU), abs=2e-3)
-    drives, _ = pushes(own, np.zeros((1, 1)), np.zeros((1, 1)), np.array([[0.7]]))
+    drives, _ = joint_forces(own, np.zeros((1, 1)), np.zeros((1, 1)), np.array([[0.7]]))
     assert drives[0, 0] == pytest.approx(0.7)
 
 

@@ -87,7 +87,7 @@ def test_notes_of_numbers_are_for_mjcf_robots_alone() -> None:
         "leg", time, np.zeros((len(time), 2)), np.tile([1.2, 0.8], (len(time), 1)), leg.morphology.actuator_names,
         leg.morphology.joint_names, notes={"set.hip.damping": "1"},
     )  # fmt: skip
-    assert "is for robots from MuJoCo's XML alone" in refusal(lambda: cut(leg, [rest], shoot=0.5))
+    assert "is for MJCF robots alone" in refusal(lambda: cut(leg, [rest], shoot=0.5))
 
 
 def test_a_number_that_every_recording_gives_cannot_be_free() -> None:

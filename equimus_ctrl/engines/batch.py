@@ -268,7 +268,7 @@ def simulate(
 ) -> list[Predicted]:
     """Every model through every trial, by Runge–Kutta steps of order four with dry friction at velocity level.
 
-    Where a joint's stop is hit or left a step is cut, and while one is pressed it is divided as its push asks for.
+    Where a joint's stop is hit or left a step is cut, and while one is pressed it is divided as its stiffness asks for.
 
     Args:
         models: of one robot; they may differ in all numbers and effects. Encoded beforehand they are the same in

@@ -28,7 +28,7 @@ STEP = 3e-3
 """Physics step of the reduced engine in fits [s], where the robot allows it: an error of 1e-5 rad, or 3e-5 rad with
 static friction, a hundredth of what sensors' noise is."""
 REDUCED_COARSER, REDUCED_FINER = 2.0, 3.0
-"""By what the reduced engine's step is multiplied to screen candidates, and divided to tell rivals apart."""
+"""By what the reduced engine's step is multiplied to screen candidates, and divided to compare alternatives."""
 MUJOCO_COARSER = 2.0
 """Of MuJoCo's step, where candidates are screened."""
 STEPS_FINER = 4

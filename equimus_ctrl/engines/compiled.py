@@ -178,7 +178,7 @@ def _lane_model(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
 
 @lru_cache(maxsize=1)
 def _sources() -> list[str]:
-    """All that generated lanes are made by, laws left out."""
+    """All that generated lanes are made by, without the laws."""
     modules = (
         augmented, codegen, elastic_equations, elastic_form, lane_functions, lane_math, mjcf_equations, mjcf_form,
         mjcf_numbers, actuator_laws, parts, symbolic, symbolic_model, tree, sys.modules[__name__],
@@ -353,18 +353,18 @@ def _mjcf_source(laws: Laws) -> str:
     count = max(sum(law.n_states for law in laws), 1)
     x, rate, load, z = *(ca.SX.sym(name) for name in ("x", "rate", "load")), ca.SX.sym("z", count)
     speed, states = ca.fabs(rate), ca.vertsplit(z)
-    push, bound, used = ca.SX(0), ca.SX(0), 0
+    force, bound, used = ca.SX(0), ca.SX(0), 0
     rates, rests = [ca.SX(0)] * count, [ca.SX(0)] * count
     for law, p in zip(laws, symbols, strict=True):
         own = states[used : used + law.n_states]
-        push += law.force(x, rate, own, p)
+        force += law.force(x, rate, own, p)
         bound += law.dry_friction(x, speed, p) + law.friction_of_load(ca.fabs(load), speed, p)
         rates[used : used + law.n_states] = [ca.SX(r) for r in law.state_rate(x, rate, own, p)]
         rests[used : used + law.n_states] = [ca.SX(r) for r in law.rest_state(x, p)]
         used += law.n_states
     routines = [
         codegen.Routine(
-            "joint_push", {"x": ca.vertcat(x, rate, load), "z": z}, ca.vertcat(push, ca.fmax(bound, 0), *rates)
+            "joint_force", {"x": ca.vertcat(x, rate, load), "z": z}, ca.vertcat(force, ca.fmax(bound, 0), *rates)
         ),
         codegen.Routine("joint_rest", {"x": x}, ca.vertcat(*rests)),
     ]

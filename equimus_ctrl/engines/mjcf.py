@@ -99,8 +99,8 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
     # To look which constraints hang together takes longer than to solve those of a few joints at once.
     own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in robot.joints}
-    pushing = [e for e in model.effects if isinstance(e, ForceEffect)]
-    for effect in pushing:
+    laws = [e for e in model.effects if isinstance(e, ForceEffect)]
+    for effect in laws:
         if effect.mujoco_field is not None:
             field, entry = effect.mujoco_field
             (value,) = effect.parameters().values()
@@ -123,7 +123,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         model.effects,
         np.array(places, dtype=np.int64),
         np.array(rotors, dtype=np.int64).reshape(-1, 3),
-        _laws(pushing, names),
+        _laws(laws, names),
         np.array([own.dof_frictionloss[dofs[name]] for name in names]),
         valve,
         sensor_settings(model.effects, names),
@@ -240,7 +240,7 @@ def filled(own: Realised, trial: Trial) -> Array:
     return out
 
 
-def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array | None = None) -> Course:
+def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array | None = None) -> Course:
     """Step an MJCF robot through a trial.
 
     Args:
@@ -248,7 +248,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array |
         trial: what is done with it.
         start: (2 nj,) coordinates and rates of the joints.
         ctrl: see ``commands_on``.
-        push: (steps, nj) further pushes on the joints [N·m or N].
+        force: (steps, nj) further generalised forces on the joints [N·m or N].
     """
     _, kernel = compiled.load_mjcf(_stepped())
     model, nj = own.mujoco, len(own.places)
@@ -263,7 +263,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array |
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     sound = kernel.run_mjcf(
         _step(), model._address, data._address, own.places, own.laws, own.loss, np.full(nj, MAX_SPEED), ctrl,
-        np.empty((0, nj)) if push is None else push, _rests(own, start[:nj]), data.qpos, data.qvel,
+        np.empty((0, nj)) if force is None else force, _rests(own, start[:nj]), data.qpos, data.qvel,
         data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt, out_q, out_v,
     )  # fmt: skip
     return Course(trial.start, dt, out_q, out_v, ctrl, int(sound))
@@ -383,7 +383,7 @@ def command_at(trial: Trial, times: Array) -> Array:
     return np.asarray(rows[np.searchsorted(trial.times, times, side="right")])
 
 
-def pushes(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:
+def joint_forces(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:
     """Forces of the drives (n, na) and of gravity and motion on the joints (n, nj), without accelerations [N·m or N].
 
     Args:

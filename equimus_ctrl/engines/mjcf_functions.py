@@ -15,8 +15,8 @@ def prepare(p: Array) -> Array:
     raise NotImplementedError
 
 
-def joint_push(x: Any, z: Any, c: Array) -> Any:
-    """(push, greatest dry friction, rates of the laws' states …) of coordinate, rate, load and states."""
+def joint_force(x: Any, z: Any, c: Array) -> Any:
+    """(generalised force, greatest dry friction, rates of the laws' states …) of coordinate, rate, load and states."""
     raise NotImplementedError
 
 

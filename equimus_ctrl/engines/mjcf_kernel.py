@@ -13,7 +13,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from equimus_ctrl.engines.mjcf_functions import N_STATES, joint_push, state_tuple
+from equimus_ctrl.engines.mjcf_functions import N_STATES, joint_force, state_tuple
 from equimus_ctrl.types import Array
 
 
@@ -41,7 +41,7 @@ def run_mjcf(
     loss: Array,
     fastest: Array,
     ctrl: Array,
-    push: Array,
+    force: Array,
     states: Array,
     qpos: Array,
     qvel: Array,
@@ -64,7 +64,7 @@ def run_mjcf(
         loss: (nj,) dry friction that the model itself has [N·m or N].
         fastest: (nj,) rates beyond which it has diverged [rad/s or m/s].
         ctrl: (steps, na) commands that act over each step.
-        push: (steps, nj) further pushes on the joints [N·m or N]; (0, nj) for none.
+        force: (steps, nj) further generalised forces on the joints [N·m or N]; (0, nj) for none.
         states: (nj, nz) the laws' states, kept.
         qpos: view of the data's.
         qvel: view of the data's.
@@ -88,8 +88,8 @@ def run_mjcf(
             control[i] = ctrl[k, i]
         for j in range(nj):
             dof = places[j, 1]
-            found = joint_push((out_q[k, j], out_v[k, j], driven[places[j, 2]]), state_tuple(states[j]), laws[j])
-            applied[dof] = found[0] + (push[k, j] if len(push) > 0 else 0.0)
+            found = joint_force((out_q[k, j], out_v[k, j], driven[places[j, 2]]), state_tuple(states[j]), laws[j])
+            applied[dof] = found[0] + (force[k, j] if len(force) > 0 else 0.0)
             frictionloss[dof] = loss[j] + found[1]
             for s in range(N_STATES):
                 states[j, s] += dt * found[2 + s]

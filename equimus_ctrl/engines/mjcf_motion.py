@@ -1,4 +1,4 @@
-"""What moves inside an MJCF robot in a trial, and how it answers to small pushes: by simulating them."""
+"""What moves inside an MJCF robot in a trial, and how it responds to small generalised forces: by simulating them."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.types import Array
 
 SMALL = 1e-3
-"""A push that is simulated to see what it does, as a share of what the drives and gravity push."""
+"""A force that is simulated to see what it does, as a share of what the drives and gravity exert."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pushed:
-    """An MJCF robot whose answers to small pushes are wanted, with its motions.
+class SimulatedResponse:
+    """An MJCF robot's motions, and its response to small generalised forces.
 
     Attributes:
         model: what moves.
         trials: what was done.
         starts: for each trial (2 nj,) coordinates and rates at its start.
         motions: what came of it.
-        scale: (nj,) of pushes that are small [N·m or N].
+        scale: (nj,) usual size of forces [N·m or N].
     """
 
     model: Model
@@ -40,7 +40,7 @@ class Pushed:
     scale: Array
 
     def response(self, torques: Sequence[Array]) -> list[Array]:
-        """For each trial (m, nj, k) the change of the measured coordinates for small pushes, over the push.
+        """For each trial (m, nj, k) the change of the measured coordinates by small forces, over the force.
 
         Args:
             torques: for each trial (m − 1, nj, k), constant over each interval between samples [N·m or N].
@@ -72,8 +72,10 @@ class Pushed:
                     if size == 0.0:
                         continue
                     factor = SMALL / size
-                    push = _on_steps(trial, torque * factor, dt, len(ctrl))
-                    seen, reached = measured_of(own, follow(own, trial, self.starts[i], ctrl, push), trial.sample_times)
+                    force = _on_steps(trial, torque * factor, dt, len(ctrl))
+                    seen, reached = measured_of(
+                        own, follow(own, trial, self.starts[i], ctrl, force), trial.sample_times
+                    )
                     if reached == len(seen):
                         found[i][:, :, column] = (seen - plain) / factor
 
@@ -145,17 +147,19 @@ def _inner(course: Course, gear: Array, times: Array, command: Array) -> Inner:
     )
 
 
-def pushed(model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale: Array) -> Pushed:
+def simulated_response(
+    model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale: Array
+) -> SimulatedResponse:
     """An MJCF robot with its motions through trials.
 
     Args:
         model: what moves.
         trials: what is done.
         starts: for each (2 nj,) coordinates and rates at the start.
-        scale: (nj,) usual size of pushes [N·m or N].
+        scale: (nj,) usual size of forces [N·m or N].
 
     Raises:
         SimulationDiverged: where it diverges in one of them.
     """
     motions = tuple(mjcf_motion(model, trial, start) for trial, start in zip(trials, starts, strict=True))
-    return Pushed(model, tuple(trials), tuple(starts), motions, scale)
+    return SimulatedResponse(model, tuple(trials), tuple(starts), motions, scale)

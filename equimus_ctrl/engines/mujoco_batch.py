@@ -32,7 +32,7 @@ FAST_SETTINGS = SolverSettings(timestep=1 / 120, integrator="RK4", softness=0.01
 """``MujocoBatch`` is then within 1e-5 rad RMSE of the exact Lagrangian in swing and 5e-5 rad in stance, on stops too.
 
 At the moment of a blow a run may be 1e-3 rad off, and a fall through an unstable pose 1e-2 rad. By itself this step is
-too long to follow a stop's push.
+too long to follow a stop's force.
 """
 
 NEAR_STOP = 5e-3
@@ -51,7 +51,7 @@ class MujocoBatch:
     """Many runs of one morphology in MuJoCo at once.
 
     The model is that of ``models.mjcf.compile_model``; an actuator's ends and, in stance, the foot are closed before
-    the first step. A run that comes near a joint's stop is simulated anew with steps short enough for the stop's push,
+    the first step. A run that comes near a joint's stop is simulated anew with steps short enough for the stop's force,
     see ``stop_divisor``. The same inputs give the same bits whatever the number of threads and whichever runs are
     beside.
 
@@ -359,7 +359,7 @@ class MujocoBatch:
 
 
 def near_stop(morphologies: Sequence[Morphology], q: Array, v: Array, dt: float) -> NDArray[np.bool_]:
-    """Which runs come so near a stop that they may touch it, whether or not the step follows its push.
+    """Which runs come so near a stop that they may touch it, whether or not the step follows its force.
 
     Args:
         morphologies: of all runs, or one for each.
@@ -378,7 +378,7 @@ def near_stop(morphologies: Sequence[Morphology], q: Array, v: Array, dt: float)
 
 
 def stop_divisor(morphology: Morphology, phase: Phase, pose: Array, dt: float) -> int:
-    """By which whole number a step dt [s] is to be divided to follow the push of a robot's stops.
+    """By which whole number a step dt [s] is to be divided to follow the forces of a robot's stops.
 
     It is the least that brings the fastest rate λ with stops pressed, at the pose and at the joints' ends
     (``engines.steps.rates_at``), to |λ|·dt ≤ ``FOLLOWED``; ``MOST_FINER`` at most, with a warning where

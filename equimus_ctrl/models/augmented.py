@@ -1,4 +1,4 @@
-"""A structure's equations of motion with pushing effects at every place where they can sit, in CasADi.
+"""A structure's equations of motion with force effects at every place where they can sit, in CasADi.
 
     M(q) a + h(q, v) = Jᵀ (A(l)·P + F(l, l̇, z) + φ_drive) + T(q, v, z) + φ_joint,    dz/dt = g
 
@@ -61,7 +61,7 @@ class AugmentedModel:
         p: the structure's parameter vector, then those of the slots.
         slots: the laws in the order of their parameters.
         rubbing: (kind, index) of the place of each row of dry friction.
-        torque: (nj,) what the effects exert on the joints, friction left out [N·m].
+        torque: (nj,) what the effects exert on the joints, without friction [N·m].
         force: (na,) what they exert along the actuators whatever the pressures [N].
         area: (na,) force per pressure [m²].
         more_area: (na,) how much of it comes of effects [m²].
@@ -79,7 +79,7 @@ class AugmentedModel:
         quickness: (1,) a bound, near to it, of the fastest rate of the motion with ``pressed`` stops [1/s].
         bound: (nr,) the greatest friction at the mean of the speeds v0 and v.
         rows_before: (nr,) rates at the start of a step, G(q) v0.
-        drive: (nj,) what the actuators push on the joints.
+        drive: (nj,) what the actuators exert on the joints.
         kept: (nz,) the states of the robot's own within their bounds.
     """
 

@@ -99,7 +99,7 @@ def stops_in_mode(q: ca.SX, v: ca.SX, stops: ca.SX, pressed: ca.SX) -> tuple[ca.
 
     Returns:
         The torque on the joint [N·m], and (2,) numbers that are above 0 where a stop would be pressed: the depth, or
-        the push where that is less, for a stop never pulls.
+        the force where that is less, for a stop never pulls.
     """
     low, low_k, low_c, high, high_k, high_c = ca.vertsplit(stops)
     below, above = ca.fmax(low, -NO_STOP) - q, q - ca.fmin(high, NO_STOP)

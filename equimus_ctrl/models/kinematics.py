@@ -137,7 +137,7 @@ class Kinematics:
         return np.array(self._call("mass", q))
 
     def energy(self, q: ArrayLike, v: ArrayLike) -> tuple[float, float]:
-        """Kinetic and potential energy [J], the stops left out."""
+        """Kinetic and potential energy [J], without the stops."""
         kinetic, potential = self._call("energy", q, v)
         return float(kinetic), float(potential)
 

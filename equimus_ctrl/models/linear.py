@@ -66,7 +66,7 @@ def state_matrices(
         pose: (nj,) [rad].
         pressure: (na,) that holds it there [Pa].
         phase: base fixed or foot pinned.
-        effects: those that push count, dry friction left out; a law without a slope at rest counts as having none.
+        effects: those that are forces count, without dry friction; a law without a slope at rest counts as having none.
         quick: whether the effects' own states follow rates alone, as in quick motion; else they are as at rest.
 
     Returns:

@@ -359,7 +359,7 @@ def stop_tendon(joint: str) -> str:
 
 
 def stops_differ(joint: Joint) -> bool:
-    """Whether a joint's two stops push differently, which takes more than one MuJoCo limit."""
+    """Whether a joint's two stops differ in stiffness or damping, which takes more than one MuJoCo limit."""
     a, b = joint.lower, joint.upper
     return bool(a and b and (a.stiffness, a.damping) != (b.stiffness, b.damping))
 

@@ -72,7 +72,7 @@ def prediction(model: Model, stops: bool = True) -> Prediction:
     """The step of a model.
 
     Args:
-        model: its effects on valves, bodies and sensors and those that push are its own.
+        model: its effects on valves, bodies and sensors and its force effects are its own.
         stops: whether joints press on their stops; without them they turn freely, and a long step stays stable.
     """
     robot, effects = changed_bodies(model.effects, model.morphology), model.effects

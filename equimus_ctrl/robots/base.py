@@ -152,7 +152,7 @@ class Robot(ABC):
 
     @abstractmethod
     def bounds(self, name: str) -> tuple[float, float]:
-        """(low, high): how far a parameter is believed to be off at most."""
+        """(low, high): between what a parameter can plausibly be."""
 
     def size(self, name: str) -> float | None:
         """A change that counts of a parameter whose value is 0; None where nothing but its bounds tells."""

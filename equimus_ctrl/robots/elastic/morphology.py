@@ -310,7 +310,7 @@ class Morphology(Robot):
         return {"stiffness": ("N/m", "N·m/rad"), "damping": ("N·s/m", "N·m·s/rad")}[parts[-1]][turning]
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """(low, high): how far a parameter is believed to be off at most, by its kind."""
+        """(low, high): between what a parameter can plausibly be, by its kind."""
         value, kind = self._parameters[name], name.split(".")[-1]
         if kind in _FACTOR and value > 0:
             return value / _FACTOR[kind], value * _FACTOR[kind]
