@@ -73,7 +73,7 @@ def middle(name: str, place: str) -> Effect:
 def test_effects_of_elastic_robots_are_refused_on_mjcf_robots(name: str) -> None:
     place = {"joint": "shoulder", "actuator": "push", "link": "arm", "foot": "tip", "base": "base"}
     told = refusal(lambda: Model(CRANE, (middle(name, place[REGISTRY[name].sits_at[0]]),)))
-    assert told.startswith(f"crane: a robot from MuJoCo's XML cannot have effect {name} (it can: ")
+    assert told.startswith(f"crane: an MJCF robot cannot have effect {name} (it can: ")
     assert all(other in told for other in catalogue("mjcf"))
 
 

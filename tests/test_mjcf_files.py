@@ -249,7 +249,7 @@ WRONG_FILES: dict[str, tuple[str, str]] = {
     'mjcf = "robot.xml"\n[parameters]\n"arm.mass" = -1': ("arm.mass is -1, expected a finite number of at least 0", ""),
     'mjcf = "robot.xml"\n[parameters]\narm.mass = 1': ("'arm' is a table; put a dotted name in quotes", ""),
     'mjcf = "robot.xml"\n[[effects]]\neffect = "creep"\nlocation = "push"\nstiffness = 1\ntime_constant = 1': (
-        "a robot from MuJoCo's XML cannot have effect creep", "",
+        "an MJCF robot cannot have effect creep", "",
     ),
     'mjcf = "robot.xml"\n[[effects]]\neffect = "viscous_friction"\nlocation = "elbow"\ndamping = 1': (
         "effect viscous_friction: there is no joint 'elbow'", "known: reach, shoulder",

@@ -122,4 +122,4 @@ def test_verbs_for_elastic_robots_refuse_others(
     path = tmp_path / "robot.xml"
     path.write_text(PENDULUM.format(drive=MOTOR))
     assert main([*verb, "--model", str(path)]) == 2
-    assert "is a robot of MuJoCo's XML, which this is not for" in " ".join(capsys.readouterr().err.split())
+    assert "is an MJCF robot, which this is not for" in " ".join(capsys.readouterr().err.split())

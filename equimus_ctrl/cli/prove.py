@@ -29,7 +29,7 @@ def prove(
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="A robot from MuJoCo's XML (.xml, or a model file) in the leg's place."),
+        typer.Option(metavar="FILE", help="An MJCF robot (.xml, or a model file) in the leg's place."),
     ] = None,
     cases: Annotated[int, typer.Option(help="How many realities.")] = 100,
     seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
@@ -138,9 +138,7 @@ def _experiment(
     """The MJCF robot and what is done with it; None where legs are put to the proof."""
     if model is None:
         if recordings:
-            raise ConfigError(
-                f"{recordings[0]}: recordings are for --model, a robot from MuJoCo's XML; a leg's trials are drawn"
-            )
+            raise ConfigError(f"{recordings[0]}: recordings are for --model, an MJCF robot; a leg's trials are drawn")
         return None
     if trials is not None or duration is not None:
         raise ConfigError("--trials and --duration are for legs; an MJCF robot is driven as in its recordings")

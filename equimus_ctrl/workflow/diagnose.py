@@ -75,7 +75,7 @@ def diagnose_recordings(
     if until is not None and not math.isfinite(until):
         raise ConfigError(f"the end of what is fitted is {until:g} s, expected a finite time")
     if shoot is not None and model.robot.traits.held_in_place:
-        raise ConfigError("windows to shoot over are for robots from MuJoCo's XML; a leg's trials are fitted whole")
+        raise ConfigError("windows to shoot over are for MJCF robots; a leg's trials are fitted whole")
     trials = choose(gather(recordings, model), select)
     if parameters is not None:
         free, bounds = read_free(parameters, model).with_more(free, bounds)

@@ -33,12 +33,12 @@ def load_elastic(path: Path | str | None = None) -> Model:
     """The same, but of a robot with elastic actuators alone.
 
     Raises:
-        ConfigError, ModelError: see ``load_model``; also for a robot of MuJoCo's XML.
+        ConfigError, ModelError: see ``load_model``; also for an MJCF robot.
     """
     model = load_model(path)
     if not isinstance(model.robot, Morphology):
         raise ConfigError(
-            f"{path}: is a robot of MuJoCo's XML, which this is not for; identify, diagnose, prove, score, "
+            f"{path}: is an MJCF robot, which this is not for; identify, diagnose, prove, score, "
             "sensitivity, list parameters and recordings check take it"
         )
     return model
@@ -50,7 +50,7 @@ def renamed(model: Model, name: str) -> Model:
 
 
 def save_model(path: Path | str, model: Model, near: Path | None = None) -> list[Path]:
-    """Write a model file, whole or not at all; of a robot of MuJoCo's XML also the XML with all that it has fields for.
+    """Write a model file, whole or not at all; of an MJCF robot also the XML with all that it has fields for.
 
     Args:
         path: of the model file.
