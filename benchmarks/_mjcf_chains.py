@@ -49,7 +49,7 @@ from pathlib import Path
 from equimus_ctrl import workflow
 from equimus_ctrl.engines.batch import compile_kernel
 from equimus_ctrl.models.model import Model
-model = Model(workflow.load_machine(Path(sys.argv[1])))
+model = Model(workflow.load_mjcf(Path(sys.argv[1])))
 begun = time.process_time()
 compile_kernel(model)
 print(time.process_time() - begun)

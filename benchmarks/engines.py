@@ -235,7 +235,7 @@ def compare_mjcf(files: list[Path], rounds: int, seed: int) -> None:
     with fresh_cache() as folder:
         for xml in robot_files(files, Path(folder)):
             first, again = compile_times(xml, Path(folder) / "cache")
-            robot = workflow.load_machine(xml)
+            robot = workflow.load_mjcf(xml)
             smooth = with_friction(robot, np.zeros(len(robot.joint_names)))
             print(f"{robot.name[:14]:14} {len(robot.joint_names):6} {first:5.1f} {again:5.2f}", end=" ", flush=True)
             print(same_step(Work.of(smooth, 4, 1.0, seed), rounds), end="   ", flush=True)

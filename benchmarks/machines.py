@@ -124,7 +124,7 @@ def main() -> None:
                 write(folder / f"{trial.name}.csv", trial)
             continue
         begun, cpu = time.perf_counter(), time.process_time()
-        model = Model(workflow.load_machine(xml))
+        model = Model(workflow.load_mjcf(xml))
         free = ["base_parameters", *(n for n in model.parameters() if n.endswith(".damping"))]
         found = workflow.diagnose_recordings(trials, model, free=free)
         seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Recording
 
@@ -52,7 +52,7 @@ def recorded(
         command = np.column_stack(columns)
         start = rng.uniform(-0.5, 0.5, len(m.joint_names))
         trial = Trial(f"t{k}", time, command, command[0], 0.0, start, time)
-        angle = simulate_machines([real], [trial], threads=1, dt=dt)[0].position[0]
+        angle = simulate_mjcf([real], [trial], threads=1, dt=dt)[0].position[0]
         angle = angle + push * angle**3 + rng.normal(0, noise, angle.shape)
         found.append(Recording(f"t{k}", time, command, angle, m.actuator_names, m.joint_names))
     return found

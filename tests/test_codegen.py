@@ -22,7 +22,8 @@ from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models import codegen
 from equimus_ctrl.models.codegen import LaneRoutine, Routine, generate, generate_lanes
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.symbolic import pseudo_solve, symbolic_model
+from equimus_ctrl.models.symbolic import symbolic_model
+from equimus_ctrl.models.symbolic_model import pseudo_solve
 from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack
 from equimus_ctrl.tuning import loop_kernel

@@ -10,19 +10,21 @@ import casadi as ca
 import mujoco
 import numpy as np
 import pytest
-from machine_models import CRANE, RIG, cart, pendulum, swinging
+from mjcf_models import CRANE, RIG, cart, pendulum, swinging
 
 from equimus_ctrl.effects import CoulombFriction, DriveCompliance, Effect, PayloadMass, ViscousFriction
 from equimus_ctrl.engines.batch import Trial, encode, simulate
 from equimus_ctrl.engines.choice import MujocoEngine, ReducedEngine, engine_for
 from equimus_ctrl.engines.field import Field
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.parts import constrained, gaps, grips
-from equimus_ctrl.models.symbolic import build, ldl_solve
-from equimus_ctrl.robots.mjcf.form import form_of, obstacles
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import ldl_solve
 from equimus_ctrl.robots.mjcf.numbers import pack
+from equimus_ctrl.robots.mjcf.obstacles import obstacles
+from equimus_ctrl.robots.mjcf.reading import form_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.random_trees import ALL, controls, converged, random_tree
@@ -130,7 +132,7 @@ def test_a_drive_that_gives_way_is_mujocos_without_its_step() -> None:
     model = Model(RIG, (DriveCompliance("shoulder", 60.0, 0.4),))
     trial = swinging()
     own = simulate([model], [trial], dt=1e-3, check=False)[0].position[0]
-    half, whole = (simulate_machines([model], [trial], dt=dt)[0].position[0] for dt in (2.5e-5, 5e-5))
+    half, whole = (simulate_mjcf([model], [trial], dt=dt)[0].position[0] for dt in (2.5e-5, 5e-5))
     np.testing.assert_allclose(own, 2 * half - whole, rtol=0, atol=5e-6)
     rigid = simulate([Model(RIG)], [trial], dt=1e-3, check=False)[0].position[0]
     assert np.abs(own - rigid).max() > 0.01
@@ -144,7 +146,7 @@ def test_a_drive_that_gives_way_is_mujocos_without_its_step() -> None:
 def test_effects_are_the_same_in_both_engines(effects: tuple[Effect, ...]) -> None:
     model, trial = Model(RIG, effects), swinging(1)
     own = simulate([model], [trial], dt=5e-4, check=False)[0].position[0]
-    half, whole = (simulate_machines([model], [trial], dt=dt)[0].position[0] for dt in (1e-5, 2e-5))
+    half, whole = (simulate_mjcf([model], [trial], dt=dt)[0].position[0] for dt in (1e-5, 2e-5))
     np.testing.assert_allclose(own, 2 * half - whole, rtol=0, atol=2e-5)
 
 

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1] / "equimus_ctrl"
 
 ORDER: tuple[tuple[str, ...], ...] = (
-    ("errors", "machine"),
+    ("errors", "computer"),
     ("types", "settings"),
     ("presets",),
     ("effects", "recordings"),

@@ -14,7 +14,7 @@ from morphologies import STRUCTURES, random_morphology
 
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.symbolic import N_ACTUATOR, N_GLOBAL, N_JOINT
+from equimus_ctrl.robots.elastic.form import N_ACTUATOR, N_GLOBAL, N_JOINT
 from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
 from equimus_ctrl.robots.elastic.morphology import (
     ElasticActuator,

@@ -54,7 +54,7 @@ def test_check_takes_limits(trial: Path) -> None:
     assert CliRunner().invoke(app, ["check", str(trial), *options[:2]]).exit_code != 0
 
 
-def test_check_of_a_machine_reads_its_names_and_units(tmp_path: Path) -> None:
+def test_check_of_an_mjcf_robot_reads_its_names_and_units(tmp_path: Path) -> None:
     robot, path = tmp_path / "robot.xml", tmp_path / "run.csv"
     robot.write_text(
         '<mujoco><worldbody><body name="cart"><joint name="rail" type="slide"/><geom size="0.1" mass="1"/></body></worldbody>'
@@ -73,7 +73,7 @@ def test_check_of_a_machine_reads_its_names_and_units(tmp_path: Path) -> None:
     assert isinstance(result.exception, RecordingError) and "rail" in str(result.exception)
 
 
-def test_check_of_a_machine_doubts_degrees(tmp_path: Path) -> None:
+def test_check_of_an_mjcf_robot_doubts_degrees(tmp_path: Path) -> None:
     robot, path = tmp_path / "robot.xml", tmp_path / "run.csv"
     robot.write_text(
         '<mujoco><worldbody><body><joint name="hinge"/><geom size="0.1" pos="1 0 0" mass="1"/></body></worldbody>'

@@ -173,7 +173,7 @@ def test_where_there_is_none_it_is_told() -> None:
     with pytest.raises(ModelError) as caught:
         rest_pose(pushed, np.zeros(len(robot.actuators)))
     assert str(caught.value).startswith(f"{robot.name}: no pose at rest was found under pressures of ")
-    assert str(caught.value).endswith(" kPa and the effects that push")
+    assert str(caught.value).endswith(" kPa and its force effects")
 
 
 def test_legs_of_an_ensemble_rest_with_their_effects() -> None:

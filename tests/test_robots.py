@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from machine_models import CRANE, PENDULUM
+from mjcf_models import CRANE, PENDULUM
 
 from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
 from equimus_ctrl.effects import CoulombFriction, NarrowingArea
@@ -94,7 +94,7 @@ def test_a_robot_of_another_kind_is_refused_in_a_sentence() -> None:
     assert elastic_of(nominal_leg()).actuators and mjcf_of(CRANE).xml
     with pytest.raises(ConfigError, match="crane: has no elastic actuators"):
         _ = Model(CRANE).morphology
-    with pytest.raises(ConfigError, match="nominal_leg: is no robot of MuJoCo's XML"):
+    with pytest.raises(ConfigError, match="nominal_leg: is no MJCF robot"):
         mjcf_of(nominal_leg())
 
 

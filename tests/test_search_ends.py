@@ -133,7 +133,7 @@ def test_what_is_left_of_two_parts_has_rivals_of_its_own(monkeypatch: pytest.Mon
     assert len(end.best.hypothesis) == len(end.without) == len(end.rivals) == 1
 
 
-def test_a_withdrawn_name_does_not_come_back_with_a_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (RUB, OFF): 1000.0})
     split = judged(monkeypatch, [(frozenset(), frozenset({RUB}))])
     search = OnPaper(known, SearchSettings(many_minima=True))

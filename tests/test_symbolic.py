@@ -25,7 +25,8 @@ from morphologies import (
 )
 
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.symbolic import SymbolicModel, ldl_solve, pseudo_solve, symbolic_model
+from equimus_ctrl.models.symbolic import symbolic_model
+from equimus_ctrl.models.symbolic_model import SymbolicModel, ldl_solve, pseudo_solve
 from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, Point, pack
 from equimus_ctrl.types import Array

@@ -10,9 +10,9 @@ import pytest
 from morphologies import integrate as integrate_alone
 from morphologies import newton_acceleration, random_morphology
 
+from equimus_ctrl.computer import processes
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import NotAvailable
-from equimus_ctrl.machine import processes
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.elastic.morphology import Phase

@@ -69,7 +69,7 @@ def diagnose(
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Of a robot from MuJoCo's XML: cut trials into windows of this length, each from its own free start; "
+            help="Of an MJCF robot: cut trials into windows of this length, each from its own free start; "
             "by default as long as the model as it came stays near.",
         ),
     ] = None,

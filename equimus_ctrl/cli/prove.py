@@ -14,7 +14,7 @@ from equimus_ctrl.errors import ConfigError, unknown_name
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from equimus_ctrl.proof.machines import Experiment
+    from equimus_ctrl.proof.mjcf import Experiment
     from equimus_ctrl.workflow.prove import Proof
 
 MOST_ROWS = 60
@@ -29,7 +29,7 @@ def prove(
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="A robot from MuJoCo's XML (.xml, or a model file) in the leg's place."),
+        typer.Option(metavar="FILE", help="An MJCF robot (.xml, or a model file) in the leg's place."),
     ] = None,
     cases: Annotated[int, typer.Option(help="How many realities.")] = 100,
     seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
@@ -135,23 +135,21 @@ def prove(
 def _experiment(
     recordings: list[Path], model: Path | None, trials: int | None, duration: float | None
 ) -> Experiment | None:
-    """The machine and what is done with it; None where legs are put to the proof."""
+    """The MJCF robot and what is done with it; None where legs are put to the proof."""
     if model is None:
         if recordings:
-            raise ConfigError(
-                f"{recordings[0]}: recordings are for --model, a robot from MuJoCo's XML; a leg's trials are drawn"
-            )
+            raise ConfigError(f"{recordings[0]}: recordings are for --model, an MJCF robot; a leg's trials are drawn")
         return None
     if trials is not None or duration is not None:
-        raise ConfigError("--trials and --duration are for legs; a machine is driven as in its recordings")
+        raise ConfigError("--trials and --duration are for legs; an MJCF robot is driven as in its recordings")
     if not recordings:
-        raise ConfigError(f"{model}: a machine is driven as in recordings of it; give their folder or files too")
-    from equimus_ctrl.proof.machines import Experiment, require_bare_machine
+        raise ConfigError(f"{model}: an MJCF robot is driven as in recordings of it; give their folder or files too")
+    from equimus_ctrl.proof.mjcf import Experiment, require_bare_mjcf
     from equimus_ctrl.workflow.models import load_model
     from equimus_ctrl.workflow.scores import gather
 
     own = load_model(model)
-    require_bare_machine(own)  # before its recordings are taken for a leg's
+    require_bare_mjcf(own)  # before its recordings are taken for a leg's
     return Experiment(own, tuple(gather(recordings, own)))
 
 
@@ -178,7 +176,7 @@ def _tell(console: Console, found: Proof) -> None:
     goals = found.score.goals
     missed = [g for g in goals if g.state == "missed"]
     for goal in missed:
-        judged = "" if goal.judged else " (not judged: it depends on the machine)"
+        judged = "" if goal.judged else " (not judged: it depends on the computer)"
         console.print(f"missed: {goal.title}{judged}", style="yellow", markup=False)
     unsure = sum(g.state == "open" for g in goals)
     if not missed:

@@ -93,7 +93,7 @@ def check(
 ) -> None:
     """Read recordings and say what they hold; the first thing that is wrong ends it, with exit code 2.
 
-    Those of a robot from MuJoCo's XML need --model: its names are the columns, its commands may be anything.
+    Those of an MJCF robot need --model: its names are the columns, its commands may be anything.
 
     \b
     [bold]Examples[/bold]

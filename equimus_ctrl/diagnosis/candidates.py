@@ -10,7 +10,7 @@ import numpy as np
 from equimus_ctrl.effects.base import REGISTRY, Effect, Seen
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.batch import KNOWN_KINDS
-from equimus_ctrl.engines.machine import command_at, pushes, realise
+from equimus_ctrl.engines.mjcf import command_at, joint_forces, realise
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.parameters import (
     FreeParameter,
@@ -212,7 +212,7 @@ def _seen_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str, Seen
     rows = np.concatenate([command_at(s.trial, s.trial.sample_times[SLOPE_SAMPLES:-SLOPE_SAMPLES]) for s in segments])
     middles = np.concatenate([s.measured[SLOPE_SAMPLES:-SLOPE_SAMPLES] for s in segments])
     chosen = slice(None, None, max(len(middles) // FEW, 1))
-    drives, weights = pushes(own, middles[chosen], speeds[chosen], rows[chosen])
+    drives, weights = joint_forces(own, middles[chosen], speeds[chosen], rows[chosen])
     largest = np.maximum(
         np.abs(np.concatenate([np.vstack([s.trial.before, s.trial.commands]) for s in segments])).max(axis=0), 1e-9
     )

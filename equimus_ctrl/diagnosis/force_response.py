@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from equimus_ctrl.diagnosis.response import linearise
 from equimus_ctrl.engines.base import Engine, ForceResponse
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine_motion import pushed
+from equimus_ctrl.engines.mjcf_motion import simulated_response
 from equimus_ctrl.engines.motion import motion
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
@@ -39,6 +39,6 @@ def force_response(
         SimulationDiverged: where a motion cannot be followed.
     """
     if engine.responds_by == "simulated":
-        return pushed(model, trials, starts, scale())
+        return simulated_response(model, trials, starts, scale())
     step = min(dt, engine.step or dt)
     return linearise(model, [motion(model, trial, start, step) for trial, start in zip(trials, starts, strict=True)])

@@ -315,7 +315,7 @@ def check_robots(effects: Sequence[Effect], kind: Robots, where: str) -> None:
     """Raise ConfigError where an effect is not one of robots of a kind."""
     for effect in effects:
         if kind not in effect.robots:
-            what = "a robot from MuJoCo's XML" if kind == "mjcf" else "a robot with elastic actuators"
+            what = "an MJCF robot" if kind == "mjcf" else "a robot with elastic actuators"
             raise ConfigError(
                 f"{where}: {what} cannot have effect {effect.name} (it can: {', '.join(catalogue(kind))})"
             )

@@ -63,7 +63,7 @@ class BodyEffect(Effect):
 class PayloadMass(BodyEffect):
     """A point mass: the link's mass, centre and inertia become those of both together.
 
-    On a robot with elastic actuators it sits at a link's tip, on one from MuJoCo's XML at a site or at the centre of
+    On a robot with elastic actuators it sits at a link's tip, on an MJCF robot at a site or at the centre of
     mass of a body.
     """
 

@@ -1,6 +1,6 @@
 """Effects of joints that motors drive: friction of many kinds, drives that give way, forces that are off.
 
-They are for robots from MuJoCo's XML. What MuJoCo has a field for goes there; the rest is stepped with it.
+They are for MJCF robots. What MuJoCo has a field for goes there; the rest is stepped with it.
 """
 
 from __future__ import annotations

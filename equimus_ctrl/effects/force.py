@@ -72,7 +72,7 @@ class ForceEffect(Effect):
         if cls.scales and set(cls.sits_at) != {"actuator"}:
             raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but only an actuator has an area that may change")
         if cls.loads and "elastic" in cls.robots:
-            raise ConfigError(f"{who}: robots is {cls.robots!r}, but only one of MuJoCo's XML has friction of loads")
+            raise ConfigError(f"{who}: robots is {cls.robots!r}, but only an MJCF robot has friction of loads")
         if not getattr(cls, "neutral", None) or not set(cls.neutral) <= set(info):
             raise ConfigError(f"{who}: neutral must give values of some of {', '.join(info)} that switch it off")
         x, rate, speed = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("speed")

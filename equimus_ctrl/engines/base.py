@@ -107,7 +107,7 @@ class Engine(ABC):
         return None
 
     def finer(self) -> Engine | None:
-        """A slower one whose error tells rivals less apart; None where there is none."""
+        """A slower one with less discretisation error, to compare alternatives by; None where there is none."""
         return None
 
     def with_finer_step(self) -> Engine:

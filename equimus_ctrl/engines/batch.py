@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from equimus_ctrl.computer import processors
 from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.force import ForceEffect, force_laws
@@ -32,12 +33,11 @@ from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.augmented import law_parameters, rubbing_places, slots_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
-from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Mechanics
+from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Mechanics, Structure
 from equimus_ctrl.robots.mjcf.form import FAR
 from equimus_ctrl.types import Array, Recording
 
@@ -268,7 +268,7 @@ def simulate(
 ) -> list[Predicted]:
     """Every model through every trial, by Runge–Kutta steps of order four with dry friction at velocity level.
 
-    Where a joint's stop is hit or left a step is cut, and while one is pressed it is divided as its push asks for.
+    Where a joint's stop is hit or left a step is cut, and while one is pressed it is divided as its stiffness asks for.
 
     Args:
         models: of one robot; they may differ in all numbers and effects. Encoded beforehand they are the same in

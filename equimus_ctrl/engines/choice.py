@@ -13,7 +13,7 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.engines.base import Discretisation, Engine, EngineName
 from equimus_ctrl.engines.batch import Predicted, Trial, simulate
 from equimus_ctrl.engines.contacts import touching
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.step_choice import followed_step
@@ -28,7 +28,7 @@ STEP = 3e-3
 """Physics step of the reduced engine in fits [s], where the robot allows it: an error of 1e-5 rad, or 3e-5 rad with
 static friction, a hundredth of what sensors' noise is."""
 REDUCED_COARSER, REDUCED_FINER = 2.0, 3.0
-"""By what the reduced engine's step is multiplied to screen candidates, and divided to tell rivals apart."""
+"""By what the reduced engine's step is multiplied to screen candidates, and divided to compare alternatives."""
 MUJOCO_COARSER = 2.0
 """Of MuJoCo's step, where candidates are screened."""
 STEPS_FINER = 4
@@ -132,7 +132,7 @@ class MujocoEngine(Engine):
     def simulate(
         self, models: Sequence[Model], trials: Sequence[Trial], starts: Sequence[Array], threads: int | None = None
     ) -> list[Predicted]:
-        return simulate_machines(models, trials, starts=starts, dt=self.dt, threads=threads)
+        return simulate_mjcf(models, trials, starts=starts, dt=self.dt, threads=threads)
 
     def coarser(self) -> Engine:
         return replace(self, dt=MUJOCO_COARSER * self.discretisation.step)

@@ -27,15 +27,25 @@ from equimus_ctrl.engines import (
     lane_kernel,
     lane_math,
     lane_steps,
-    machine_functions,
-    machine_kernel,
+    mjcf_functions,
+    mjcf_kernel,
 )
 from equimus_ctrl.engines.limits import NOTHING
-from equimus_ctrl.models import actuator_laws, augmented, codegen, mjcf_equations, parts, symbolic, symbolic_model, tree
+from equimus_ctrl.models import (
+    actuator_laws,
+    augmented,
+    codegen,
+    elastic_equations,
+    mjcf_equations,
+    parts,
+    symbolic,
+    symbolic_model,
+    tree,
+)
 from equimus_ctrl.models.augmented import Laws, expressions
-from equimus_ctrl.models.symbolic import Structure
 from equimus_ctrl.robots.elastic import form as elastic_form
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.robots.mjcf import form as mjcf_form
 from equimus_ctrl.robots.mjcf import numbers as mjcf_numbers
 from equimus_ctrl.types import Array
@@ -87,10 +97,10 @@ def load(model: Morphology, phase: Phase, kernel: ModuleType, laws: Laws = ()) -
 
 
 @lru_cache(maxsize=8)
-def load_machine(laws: Laws) -> tuple[ModuleType, ModuleType]:
-    """What is generated for laws at joints of machines, and the kernel (``engines.machine_kernel``) with it."""
-    generated = _generated("machine_laws", _machine_source(laws), [])
-    return generated, _led(machine_kernel, {machine_functions.__name__: generated})
+def load_mjcf(laws: Laws) -> tuple[ModuleType, ModuleType]:
+    """What is generated for laws at joints of MJCF robots, and the kernel (``engines.mjcf_kernel``) with it."""
+    generated = _generated("mjcf_laws", _mjcf_source(laws), [])
+    return generated, _led(mjcf_kernel, {mjcf_functions.__name__: generated})
 
 
 def prepared(model: Morphology, phase: Phase) -> Array:
@@ -105,7 +115,7 @@ def mark_compiled(kernel: ModuleType) -> None:
 
 
 def is_marked_compiled(kernel: ModuleType) -> bool:
-    """Whether ``mark_compiled`` was called for a kernel on this machine."""
+    """Whether ``mark_compiled`` was called for a kernel on this computer."""
     return (cache_folder() / f"{kernel.__name__}.compiled").exists()
 
 
@@ -149,7 +159,8 @@ def _led(kernel: ModuleType, replaced: dict[str, ModuleType]) -> ModuleType:
 @lru_cache(maxsize=64)
 def _model(form: Structure, phase: Phase) -> ModuleType:
     """The functions of ``engines.model_functions`` for one structure."""
-    sources = [inspect.getsource(m) for m in (symbolic, symbolic_model, parts, tree, codegen, sys.modules[__name__])]
+    modules = (elastic_equations, symbolic, symbolic_model, parts, tree, codegen, sys.modules[__name__])
+    sources = [inspect.getsource(m) for m in modules]
     key = _digest([repr((form, phase)), *sources])
     path = cache_folder() / f"equimus_model_{key}.py"
     text = path.read_text(encoding="utf-8") if path.exists() else _source(form, phase)
@@ -167,10 +178,10 @@ def _lane_model(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
 
 @lru_cache(maxsize=1)
 def _sources() -> list[str]:
-    """All that generated lanes are made by, laws left out."""
+    """All that generated lanes are made by, without the laws."""
     modules = (
-        augmented, codegen, elastic_form, lane_functions, lane_math, mjcf_equations, mjcf_form, mjcf_numbers,
-        actuator_laws, parts, symbolic, symbolic_model, tree, sys.modules[__name__],
+        augmented, codegen, elastic_equations, elastic_form, lane_functions, lane_math, mjcf_equations, mjcf_form,
+        mjcf_numbers, actuator_laws, parts, symbolic, symbolic_model, tree, sys.modules[__name__],
     )  # fmt: skip
     return [inspect.getsource(module) for module in modules]
 
@@ -213,7 +224,7 @@ def _source(form: Structure, phase: Phase) -> str:
         codegen.Routine("actuator_lengths", {"q": m.q}, m.lengths),
         codegen.Routine("actuator_areas", {}, m.area),
         codegen.Routine("static_pressure", {"q": m.q}, m.static_pressure),
-        codegen.Routine("torque_pressure", {"q": m.q, "tau": m.tau}, symbolic.pseudo_solve(drive, m.tau)),
+        codegen.Routine("torque_pressure", {"q": m.q, "tau": m.tau}, symbolic_model.pseudo_solve(drive, m.tau)),
         codegen.Routine("pressure_torque", {"q": m.q, "f": m.f}, drive @ m.f),
     ]
     functions = codegen.generate(routines, m.p, DECORATOR)
@@ -337,23 +348,23 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, key: str) -> str:
     return "\n".join([*header, "", functions])
 
 
-def _machine_source(laws: Laws) -> str:
+def _mjcf_source(laws: Laws) -> str:
     symbols = [{key: ca.SX.sym(f"{law.name}_{key}") for key in law.parameter_info()} for law in laws]
     count = max(sum(law.n_states for law in laws), 1)
     x, rate, load, z = *(ca.SX.sym(name) for name in ("x", "rate", "load")), ca.SX.sym("z", count)
     speed, states = ca.fabs(rate), ca.vertsplit(z)
-    push, bound, used = ca.SX(0), ca.SX(0), 0
+    force, bound, used = ca.SX(0), ca.SX(0), 0
     rates, rests = [ca.SX(0)] * count, [ca.SX(0)] * count
     for law, p in zip(laws, symbols, strict=True):
         own = states[used : used + law.n_states]
-        push += law.force(x, rate, own, p)
+        force += law.force(x, rate, own, p)
         bound += law.dry_friction(x, speed, p) + law.friction_of_load(ca.fabs(load), speed, p)
         rates[used : used + law.n_states] = [ca.SX(r) for r in law.state_rate(x, rate, own, p)]
         rests[used : used + law.n_states] = [ca.SX(r) for r in law.rest_state(x, p)]
         used += law.n_states
     routines = [
         codegen.Routine(
-            "joint_push", {"x": ca.vertcat(x, rate, load), "z": z}, ca.vertcat(push, ca.fmax(bound, 0), *rates)
+            "joint_force", {"x": ca.vertcat(x, rate, load), "z": z}, ca.vertcat(force, ca.fmax(bound, 0), *rates)
         ),
         codegen.Routine("joint_rest", {"x": x}, ca.vertcat(*rests)),
     ]

@@ -52,7 +52,7 @@ class Rub:
     """What dry friction does at n states.
 
     Attributes:
-        push: (n, nv, nr) velocities that a unit impulse at each row makes.
+        push: (n, nv, nr) velocities that a unit impulse at each row makes, M⁻¹Gᵀ.
         delassus: (n, nr, nr) rates that it makes.
         rate: (n, nr).
         bound: (n, nr) the greatest friction.

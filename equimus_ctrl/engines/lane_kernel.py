@@ -301,8 +301,22 @@ def _same(commands: Array, before: Array, valve: Array, follow: Array, first: Ar
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def put_states(w: Array, begin: int, here: int, q: Array, v: Array, z: Array, pressure: Array, pressed: Array) -> None:
-    """Put some of many states into the lanes, with what their pressed limits do; lanes to spare repeat the last."""
+def lanes_of(parameters: Array) -> Array:
+    """A work array with one parameter set (np,) in all lanes."""
+    w = np.zeros(WORK_ROWS * LANES)
+    for l in range(LANES):  # noqa: E741
+        prepare_lane(parameters, w, l)
+    return w
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def put_states(w: Array, begin: int, q: Array, v: Array, z: Array, pressure: Array, pressed: Array) -> int:
+    """Put some of many states into the lanes, with what their pressed limits do; lanes to spare repeat the last.
+
+    Returns:
+        How many states were put.
+    """
+    here = min(LANES, len(q) - begin)
     for l in range(LANES):  # noqa: E741
         k = begin + min(l, here - 1)
         for j in range(N_JOINTS):
@@ -316,6 +330,7 @@ def put_states(w: Array, begin: int, here: int, q: Array, v: Array, z: Array, pr
         for i in range(N_LIMITS):
             w[(ROW_PRESSED + i) * LANES + l] = pressed[k, i]
     grip_limits(w)
+    return here
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -334,13 +349,10 @@ def field(
         side: (n, nr) the sign of each rubbing rate, against which dry friction acts in full; 0 for none.
         out: (n, nj + nz) written.
     """
-    w = np.zeros(WORK_ROWS * LANES)
-    for l in range(LANES):  # noqa: E741
-        prepare_lane(parameters, w, l)
+    w = lanes_of(parameters)
     rubs = np.any(side != 0.0)
     for begin in range(0, len(q), LANES):
-        here = min(LANES, len(q) - begin)
-        put_states(w, begin, here, q, v, z, pressure, pressed)
+        here = put_states(w, begin, q, v, z, pressure, pressed)
         if rubs:
             lane_friction(w)
         for l in range(LANES):  # noqa: E741
@@ -366,12 +378,9 @@ def rubbing_field(parameters: Array, q: Array, v: Array, z: Array, pressure: Arr
         pressed: as there.
         out: (n, nj·nr + nr·nr + 2 nr) written.
     """
-    w = np.zeros(WORK_ROWS * LANES)
-    for l in range(LANES):  # noqa: E741
-        prepare_lane(parameters, w, l)
+    w = lanes_of(parameters)
     for begin in range(0, len(q), LANES):
-        here = min(LANES, len(q) - begin)
-        put_states(w, begin, here, q, v, z, pressure, pressed)
+        here = put_states(w, begin, q, v, z, pressure, pressed)
         lane_friction(w)
         for l in range(here):  # noqa: E741
             for i in range(out.shape[1]):
@@ -394,12 +403,9 @@ def limit_gaps(
         depths: (n, nl) written: below 0 short of a limit.
         out: (n, nl) written.
     """
-    w = np.zeros(WORK_ROWS * LANES)
-    for l in range(LANES):  # noqa: E741
-        prepare_lane(parameters, w, l)
+    w = lanes_of(parameters)
     for begin in range(0, len(q), LANES):
-        here = min(LANES, len(q) - begin)
-        put_states(w, begin, here, q, v, z, pressure, pressed)
+        here = put_states(w, begin, q, v, z, pressure, pressed)
         lane_depths(w)
         lane_stops(w)
         for l in range(here):  # noqa: E741

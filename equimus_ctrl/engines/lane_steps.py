@@ -1,7 +1,7 @@
 """Steps of the batch kernel: the classical Runge–Kutta method of order four, cut where joint stops change.
 
 What is pressed is held over a part of a step, so that the motion is smooth there; where a stop is hit or left the part
-ends, and where one is pressed parts are as short as its push is fast.
+ends, and where one is pressed parts are as short as its transients ask for.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ def stops_change(w: Array) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def limit_parts(w: Array, dt: float) -> bool:
-    """Give each lane the part of the step that is left to it, or less where the push of a pressed stop is faster.
+    """Give each lane the part of the step that is left to it, or less where a pressed stop has faster transients.
 
     Reads the state in ROW_X; ROW_FROM says where each lane is, and ROW_PART is written.
 
@@ -296,7 +296,7 @@ def find_changes(w: Array, drive: Array, dt: float, side: NDArray[np.int64], all
 def finish_step(w: Array, drive: Array, dt: float) -> None:
     """Take the rest of a step, of which each lane has gone over its first part, its stops held, to ROW_X.
 
-    Where a stop changes the lane's part ends, and where one is pressed parts are as short as its push is fast.
+    Where a stop changes the lane's part ends, and where one is pressed parts are as short as its transients ask for.
 
     Args:
         w: work array; as ``advance`` leaves it.

@@ -9,7 +9,7 @@ FOLLOWED = 1.4
 """Largest |λ|·dt at which the Runge–Kutta method of order four follows a motion well; it is stable up to 2.78."""
 
 PRESSED = 2.4
-"""The same at which it follows the push of a stop, whose transients are too short to be seen."""
+"""The same at which it follows the force of a stop, whose transients are too short to be seen."""
 
 MOST_DIVISOR = 16
 """Steps are not made shorter than by this: a robot that asks for more is no robot, and may diverge."""

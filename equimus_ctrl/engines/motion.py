@@ -15,8 +15,9 @@ from equimus_ctrl.engines.batch import STEP, Encoded, Trial, encode, first_activ
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Phase
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 hermite_arrays = cast("Callable[..., Array]", hermite.py_func)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
@@ -13,10 +12,10 @@ import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import ArrayLike, NDArray
 
+from equimus_ctrl.computer import processors
 from equimus_ctrl.engines.limits import FOLLOWED, MAX_SPEED
 from equimus_ctrl.engines.steps import STABLE, rates_at
 from equimus_ctrl.errors import ConfigError, ModelError
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.mjcf import (
     ABSENT_STOP,
     POINT_INERTIA,
@@ -25,6 +24,7 @@ from equimus_ctrl.models.mjcf import (
     element_slides,
     stop_tendon,
 )
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.robots.elastic.morphology import BASE, JointStop, Morphology, Phase, pack, structure
 from equimus_ctrl.types import Array
 
@@ -32,7 +32,7 @@ FAST_SETTINGS = SolverSettings(timestep=1 / 120, integrator="RK4", softness=0.01
 """``MujocoBatch`` is then within 1e-5 rad RMSE of the exact Lagrangian in swing and 5e-5 rad in stance, on stops too.
 
 At the moment of a blow a run may be 1e-3 rad off, and a fall through an unstable pose 1e-2 rad. By itself this step is
-too long to follow a stop's push.
+too long to follow a stop's force.
 """
 
 NEAR_STOP = 5e-3
@@ -51,7 +51,7 @@ class MujocoBatch:
     """Many runs of one morphology in MuJoCo at once.
 
     The model is that of ``models.mjcf.compile_model``; an actuator's ends and, in stance, the foot are closed before
-    the first step. A run that comes near a joint's stop is simulated anew with steps short enough for the stop's push,
+    the first step. A run that comes near a joint's stop is simulated anew with steps short enough for the stop's force,
     see ``stop_divisor``. The same inputs give the same bits whatever the number of threads and whichever runs are
     beside.
 
@@ -200,7 +200,7 @@ class MujocoBatch:
         record[clock] = np.empty((n, steps, 1))
         sound = np.full(n, steps)
         try:
-            with _quietly():
+            with quietly():
                 runs.rollout(steps, held, record=tuple(record), out=record)
         except mjbatch.SimulationError as error:
             sound[error.ids] = 0
@@ -359,7 +359,7 @@ class MujocoBatch:
 
 
 def near_stop(morphologies: Sequence[Morphology], q: Array, v: Array, dt: float) -> NDArray[np.bool_]:
-    """Which runs come so near a stop that they may touch it, whether or not the step follows its push.
+    """Which runs come so near a stop that they may touch it, whether or not the step follows its force.
 
     Args:
         morphologies: of all runs, or one for each.
@@ -378,7 +378,7 @@ def near_stop(morphologies: Sequence[Morphology], q: Array, v: Array, dt: float)
 
 
 def stop_divisor(morphology: Morphology, phase: Phase, pose: Array, dt: float) -> int:
-    """By which whole number a step dt [s] is to be divided to follow the push of a robot's stops.
+    """By which whole number a step dt [s] is to be divided to follow the forces of a robot's stops.
 
     It is the least that brings the fastest rate λ with stops pressed, at the pose and at the joints' ends
     (``engines.steps.rates_at``), to |λ|·dt ≤ ``FOLLOWED``; ``MOST_FINER`` at most, with a warning where
@@ -442,14 +442,3 @@ def _generic(morphologies: Sequence[Morphology]) -> Morphology:
     m = replace(first, joints=tuple(joints))
     moved = {key: 0.0123 for key, value in m.parameters().items() if value == 0 and key.endswith((".radius", ".com"))}
     return m.with_parameters(moved)
-
-
-@contextmanager
-def _quietly() -> Iterator[None]:
-    """MuJoCo's warnings neither on the screen nor in its log; they are counted where they are read."""
-    previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(previous)

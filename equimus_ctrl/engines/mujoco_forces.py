@@ -1,4 +1,4 @@
-"""Effects that push, stepped beside a MuJoCo model.
+"""Force effects, stepped beside a MuJoCo model.
 
 Torques and forces are those in the middle of each step, which is reached by the speeds and accelerations at its start;
 the effects' own states move by the midpoint rule. Dry friction is MuJoCo's own: a friction loss on the joint, or on the
@@ -17,8 +17,8 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 STICKING = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -35,7 +35,7 @@ def _functions(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, 
 
 
 class ForceStepper:
-    """The pushing effects of one model beside its MuJoCo counterpart.
+    """The force effects of one model beside its MuJoCo counterpart.
 
     Args:
         model: whose effects.
@@ -90,7 +90,7 @@ class ForceStepper:
         pressure[:] = data.ctrl[self._actuators]
         self._push()
         if self._begins:
-            # What stands in the data are accelerations without commands and pushes.
+            # What stands in the data are accelerations without commands and effects.
             self._exert(data)
             mujoco.mj_forward(self._model, data)
             self._begins = False

@@ -21,8 +21,9 @@ from equimus_ctrl.engines.mujoco_forces import ForceStepper
 from equimus_ctrl.engines.steps import step_divisor, warn_if_coarse
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place, step_quietly
+from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import step_quietly
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
@@ -38,9 +39,9 @@ def simulate_mujoco(
     settings: SolverSettings | None = None,
     threads: int | None = None,
 ) -> list[Predicted]:
-    """Every model through every trial. Models with effects that push are stepped one by one, which is slow.
+    """Every model through every trial. Models with force effects are stepped one by one, which is slow.
 
-    Runs that come near a joint's stop are simulated anew with steps short enough for its push, as in ``MujocoBatch``.
+    Runs that come near a joint's stop are simulated anew with steps short enough for its force, as in ``MujocoBatch``.
 
     Args:
         models: of one structure and phase; they may differ in all numbers and in effects of ``MUJOCO_KINDS``.
@@ -144,7 +145,7 @@ def _followed(
 def _stepped(
     model: Model, robot: Morphology, settings: SolverSettings, q0: Array, v0: Array, pressure: Array
 ) -> tuple[Array, Array]:
-    """One run step by step, effects that push beside it; (q, v), each (steps + 1, nj), nan after a divergence."""
+    """One run step by step, with its force effects; (q, v), each (steps + 1, nj), nan after a divergence."""
     compiled = compile_model(robot, model.phase, settings)
     compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
     data = mujoco.MjData(compiled)

@@ -1,4 +1,4 @@
-"""CasADi functions as machine code where the machine has a C compiler; elsewhere CasADi's interpreter evaluates them.
+"""CasADi functions as machine code where the computer has a C compiler; elsewhere CasADi's interpreter evaluates them.
 
 The library is made once and kept in the cache of kernels. Products and sums are not contracted, so that both ways give
 the same numbers.
@@ -51,7 +51,7 @@ def native(function: ca.Function, name: str) -> ca.Function | None:
 
 @lru_cache(maxsize=32)
 def _library(text: str, entry: str, name: str, with_compiler: str, folder: Path) -> ca.Function | None:
-    # The machine is part of the key: a cache may be shared.
+    # The computer is part of the key: a cache may be shared.
     key = hashlib.sha256(repr((text, FLAGS, with_compiler, platform.machine(), platform.system())).encode()).hexdigest()
     path = folder / f"equimus_{name}_{key[:20]}.so"
     if not path.exists():

@@ -62,7 +62,7 @@ def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
             continue
         name = key.removeprefix(prefix)
         if not robot.traits.notes_set_parameters:
-            raise ConfigError(f"{recording.name}: note {key!r} is for robots from MuJoCo's XML alone")
+            raise ConfigError(f"{recording.name}: note {key!r} is for MJCF robots alone")
         if not robot.has_parameters([name]):
             raise ConfigError(unknown_name("parameter", name, robot.parameters(), f"{recording.name}: note {key}"))
         try:

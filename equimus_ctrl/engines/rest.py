@@ -18,8 +18,8 @@ from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure
 from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 AT_REST = 1e-9
@@ -27,7 +27,7 @@ AT_REST = 1e-9
 SINKING = 200.0
 """How long a robot sinks at 1 rad/s for each N·m; the leg's softest mode has some 0.3 N·m/rad [s]."""
 
-Pushed = Callable[[Array, Array], tuple[Array, Array]]
+Forces = Callable[[Array, Array], tuple[Array, Array]]
 """Pose (nj,) of a robot at rest [rad] and pressures (na,) [Pa] → torque on its joints (nj,) [N·m] and force along its
 actuators (na,) [N] beside what the pressures exert on their own areas."""
 
@@ -37,12 +37,12 @@ def _at_rest(form: Structure, phase: Phase, laws: Laws) -> ca.Function:
     """(q, pressure, p) → torque on the joints and force along the actuators that effects exert after a long rest."""
     m = augmented_model(form, phase, laws)
     force = m.force + m.more_area * m.pressure
-    pushes = ca.substitute([m.torque, force], [m.v, m.z], [ca.SX.zeros(m.v.shape), m.rest_state])
-    return ca.Function("at_rest", [m.q, m.pressure, m.p], pushes)
+    exerted = ca.substitute([m.torque, force], [m.v, m.z], [ca.SX.zeros(m.v.shape), m.rest_state])
+    return ca.Function("at_rest", [m.q, m.pressure, m.p], exerted)
 
 
-def pushes_at_rest(model: Model) -> Pushed | None:
-    """What the effects of a model exert at rest, dry friction left out; None where none of them pushes."""
+def forces_at_rest(model: Model) -> Forces | None:
+    """What the effects of a model exert at rest, without dry friction; None where none of them is a force."""
     laws = tuple(sorted({type(e) for e in model.effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
     if not laws:
         return None
@@ -52,11 +52,11 @@ def pushes_at_rest(model: Model) -> Pushed | None:
     numbers = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]
     function = _at_rest(form, model.phase, laws)
 
-    def pushed(q: Array, pressure: Array) -> tuple[Array, Array]:
+    def forces(q: Array, pressure: Array) -> tuple[Array, Array]:
         torque, force = function(q, pressure, numbers)
         return np.array(torque).ravel(), np.array(force).ravel()
 
-    return pushed
+    return forces
 
 
 def rest_pose(model: Model, command: ArrayLike) -> Array:
@@ -68,31 +68,31 @@ def rest_pose(model: Model, command: ArrayLike) -> Array:
     given = np.asarray(command, dtype=np.float64)
     pressure = shaped_commands(model.effects, model.morphology.actuator_names, given[None])[0]
     kinematics = Kinematics(changed_bodies(model.effects, model.morphology), model.phase)
-    pushed = pushes_at_rest(model)
-    if pushed is None:
+    forces = forces_at_rest(model)
+    if forces is None:
         return kinematics.equilibrium(pressure)
-    q0, rests = _unpushed(kinematics, pressure)
-    if rests and not any(np.any(push) for push in pushed(q0, pressure)):
+    q0, rests = _unforced(kinematics, pressure)
+    if rests and not any(np.any(force) for force in forces(q0, pressure)):
         return q0
-    return _settle(kinematics, pressure, pushed, q0)
+    return _settle(kinematics, pressure, forces, q0)
 
 
-def settle(kinematics: Kinematics, pressure: Array, pushed: Pushed) -> Array:
-    """(nj,) where a robot rests under constant pressures while something pushes it [rad].
+def settle(kinematics: Kinematics, pressure: Array, forces: Forces) -> Array:
+    """(nj,) where a robot rests under constant pressures and further generalised forces [rad].
 
     Args:
         kinematics: of the robot.
         pressure: (na,) [Pa].
-        pushed: what pushes.
+        forces: beside what the pressures exert.
 
     Raises:
         ModelError: where no such pose is found.
     """
-    return _settle(kinematics, pressure, pushed, _unpushed(kinematics, pressure)[0])
+    return _settle(kinematics, pressure, forces, _unforced(kinematics, pressure)[0])
 
 
-def _unpushed(kinematics: Kinematics, pressure: Array) -> tuple[Array, bool]:
-    """Where a robot rests while nothing pushes it, and True; where it does not, the middle of its joint ranges."""
+def _unforced(kinematics: Kinematics, pressure: Array) -> tuple[Array, bool]:
+    """Where a robot rests under its pressures alone, and True; where it does not, the middle of its joint ranges."""
     try:
         return kinematics.equilibrium(pressure), True
     except ModelError:
@@ -100,10 +100,10 @@ def _unpushed(kinematics: Kinematics, pressure: Array) -> tuple[Array, bool]:
         return np.asarray((low + high) / 2), False
 
 
-def _settle(kinematics: Kinematics, pressure: Array, pushed: Pushed, q0: Array) -> Array:
+def _settle(kinematics: Kinematics, pressure: Array, forces: Forces, q0: Array) -> Array:
     def torque(q: Array) -> Array:
         jacobian = kinematics.jacobian(q)
-        joint, force = pushed(q, pressure)
+        joint, force = forces(q, pressure)
         return np.asarray(kinematics.rest_torque(q, pressure)[0] + joint + jacobian.T @ force)
 
     def rests(q: Array, slope: Array) -> bool:
@@ -118,7 +118,7 @@ def _settle(kinematics: Kinematics, pressure: Array, pushed: Pushed, q0: Array) 
         if not rests(found.x, found.jac):
             shown = ", ".join(f"{value / 1e3:g}" for value in pressure)
             raise ModelError(
-                f"{kinematics.morphology.name}: no pose at rest was found under pressures of {shown} kPa and the "
-                "effects that push"
+                f"{kinematics.morphology.name}: no pose at rest was found under pressures of {shown} kPa and its "
+                "force effects"
             )
     return np.asarray(found.x)

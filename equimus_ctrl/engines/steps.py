@@ -64,6 +64,6 @@ def warn_if_coarse(
     if touched and pressed * dt > STABLE * pressed_divisor:
         warnings.warn(
             f"{morphology.name}: a joint stop was touched, and a physics step of {dt * 1e3:g} ms is too long for its "
-            f"push; expected at most {PRESSED * pressed_divisor / pressed * 1e3:.2g} ms",
+            f"force; expected at most {PRESSED * pressed_divisor / pressed * 1e3:.2g} ms",
             stacklevel=3,
         )

@@ -23,8 +23,9 @@ from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
 from equimus_ctrl.models.augmented import Laws, augmented_model
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Phase, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 STATIC_KINDS = ("stiffness", "area", "rest_length")

@@ -1,4 +1,4 @@
-"""A structure's equations of motion with pushing effects at every place where they can sit, in CasADi.
+"""A structure's equations of motion with force effects at every place where they can sit, in CasADi.
 
     M(q) a + h(q, v) = Jᵀ (A(l)·P + F(l, l̇, z) + φ_drive) + T(q, v, z) + φ_joint,    dz/dt = g
 
@@ -18,8 +18,10 @@ import casadi as ca
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.models.parts import constrained, gaps, grips
-from equimus_ctrl.models.symbolic import Structure, SymbolicModel, build, ldl_solve
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import SymbolicModel, ldl_solve
 from equimus_ctrl.robots.elastic.morphology import Phase
+from equimus_ctrl.robots.mechanics import Structure
 
 Laws = tuple[type[ForceEffect], ...]
 
@@ -59,7 +61,7 @@ class AugmentedModel:
         p: the structure's parameter vector, then those of the slots.
         slots: the laws in the order of their parameters.
         rubbing: (kind, index) of the place of each row of dry friction.
-        torque: (nj,) what the effects exert on the joints, friction left out [N·m].
+        torque: (nj,) what the effects exert on the joints, without friction [N·m].
         force: (na,) what they exert along the actuators whatever the pressures [N].
         area: (na,) force per pressure [m²].
         more_area: (na,) how much of it comes of effects [m²].
@@ -77,7 +79,7 @@ class AugmentedModel:
         quickness: (1,) a bound, near to it, of the fastest rate of the motion with ``pressed`` stops [1/s].
         bound: (nr,) the greatest friction at the mean of the speeds v0 and v.
         rows_before: (nr,) rates at the start of a step, G(q) v0.
-        drive: (nj,) what the actuators push on the joints.
+        drive: (nj,) what the actuators exert on the joints.
         kept: (nz,) the states of the robot's own within their bounds.
     """
 

@@ -1,9 +1,9 @@
-"""A structure's equations of motion solved for the pressures, effects that push included, in CasADi.
+"""A structure's equations of motion solved for the pressures, force effects included, in CasADi.
 
     P = (Jᵀ diag(A))⁺ (M(q) a + h(q, v) − T(q, v, z) − JᵀF(l, l̇, z) + Gᵀ b tanh(G v / s)),    dz/dt = g
 
 A is the area with what effects make of it; T and F are what they exert, z their states; b is the size of dry friction,
-which works against the rates G v. Joint stops are left out, as in the static pressures: what presses on one needs no
+which works against the rates G v. Joint stops do not count, as in the static pressures: what presses on one needs no
 pressure to stay there.
 """
 
@@ -20,8 +20,10 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build, pseudo_solve
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import pseudo_solve
 from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from equimus_ctrl.errors import ModelError
-from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 
@@ -136,7 +137,7 @@ class Kinematics:
         return np.array(self._call("mass", q))
 
     def energy(self, q: ArrayLike, v: ArrayLike) -> tuple[float, float]:
-        """Kinetic and potential energy [J], the stops left out."""
+        """Kinetic and potential energy [J], without the stops."""
         kinetic, potential = self._call("energy", q, v)
         return float(kinetic), float(potential)
 

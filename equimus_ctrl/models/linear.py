@@ -16,10 +16,13 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings
 from equimus_ctrl.effects.valves import FILL, VENT, valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, slots_of
+from equimus_ctrl.models.elastic_equations import joint_stops, stops_in_mode
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build, joint_stops, ldl_solve, stops_in_mode
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import ldl_solve
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 if TYPE_CHECKING:
@@ -63,7 +66,7 @@ def state_matrices(
         pose: (nj,) [rad].
         pressure: (na,) that holds it there [Pa].
         phase: base fixed or foot pinned.
-        effects: those that push count, dry friction left out; a law without a slope at rest counts as having none.
+        effects: those that are forces count, without dry friction; a law without a slope at rest counts as having none.
         quick: whether the effects' own states follow rates alone, as in quick motion; else they are as at rest.
 
     Returns:

@@ -359,7 +359,7 @@ def stop_tendon(joint: str) -> str:
 
 
 def stops_differ(joint: Joint) -> bool:
-    """Whether a joint's two stops push differently, which takes more than one MuJoCo limit."""
+    """Whether a joint's two stops differ in stiffness or damping, which takes more than one MuJoCo limit."""
     a, b = joint.lower, joint.upper
     return bool(a and b and (a.stiffness, a.damping) != (b.stiffness, b.damping))
 
@@ -460,18 +460,3 @@ def place(
         data.qpos[[joint.qposadr[0] for joint in base]] = -kinematics.foot(position)
         data.qvel[[joint.dofadr[0] for joint in base]] = -kinematics.foot_jacobian(position) @ speed
     close_elements(model, data)
-
-
-def step_quietly(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
-    """One step without MuJoCo's own words on the screen and in its log; False where it warned or lost its numbers."""
-    previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(_heard)
-    try:
-        mujoco.mj_step(model, data)
-    finally:
-        mujoco.set_mju_user_warning(previous)
-    return not data.warning.number.any()
-
-
-def _heard(message: str) -> None:
-    """Warnings are counted in MjData, which is where they are read."""

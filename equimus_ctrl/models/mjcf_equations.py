@@ -180,7 +180,7 @@ class _Builder:
         return actuation, ca.vertcat(*lengths, none)
 
     def _springs(self) -> list[ca.SX]:
-        """What drives that turn by themselves push on their joints: a spring and a damper, or the ends of a play."""
+        """What drives that turn by themselves exert on their joints: a spring and a damper, or the ends of a play."""
         found = []
         for i, (_, _, stiffness, damping, play, hard, dull, _) in enumerate(self.drives):
             ahead, faster = self.ahead[i], self.faster[i]

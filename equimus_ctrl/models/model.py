@@ -153,7 +153,7 @@ def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[st
     if data.get("format", FORMAT) != FORMAT:
         raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r}")
     if not isinstance(data["mjcf"], str) or read_mjcf is None:
-        raise ConfigError(f"{where}: mjcf is {data['mjcf']!r}, expected the name of a file of MuJoCo's XML")
+        raise ConfigError(f"{where}: mjcf is {data['mjcf']!r}, expected the name of an MJCF file")
     robot = read_mjcf(data["mjcf"]).with_parameters(_numbers(data.get("parameters", {}), f"{where}: parameters"))
     name = data.get("name", robot.name)
     if not isinstance(name, str):

@@ -10,14 +10,14 @@ import casadi as ca
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """An end of a coordinate, which pushes back along a row and never pulls.
+    """An end of a coordinate, whose force acts back along a row and never pulls.
 
     Either a spring and a damper, or MuJoCo's soft constraint: a force f ≥ 0 with row·a + softness·f = target.
 
     Attributes:
         depth: how far beyond it the coordinate is, below 0 short of it.
-        row: (1, n) direction of its push: −∂depth/∂q.
-        push: of its spring and damper; None for a soft constraint.
+        row: (1, n) direction of its force: −∂depth/∂q.
+        push: force of its spring and damper; None for a soft constraint.
         target: acceleration along the row that a soft constraint asks for.
         softness: of a soft constraint.
         quickness: rate at which a soft constraint's motion dies away, about [1/s].
@@ -183,6 +183,6 @@ def constrained(
 
 
 def gaps(limits: Sequence[Limit], acceleration: ca.SX) -> ca.SX:
-    """(nl,) above 0 where a limit would be pressed: the depth, or the push where that is less, for none ever pulls."""
+    """(nl,) above 0 where a limit would be pressed: the depth, or the force where that is less, for none ever pulls."""
     found = [ca.fmin(k.depth, k.push if k.push is not None else k.target - k.row @ acceleration) for k in limits]
     return ca.vertcat(*found, ca.SX(0, 1))

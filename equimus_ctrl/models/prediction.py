@@ -22,8 +22,10 @@ from equimus_ctrl.effects.sensors import sensor_settings
 from equimus_ctrl.effects.valves import FILL, FLOW, POWER, RATE, VENT, valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build, ldl_solve
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import ldl_solve
 from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 UNLIMITED = 1e9
@@ -70,7 +72,7 @@ def prediction(model: Model, stops: bool = True) -> Prediction:
     """The step of a model.
 
     Args:
-        model: its effects on valves, bodies and sensors and those that push are its own.
+        model: its effects on valves, bodies and sensors and its force effects are its own.
         stops: whether joints press on their stops; without them they turn freely, and a long step stays stable.
     """
     robot, effects = changed_bodies(model.effects, model.morphology), model.effects

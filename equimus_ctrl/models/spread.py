@@ -1,4 +1,4 @@
-"""Robots like a given one with other numbers: which of them stray together, and draws that cover their ranges."""
+"""Robots like a given one with other numbers: which of them vary together, and draws that cover their ranges."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from equimus_ctrl.types import Array
 OF_ACTUATORS = ("stiffness", "area", "damping", "rest_length")
 
 Group = tuple[tuple[str, ...], float]
-"""Parameter names that stray together, and by which share at most."""
+"""Parameter names that vary together, and by which share at most."""
 
 
 def groups(morphology: Morphology, shares: Mapping[str, float]) -> list[Group]:
-    """Everything of a robot that strays.
+    """Everything of a robot that varies.
 
     Args:
         morphology: the robot.
         shares: by which share at most, of ``stiffness``, ``area``, ``damping``, ``rest_length`` and ``mass``, that of
-            inertias too; what is not there does not stray.
+            inertias too; what is not there does not vary.
     """
     found: list[Group] = []
     for a in morphology.actuators:

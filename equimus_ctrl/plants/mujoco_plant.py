@@ -22,8 +22,9 @@ from equimus_ctrl.engines.mujoco_trials import MUJOCO_KINDS
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.mjcf import compile_model, place, step_quietly
+from equimus_ctrl.models.mjcf import compile_model, place
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import step_quietly
 from equimus_ctrl.plants.events import Event, Load, Push
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array

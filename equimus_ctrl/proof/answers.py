@@ -57,9 +57,9 @@ class Places:
         """Of a robot: an actuator acts on the joints on which it has a lever arm in any pose."""
         names = robot.joint_names
         if not robot.traits.forces_along_actuators:
-            machine = mjcf_of(robot)
-            own = {drive.name: frozenset({drive.joint}) for drive in machine.actuators}
-            bodies = [place for kind in ("link", "foot", "base") for place in machine.places()[kind]]
+            mjcf = mjcf_of(robot)
+            own = {drive.name: frozenset({drive.joint}) for drive in mjcf.actuators}
+            bodies = [place for kind in ("link", "foot", "base") for place in mjcf.places()[kind]]
             joints = {name: frozenset({name}) for name in names}
             return cls("", {**{place: frozenset(names) for place in bodies}, **own, **joints})
         ends = [np.clip(side, -np.pi, np.pi) for side in robot.joint_range]

@@ -38,7 +38,7 @@ class Goal:
         high: greatest.
         share: what is counted: the figure itself, or how many numbers lie between ``low`` and ``high``.
         needed: between what that share has to be.
-        judged: whether missing it counts; times do not, for they depend on the machine.
+        judged: whether missing it counts; times do not, for they depend on the computer.
     """
 
     name: str

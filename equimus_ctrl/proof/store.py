@@ -24,8 +24,8 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
-from equimus_ctrl.proof.machine_simulation import FINER, machine_excess, simulate_machine
-from equimus_ctrl.proof.machines import ATTEMPTS, Experiment, MachineReality, draw_machine, machine_recordings
+from equimus_ctrl.proof.mjcf import ATTEMPTS, Experiment, MjcfTruth, draw_mjcf, mjcf_recordings
+from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, simulate_mjcf_truth
 from equimus_ctrl.proof.outside import acts_on
 from equimus_ctrl.proof.realities import Kind, Reality, draw, findings
 from equimus_ctrl.proof.seal import digest, opened, salted, seal
@@ -52,7 +52,7 @@ class Request:
         trials: of each case.
         duration: of each trial [s].
         rate: physics steps a second.
-        experiment: a machine and what is done with it, in the place of legs and of trials that are drawn.
+        experiment: an MJCF robot and what is done with it, in the place of legs and of trials that are drawn.
     """
 
     root: Path
@@ -64,12 +64,12 @@ class Request:
     experiment: Experiment | None = None
 
     @classmethod
-    def of_machine(cls, root: Path, seed: int, kind: Kind | None, experiment: Experiment) -> Request:
-        """Of a machine; trials, their duration and the physics' rate follow from what is done with it."""
+    def of_mjcf(cls, root: Path, seed: int, kind: Kind | None, experiment: Experiment) -> Request:
+        """Of an MJCF robot; trials, their duration and the physics' rate follow from what is done with it."""
         times = [r.time for r in experiment.recordings]
-        machine = mjcf_of(experiment.model.robot)
+        robot = mjcf_of(experiment.model.robot)
         longest = max(float(t[-1] - t[0]) for t in times)
-        return cls(root, seed, kind, len(times), longest, FINER / machine.timestep, experiment)
+        return cls(root, seed, kind, len(times), longest, FINER / robot.timestep, experiment)
 
     @property
     def model(self) -> Model:
@@ -89,13 +89,13 @@ class Request:
             reality = draw(self.seed, case, kind=self.kind, trials=self.trials, duration=self.duration)
             return reality, simulate(reality, self.rate)
         for attempt in range(ATTEMPTS):
-            # What flies apart was no machine; another is drawn, from a stream of its own.
-            own = draw_machine(self.experiment, self.seed, case, self.kind, attempt)
+            # What flies apart was no robot; another is drawn, from a stream of its own.
+            own = draw_mjcf(self.experiment, self.seed, case, self.kind, attempt)
             try:
-                return own, simulate_machine(own)
+                return own, simulate_mjcf_truth(own)
             except SimulationDiverged:
                 continue
-        raise ConfigError(f"case {case} of seed {self.seed}: {ATTEMPTS} machines in turn diverged on these commands")
+        raise ConfigError(f"case {case} of seed {self.seed}: {ATTEMPTS} robots in turn diverged on these commands")
 
     def recordings(self, case: int) -> Path:
         """The folder that a diagnosis is given."""
@@ -170,21 +170,21 @@ def truth_of(reality: Reality, clean: list[Any]) -> dict[str, Any]:
 
 
 def _excess(reality: Reality, clean: list[Array], effects: Sequence[Effect] = (), refit: bool = True) -> Excess:
-    if isinstance(reality, MachineReality):
-        return machine_excess(reality, clean, effects)
+    if isinstance(reality, MjcfTruth):
+        return mjcf_excess(reality, clean, effects)
     return leg_excess(reality, clean, effects, refit)
 
 
 def _scales(reality: Reality, effect: str) -> dict[str, Any]:
     """What errors of an effect's parameters are relative to, where no table says it for every robot."""
-    if not isinstance(reality, MachineReality):
+    if not isinstance(reality, MjcfTruth):
         return {}
     return {"scales": {key: scale for (name, key), scale in reality.scales.items() if name == effect}}
 
 
 def changed_names(reality: Reality) -> list[str]:
     """The robot's numbers that were drawn."""
-    if isinstance(reality, MachineReality):
+    if isinstance(reality, MjcfTruth):
         return list(reality.drawn)
     a = [f"{a.name}.{key}" for a in reality.leg.actuators for key in ("stiffness", "area", "rest_length", "damping")]
     return a + [f"{j.name}.damping" for j in reality.leg.joints]
@@ -201,8 +201,8 @@ def make_case(request: Request, case: int) -> Made:
         return Made(case, known.strip(), 0.0)
     began = time.perf_counter()
     reality, clean = request.reality(case)
-    if isinstance(reality, MachineReality):
-        seen = machine_recordings(reality, clean, noise(reality))
+    if isinstance(reality, MjcfTruth):
+        seen = mjcf_recordings(reality, clean, noise(reality))
     else:
         seen = recordings(reality, clean)
     made = {"duration_s": request.duration, "physics_hz": request.rate, "recordings_sha256": digest(seen)}
@@ -274,7 +274,7 @@ def recorded(folder: Path, model: Model) -> tuple[Recording, ...]:
     if model.robot.traits.commands_are_pressures:
         return read_set(folder)
     joints, actuators = model.robot.joint_names, model.robot.actuator_names
-    return read_set(folder, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators))
+    return read_set(folder, joints=joints, actuators=actuators, limits=Limits.of_mjcf(joints, actuators))
 
 
 def open_truth(request: Request, case: int) -> dict[str, Any]:

@@ -25,8 +25,9 @@ from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import Structure, build
+from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 WINDOW = 0.17

@@ -59,11 +59,11 @@ class Limits:
 
     @property
     def pressures(self) -> bool:
-        """Whether commands are pressures; those of machines are whatever their actuators take."""
+        """Whether commands are pressures; those of MJCF robots are whatever their actuators take."""
         return math.isfinite(self.command_high)
 
     @classmethod
-    def of_machine(cls, joints: Sequence[str], actuators: Sequence[str], hinges: Sequence[str] = ()) -> Limits:
+    def of_mjcf(cls, joints: Sequence[str], actuators: Sequence[str], hinges: Sequence[str] = ()) -> Limits:
         """Of a robot whose commands may be anything, and whose joints, of which some are hinges, may go without end."""
         both = tuple(joints), tuple(actuators)
         return cls(-math.inf, math.inf, math.inf, both[0], tuple(hinges), joints=both[0], actuators=both[1])

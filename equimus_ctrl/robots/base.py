@@ -5,13 +5,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect, Robots
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.types import Array
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +74,7 @@ class RobotTraits:
 class Robot(ABC):
     """A robot: its joints and actuators, its parameters by dotted name, and where effects can be attached.
 
-    A subclass is a frozen dataclass.
+    A subclass is a frozen dataclass with joints and actuators, each in the order of every vector of theirs.
 
     Attributes:
         name: what it is called.
@@ -77,15 +83,23 @@ class Robot(ABC):
     traits: ClassVar[RobotTraits]
     name: str
 
-    @property
-    @abstractmethod
+    if TYPE_CHECKING:  # a field where the robot is described by them, a property where they are read off a file
+
+        @property
+        def joints(self) -> tuple[_Named, ...]: ...
+
+        @property
+        def actuators(self) -> tuple[_Named, ...]: ...
+
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Joint names in the order of every vector of positions."""
+        return tuple(joint.name for joint in self.joints)
 
-    @property
-    @abstractmethod
+    @cached_property
     def actuator_names(self) -> tuple[str, ...]:
         """Actuator names in the order of every vector of commands."""
+        return tuple(actuator.name for actuator in self.actuators)
 
     @property
     @abstractmethod
@@ -139,7 +153,7 @@ class Robot(ABC):
 
     @abstractmethod
     def bounds(self, name: str) -> tuple[float, float]:
-        """(low, high): how far a parameter is believed to be off at most."""
+        """(low, high): between what a parameter can plausibly be."""
 
     def size(self, name: str) -> float | None:
         """A change that counts of a parameter whose value is 0; None where nothing but its bounds tells."""

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from equimus_ctrl.computer import processors
 from equimus_ctrl.controllers.pid import PidController, PidSettings
 from equimus_ctrl.effects import AsymmetricLag, FillingFlow, RateLimit, TransportDelay
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.valves import DELAY, FILL, FLOW, POWER, RATE, VENT
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.errors import EquimusError
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.scenarios.references import SampledReference

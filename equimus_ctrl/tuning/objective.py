@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.computer import processors
 from equimus_ctrl.controllers import precompile
 from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import KD
 from equimus_ctrl.effects.sensors import behind, sensor_settings, shown
 from equimus_ctrl.engines.lane_functions import LANES
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.tuning import closed_loop

@@ -11,8 +11,6 @@ set to nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,23 +22,13 @@ from mujoco.rollout import rollout
 from scipy.integrate import DOP853
 
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.types import Array
 
 LONGEST = 0.01
 """Step of ``converged``, that no limit is stepped over [s]."""
 HARD = 0.9999
 """Impedance of hardened dry friction, the largest there is."""
-
-
-@contextmanager
-def quietly() -> Iterator[None]:
-    """MuJoCo's warnings neither on the screen nor in its log; they are counted where they are read."""
-    previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(previous)
 
 
 def rolled(model: Any, data: Any, start: Array, ctrl: Array) -> Array:

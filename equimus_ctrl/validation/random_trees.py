@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.converged import (
     Converged,
     converged,
     hardened,
     limit_of,
-    quietly,
     reference,
     rolled,
     tightened,

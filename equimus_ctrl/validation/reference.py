@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from equimus_ctrl.models.symbolic import Structure, SymbolicModel, build
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.models.symbolic_model import SymbolicModel
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.experiment import Experiment
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.computer import processes
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.engines.batch import compile_kernel
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.machine import processes
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import Morphology, structure
 from equimus_ctrl.types import Array

@@ -12,7 +12,7 @@ from equimus_ctrl.workflow.identify import (
     sensitivity_of,
     simulator_of,
 )
-from equimus_ctrl.workflow.machines import FreeNumbers, load_machine, offer, parameter_rows, read_free
+from equimus_ctrl.workflow.mjcf import FreeNumbers, load_mjcf, offer, parameter_rows, read_free
 from equimus_ctrl.workflow.models import load_elastic, load_model, renamed, save_model
 from equimus_ctrl.workflow.plugins import load_effects
 from equimus_ctrl.workflow.prove import Proof, put_to_proof
@@ -53,7 +53,7 @@ __all__ = [
     "load_effects",
     "load_elastic",
     "load_hardware",
-    "load_machine",
+    "load_mjcf",
     "load_model",
     "load_scenario",
     "measure_delay",

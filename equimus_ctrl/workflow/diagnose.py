@@ -19,7 +19,7 @@ from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.workflow.identify import Some, choose
-from equimus_ctrl.workflow.machines import read_free
+from equimus_ctrl.workflow.mjcf import read_free
 from equimus_ctrl.workflow.runs import load_scenario
 from equimus_ctrl.workflow.scores import gather
 
@@ -60,7 +60,7 @@ def diagnose_recordings(
         window: (from, to) of each trial that counts at all [s].
         shoot: length of the windows that trials are cut into where nothing holds the robot in place [s]; see
             ``split.window_length``.
-        parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` adds, ``bounds`` win.
+        parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
         most: largest number of effects.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         threads: all cores by default.
@@ -75,7 +75,7 @@ def diagnose_recordings(
     if until is not None and not math.isfinite(until):
         raise ConfigError(f"the end of what is fitted is {until:g} s, expected a finite time")
     if shoot is not None and model.robot.traits.held_in_place:
-        raise ConfigError("windows to shoot over are for robots from MuJoCo's XML; a leg's trials are fitted whole")
+        raise ConfigError("windows to shoot over are for MJCF robots; a leg's trials are fitted whole")
     trials = choose(gather(recordings, model), select)
     if parameters is not None:
         free, bounds = read_free(parameters, model).with_more(free, bounds)

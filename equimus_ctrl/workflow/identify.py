@@ -32,7 +32,7 @@ from equimus_ctrl.recordings import StaticPoses, read_static_poses
 from equimus_ctrl.recordings.sheet import header_of
 from equimus_ctrl.recordings.upstream import STATIC_POSES, kind
 from equimus_ctrl.types import Recording
-from equimus_ctrl.workflow.machines import read_free
+from equimus_ctrl.workflow.mjcf import read_free
 from equimus_ctrl.workflow.scores import gather
 
 TRIALS_ONLY = {"window": None, "shoot": None, "fit_start": False, "engine": None, "dt": None}
@@ -298,7 +298,7 @@ def identify_files(
         free: names or patterns of what may change.
         fix: names or patterns of what stays as it is all the same.
         bounds: (low, high) of some of them.
-        parameters: file that says what is free, see ``workflow.machines.read_free``; ``free`` adds, ``bounds`` win.
+        parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
         select: patterns of the names of the trials to use; all by default.
         heldout: files or folders that only judge: trials, or poses at rest.
         progress: see ``Progress``.

@@ -10,7 +10,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-from equimus_ctrl.workflow.machines import load_machine, write_corrected
+from equimus_ctrl.workflow.mjcf import load_mjcf, write_corrected
 
 
 def load_model(path: Path | str | None = None) -> Model:
@@ -22,23 +22,23 @@ def load_model(path: Path | str | None = None) -> Model:
     if path is None:
         return nominal_model()
     if Path(path).suffix.lower() in presets.MJCF:
-        return Model(load_machine(Path(path)))
+        return Model(load_mjcf(Path(path)))
     folder, data = Path(path).parent, presets.read_toml(Path(path))
     if not data:
         raise ConfigError(f"{path}: is empty; a model file has a morphology, parameters or effects, or names an mjcf")
-    return model_from_dict(data, str(path), lambda name: load_machine(folder / name, name))
+    return model_from_dict(data, str(path), lambda name: load_mjcf(folder / name, name))
 
 
 def load_elastic(path: Path | str | None = None) -> Model:
     """The same, but of a robot with elastic actuators alone.
 
     Raises:
-        ConfigError, ModelError: see ``load_model``; also for a robot of MuJoCo's XML.
+        ConfigError, ModelError: see ``load_model``; also for an MJCF robot.
     """
     model = load_model(path)
     if not isinstance(model.robot, Morphology):
         raise ConfigError(
-            f"{path}: is a robot of MuJoCo's XML, which this is not for; identify, diagnose, prove, score, "
+            f"{path}: is an MJCF robot, which this is not for; identify, diagnose, prove, score, "
             "sensitivity, list parameters and recordings check take it"
         )
     return model
@@ -50,7 +50,7 @@ def renamed(model: Model, name: str) -> Model:
 
 
 def save_model(path: Path | str, model: Model, near: Path | None = None) -> list[Path]:
-    """Write a model file, whole or not at all; of a robot of MuJoCo's XML also the XML with all that it has fields for.
+    """Write a model file, whole or not at all; of an MJCF robot also the XML with all that it has fields for.
 
     Args:
         path: of the model file.

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from equimus_ctrl import presets
+from equimus_ctrl.computer import processors
 from equimus_ctrl.errors import ConfigError, EquimusError
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.apart import each_apart
 from equimus_ctrl.proof.designs import DURATION, TRIALS
-from equimus_ctrl.proof.machines import Experiment
+from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.realities import Kind
 from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import digest, seal_of_all
@@ -91,7 +91,7 @@ def put_to_proof(
         kind: of all cases; drawn for each by default.
         trials: of each case.
         duration: of each trial [s].
-        experiment: a machine and what is done with it, in the place of legs and of trials that are drawn.
+        experiment: an MJCF robot and what is done with it, in the place of legs and of trials that are drawn.
         workers: processes at a time; as many as there are processors by default.
         baselines: whether simpler methods are given the same cases; by default those of legs, for which alone they are.
         progress: see ``Progress``.
@@ -104,13 +104,13 @@ def put_to_proof(
     begun = time.perf_counter()
     _check(cases, seed, trials, duration, workers)
     if experiment is not None and baselines:
-        raise ConfigError("the simpler methods are for legs; a machine is put to the proof without them")
+        raise ConfigError("the simpler methods are for legs; an MJCF robot is put to the proof without them")
     workers, baselines = workers or processors(), experiment is None if baselines is None else baselines
     presets.check_folder(folder)
     if experiment is None:
         request = Request(folder, seed, kind, trials, duration)
     else:
-        request = Request.of_machine(folder, seed, kind, experiment)
+        request = Request.of_mjcf(folder, seed, kind, experiment)
     _claim(request)
     done = 0
 
@@ -159,8 +159,8 @@ def _claim(request: Request) -> None:
         "robot": request.model.name,
     }
     if request.experiment is not None:
-        machine = mjcf_of(request.experiment.model.robot)
-        wanted |= {"recordings_sha256": digest(request.experiment.recordings), "model_sha256": machine.digest}
+        robot = mjcf_of(request.experiment.model.robot)
+        wanted |= {"recordings_sha256": digest(request.experiment.recordings), "model_sha256": robot.digest}
     text = read_text(path)
     if text is None:
         presets.write_text(path, presets.json_text(wanted))

@@ -17,7 +17,7 @@ from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.recordings import read_set
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.machines import read_trials
+from equimus_ctrl.workflow.mjcf import read_trials
 
 MOST_RATE = 1e5
 """Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""

@@ -185,16 +185,6 @@ class Morphology(Robot):
         return math.hypot(x - at[0], y - at[1]) < 1e-9
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joint names in the order of every angle vector."""
-        return tuple(joint.name for joint in self.joints)
-
-    @property
-    def actuator_names(self) -> tuple[str, ...]:
-        """Actuator names in the order of every command vector."""
-        return tuple(actuator.name for actuator in self.actuators)
-
-    @property
     def joint_range(self) -> tuple[Array, Array]:
         """(low, high), each (n_joints,): where the stops begin [rad], ±inf where there is none."""
         low = [j.lower.angle if j.lower else -math.inf for j in self.joints]
@@ -320,7 +310,7 @@ class Morphology(Robot):
         return {"stiffness": ("N/m", "N·m/rad"), "damping": ("N·s/m", "N·m·s/rad")}[parts[-1]][turning]
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """(low, high): how far a parameter is believed to be off at most, by its kind."""
+        """(low, high): between what a parameter can plausibly be, by its kind."""
         value, kind = self._parameters[name], name.split(".")[-1]
         if kind in _FACTOR and value > 0:
             return value / _FACTOR[kind], value * _FACTOR[kind]
@@ -434,7 +424,7 @@ def _replaced(part: _P, prefix: str, values: Mapping[str, float]) -> _P:
 
 
 def pack(morphology: Morphology) -> Array:
-    """The numbers of a morphology in the fixed order of ``models.symbolic``'s parameter vector, shape (n,).
+    """The numbers of a morphology in the fixed order of ``models.elastic_equations``'s parameter vector, shape (n,).
 
     Two morphologies of the same structure (see ``structure``) have vectors of the same meaning; a stop that is
     absent becomes one at infinity.

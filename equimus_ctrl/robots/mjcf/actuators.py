@@ -11,7 +11,7 @@ import numpy as np
 
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.robots.mjcf.entries import Axis, Drive, Number, setter
-from equimus_ctrl.robots.mjcf.form import INPUTS
+from equimus_ctrl.robots.mjcf.reading import INPUTS
 from equimus_ctrl.types import Array
 
 FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))

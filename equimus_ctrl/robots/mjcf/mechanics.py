@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Channel, Mechanics
-from equimus_ctrl.robots.mjcf.form import FAR, TreeForm, form_of
+from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
 from equimus_ctrl.robots.mjcf.numbers import Drive, commands_between, pack
 from equimus_ctrl.robots.mjcf.plan import Assets
+from equimus_ctrl.robots.mjcf.reading import form_of
 
 _forms: dict[Any, TreeForm] = {}
 

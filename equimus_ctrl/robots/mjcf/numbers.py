@@ -18,8 +18,8 @@ from equimus_ctrl.robots.mjcf.form import (
     N_TENDON,
     TENDON_FRICTION,
     TreeForm,
-    quaternion_matrix,
 )
+from equimus_ctrl.robots.mjcf.reading import quaternion_matrix
 from equimus_ctrl.types import Array
 
 LEAST, MOST = 1e-4, 0.9999

@@ -23,17 +23,17 @@ from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.robots.mjcf.actuators import OWN
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
-from equimus_ctrl.robots.mjcf.form import obstacles
 from equimus_ctrl.robots.mjcf.independent import independent
 from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertia
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
+from equimus_ctrl.robots.mjcf.obstacles import obstacles
 from equimus_ctrl.robots.mjcf.parts import HARD, rotor_of, with_rotors
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
 
 BASE = "base"
-"""The place of what concerns the whole machine."""
+"""The place of what concerns the whole robot."""
 STIFF = 0.25
 """Rate of the end of a play, in units of 1/step."""
 LEAST_PLAY = 2e-9
@@ -141,16 +141,6 @@ class MjcfRobot(Robot):
     def actuators(self) -> tuple[Drive, ...]:
         """In the file's order."""
         return self.plan.drives
-
-    @cached_property
-    def joint_names(self) -> tuple[str, ...]:
-        """Of the joints."""
-        return tuple(joint.name for joint in self.joints)
-
-    @cached_property
-    def actuator_names(self) -> tuple[str, ...]:
-        """Of the actuators."""
-        return tuple(drive.name for drive in self.actuators)
 
     @property
     def joint_range(self) -> tuple[Array, Array]:
@@ -420,7 +410,7 @@ def mjcf_of(robot: Robot) -> MjcfRobot:
         ConfigError: where it is described otherwise.
     """
     if not isinstance(robot, MjcfRobot):
-        raise ConfigError(f"{robot.name}: is no robot of MuJoCo's XML")
+        raise ConfigError(f"{robot.name}: is no MJCF robot")
     return robot
 
 

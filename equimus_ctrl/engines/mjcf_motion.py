@@ -1,4 +1,4 @@
-"""What moves inside a machine in a trial, and how it answers to small pushes: by simulating them."""
+"""What moves inside an MJCF robot in a trial, and how it responds to small generalised forces: by simulating them."""
 
 from __future__ import annotations
 
@@ -8,38 +8,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import (
-    Condition,
-    Course,
-    Realised,
-    commands_on,
-    condition_of,
-    follow,
-    measured_of,
-    quiet,
-    realise,
-)
+from equimus_ctrl.computer import processors
+from equimus_ctrl.engines.batch import Condition, Trial
+from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, follow, measured_of, realise
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.types import Array
 
 SMALL = 1e-3
-"""A push that is simulated to see what it does, as a share of what the drives and gravity push."""
+"""A force that is simulated to see what it does, as a share of what the drives and gravity exert."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pushed:
-    """A machine whose answers to small pushes are wanted, with its motions.
+class SimulatedResponse:
+    """An MJCF robot's motions, and its response to small generalised forces.
 
     Attributes:
         model: what moves.
         trials: what was done.
         starts: for each trial (2 nj,) coordinates and rates at its start.
         motions: what came of it.
-        scale: (nj,) of pushes that are small [N·m or N].
+        scale: (nj,) usual size of forces [N·m or N].
     """
 
     model: Model
@@ -49,7 +40,7 @@ class Pushed:
     scale: Array
 
     def response(self, torques: Sequence[Array]) -> list[Array]:
-        """For each trial (m, nj, k) the change of the measured coordinates for small pushes, over the push.
+        """For each trial (m, nj, k) the change of the measured coordinates by small forces, over the force.
 
         Args:
             torques: for each trial (m − 1, nj, k), constant over each interval between samples [N·m or N].
@@ -68,7 +59,7 @@ class Pushed:
         def work(columns: Sequence[int]) -> None:
             known: dict[Condition, Realised] = {}
             for i, trial in enumerate(self.trials):
-                condition = condition_of(trial)
+                condition = trial.condition
                 if condition not in known:
                     known[condition] = realise(self.model, trial)
                 own = known[condition]
@@ -81,13 +72,15 @@ class Pushed:
                     if size == 0.0:
                         continue
                     factor = SMALL / size
-                    push = _on_steps(trial, torque * factor, dt, len(ctrl))
-                    seen, reached = measured_of(own, follow(own, trial, self.starts[i], ctrl, push), trial.sample_times)
+                    force = _on_steps(trial, torque * factor, dt, len(ctrl))
+                    seen, reached = measured_of(
+                        own, follow(own, trial, self.starts[i], ctrl, force), trial.sample_times
+                    )
                     if reached == len(seen):
                         found[i][:, :, column] = (seen - plain) / factor
 
         threads = processors()
-        with quiet(), ThreadPoolExecutor(threads) as pool:
+        with quietly(), ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, [range(k, count, threads) for k in range(threads)]))
         return found
 
@@ -101,8 +94,8 @@ def _on_steps(trial: Trial, torque: Array, dt: float, steps: int) -> Array:
     return np.ascontiguousarray(np.diff(sums, axis=0) / dt)
 
 
-def machine_motion(model: Model, trial: Trial, start: Array) -> Motion:
-    """Follow a machine through a trial.
+def mjcf_motion(model: Model, trial: Trial, start: Array) -> Motion:
+    """Follow an MJCF robot through a trial.
 
     Args:
         model: what moves.
@@ -113,13 +106,13 @@ def machine_motion(model: Model, trial: Trial, start: Array) -> Motion:
         SimulationDiverged: where the simulation does.
     """
     own = realise(model, trial)
-    with quiet():
+    with quietly():
         course = follow(own, trial, start, commands_on(own, trial))
     if course.sound < len(course.q):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
-    names = own.machine.joint_names
-    gear = np.zeros((len(own.machine.actuators), len(names)))
-    for i, drive in enumerate(own.machine.actuators):
+    names = own.robot.joint_names
+    gear = np.zeros((len(own.robot.actuators), len(names)))
+    for i, drive in enumerate(own.robot.actuators):
         gear[i, names.index(drive.joint)] = own.mujoco.actuator_gear[own.mujoco.actuator_outadr[drive.index], 0]
     times = np.asarray(trial.sample_times)
     edges = np.vstack([np.zeros_like(course.ctrl[:1]), np.cumsum(course.ctrl, axis=0) * course.dt])
@@ -154,17 +147,19 @@ def _inner(course: Course, gear: Array, times: Array, command: Array) -> Inner:
     )
 
 
-def pushed(model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale: Array) -> Pushed:
-    """A machine with its motions through trials.
+def simulated_response(
+    model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale: Array
+) -> SimulatedResponse:
+    """An MJCF robot with its motions through trials.
 
     Args:
         model: what moves.
         trials: what is done.
         starts: for each (2 nj,) coordinates and rates at the start.
-        scale: (nj,) usual size of pushes [N·m or N].
+        scale: (nj,) usual size of forces [N·m or N].
 
     Raises:
         SimulationDiverged: where it diverges in one of them.
     """
-    motions = tuple(machine_motion(model, trial, start) for trial, start in zip(trials, starts, strict=True))
-    return Pushed(model, tuple(trials), tuple(starts), motions, scale)
+    motions = tuple(mjcf_motion(model, trial, start) for trial, start in zip(trials, starts, strict=True))
+    return SimulatedResponse(model, tuple(trials), tuple(starts), motions, scale)

@@ -1,12 +1,11 @@
-"""Many models of a machine through many trials, stepped by MuJoCo."""
+"""Many models of an MJCF robot through many trials, stepped by MuJoCo."""
 
 from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -17,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.computer import processors
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
@@ -24,11 +24,11 @@ from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.sensors import LATE, sample, sensor_settings
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
-from equimus_ctrl.engines.batch import Predicted, Trial
+from equimus_ctrl.engines.batch import Condition, Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.errors import ConfigError, NotAvailable
-from equimus_ctrl.machine import processors
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.robots.mjcf.parts import harden, rotor_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
@@ -37,7 +37,6 @@ SETTLED = 10.0
 """Time constants after which a filter has forgotten what was."""
 AT_ONCE = 1e-9
 """A step in which nothing moves [s]."""
-Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
 
 
 @lru_cache(maxsize=1)
@@ -60,7 +59,7 @@ class Realised:
     """A model as MuJoCo and the kernel take it.
 
     Attributes:
-        machine: with all effects on bodies and drives.
+        robot: with all effects on bodies and drives.
         mujoco: its ``MjModel``; what the kernel changes of it is set anew before each run.
         effects: all of the model's.
         places: (nj, 3) of the joints in qpos and qvel, and in qvel of what drives them.
@@ -71,7 +70,7 @@ class Realised:
         sensor: (nj, 4).
     """
 
-    machine: MjcfRobot
+    robot: MjcfRobot
     mujoco: Any
     effects: tuple[Effect, ...]
     places: NDArray[np.int64]
@@ -83,10 +82,10 @@ class Realised:
 
 
 def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -> Realised:
-    """What MuJoCo and the kernel need of a machine with effects.
+    """What MuJoCo and the kernel need of an MJCF robot with effects.
 
     Args:
-        model: of a machine.
+        model: of an MJCF robot.
         trial: in which some numbers are known to be others.
         dt: another physics step than the XML's [s].
     """
@@ -95,13 +94,13 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
     if trial is not None and (trial.settings or trial.factors):
         known = given.parameters()
         settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
-    machine = changed_bodies(model.effects, given.with_parameters(settings) if settings else given)
-    own = machine.mujoco_model(dt)
+    robot = changed_bodies(model.effects, given.with_parameters(settings) if settings else given)
+    own = robot.mujoco_model(dt)
     # To look which constraints hang together takes longer than to solve those of a few joints at once.
     own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-    dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in machine.joints}
-    pushing = [e for e in model.effects if isinstance(e, ForceEffect)]
-    for effect in pushing:
+    dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in robot.joints}
+    laws = [e for e in model.effects if isinstance(e, ForceEffect)]
+    for effect in laws:
         if effect.mujoco_field is not None:
             field, entry = effect.mujoco_field
             (value,) = effect.parameters().values()
@@ -109,31 +108,26 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
             getattr(own, field)[place if entry is None else (place, entry)] += value
         if effect.rubs or effect.loads:
             harden(own, dofs[effect.location])
-    valve = valve_settings(model.effects, machine.actuator_names)
+    valve = valve_settings(model.effects, robot.actuator_names)
     # The XML's own delays are exact with any step, as those of effects are, and know the command before a recording.
-    valve[:, DELAY] += own.actuator_delay[[drive.index for drive in machine.actuators]]
+    valve[:, DELAY] += own.actuator_delay[[drive.index for drive in robot.actuators]]
     own.actuator_delay[:] = 0.0
-    names = machine.joint_names
-    turning = [(own.joint(rotor_of(c.joint)), names.index(c.joint)) for c in machine.compliances]
+    names = robot.joint_names
+    turning = [(own.joint(rotor_of(c.joint)), names.index(c.joint)) for c in robot.compliances]
     rotors = [(int(rotor.qposadr[0]), int(rotor.dofadr[0]), j) for rotor, j in turning]
     drives = {j: int(rotor.dofadr[0]) for rotor, j in turning}
     places = [(int(own.joint(name).qposadr[0]), dofs[name], drives.get(j, dofs[name])) for j, name in enumerate(names)]
     return Realised(
-        machine,
+        robot,
         own,
         model.effects,
         np.array(places, dtype=np.int64),
         np.array(rotors, dtype=np.int64).reshape(-1, 3),
-        _laws(pushing, names),
+        _laws(laws, names),
         np.array([own.dof_frictionloss[dofs[name]] for name in names]),
         valve,
         sensor_settings(model.effects, names),
     )
-
-
-def condition_of(trial: Trial) -> Condition:
-    """What tells apart trials in which a model has other numbers."""
-    return tuple(sorted(trial.settings.items())), tuple(sorted(trial.factors.items()))
 
 
 def _stepped() -> tuple[type[ForceEffect], ...]:
@@ -142,7 +136,7 @@ def _stepped() -> tuple[type[ForceEffect], ...]:
 
 def _laws(effects: Sequence[ForceEffect], joints: Sequence[str]) -> Array:
     """(nj, nc) prepared constants of the laws that MuJoCo has no field for."""
-    generated, _ = compiled.load_machine(_stepped())
+    generated, _ = compiled.load_mjcf(_stepped())
     attached = {(type(e), e.location): e for e in effects}
     rows = []
     for joint in joints:
@@ -153,17 +147,6 @@ def _laws(effects: Sequence[ForceEffect], joints: Sequence[str]) -> Array:
                 values.append(law.neutral.get(key, meta["high"]) if own is None else float(getattr(own, key)))
         rows.append(generated.prepare(np.array(values)))
     return np.array(rows)
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """MuJoCo's warnings of numbers that are huge are not printed meanwhile, nor put into a file: divergence is told."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 @cache
@@ -193,7 +176,7 @@ _scratch = _Scratch()
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Where a machine's joints are on its physics steps.
+    """Where an MJCF robot's joints are on its physics steps.
 
     Attributes:
         start: [s].
@@ -222,7 +205,7 @@ def commands_on(own: Realised, trial: Trial) -> Array:
     """(steps, na) means over physics steps of the commands as they arrive at the actuators."""
     dt = float(own.mujoco.opt.timestep)
     out = np.empty((steps_of(trial, dt), 2, trial.commands.shape[1]))
-    whole = shaped_commands(own.effects, own.machine.actuator_names, np.vstack([trial.before, trial.commands]))
+    whole = shaped_commands(own.effects, own.robot.actuator_names, np.vstack([trial.before, trial.commands]))
     pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out)
     return np.ascontiguousarray(out[:, 0])
 
@@ -234,7 +217,7 @@ def filled(own: Realised, trial: Trial) -> Array:
     """
     model = own.mujoco
     out = np.zeros(model.na)
-    drives = [drive for drive in own.machine.actuators if drive.state is not None]
+    drives = [drive for drive in own.robot.actuators if drive.state is not None]
     if not drives:
         return out
     longest = max(float(model.actuator_dynprm[drive.index, 0]) for drive in drives)
@@ -246,7 +229,7 @@ def filled(own: Realised, trial: Trial) -> Array:
         k = drive.control
         if model.actuator_ctrllimited[k]:
             rows[:, k] = np.clip(rows[:, k], *model.actuator_ctrlrange[k])
-    lags = valve_settings((), own.machine.actuator_names)
+    lags = valve_settings((), own.robot.actuator_names)
     for drive in drives:
         lags[drive.control, [FILL, VENT]] = model.actuator_dynprm[drive.index, 0]
     found = np.empty((1, 2, rows.shape[1]))
@@ -257,17 +240,17 @@ def filled(own: Realised, trial: Trial) -> Array:
     return out
 
 
-def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array | None = None) -> Course:
-    """Step a machine through a trial.
+def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array | None = None) -> Course:
+    """Step an MJCF robot through a trial.
 
     Args:
-        own: the machine.
+        own: the robot.
         trial: what is done with it.
         start: (2 nj,) coordinates and rates of the joints.
         ctrl: see ``commands_on``.
-        push: (steps, nj) further pushes on the joints [N·m or N].
+        force: (steps, nj) further generalised forces on the joints [N·m or N].
     """
-    _, kernel = compiled.load_machine(_stepped())
+    _, kernel = compiled.load_mjcf(_stepped())
     model, nj = own.mujoco, len(own.places)
     data = _scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
@@ -278,9 +261,9 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, push: Array |
     _integrate_from_here(model, data)
     dt = float(model.opt.timestep)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
-    sound = kernel.run_machine(
+    sound = kernel.run_mjcf(
         _step(), model._address, data._address, own.places, own.laws, own.loss, np.full(nj, MAX_SPEED), ctrl,
-        np.empty((0, nj)) if push is None else push, _rests(own, start[:nj]), data.qpos, data.qvel,
+        np.empty((0, nj)) if force is None else force, _rests(own, start[:nj]), data.qpos, data.qvel,
         data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt, out_q, out_v,
     )  # fmt: skip
     return Course(trial.start, dt, out_q, out_v, ctrl, int(sound))
@@ -297,7 +280,7 @@ def _integrate_from_here(model: Any, data: Any) -> None:
 
 def _rests(own: Realised, position: Array) -> Array:
     """(nj, nz) the laws' states after a long rest where the joints are (nj,)."""
-    generated, _ = compiled.load_machine(_stepped())
+    generated, _ = compiled.load_mjcf(_stepped())
     return np.array([generated.joint_rest((float(q),), c) for q, c in zip(position, own.laws, strict=True)])
 
 
@@ -320,7 +303,7 @@ def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
     return out, int(np.searchsorted(times, path.start + (path.sound - 1) * path.dt, side="right"))
 
 
-def simulate_machines(
+def simulate_mjcf(
     models: Sequence[Model],
     trials: Sequence[Trial],
     *,
@@ -334,7 +317,7 @@ def simulate_machines(
     on the state at the beginning of a step.
 
     Args:
-        models: of machines.
+        models: of MJCF robots.
         trials: what is predicted.
         starts: for each trial (k, 2 nj) coordinates and rates at the start, one row a model; the trial's by default.
         threads: to use; all cores by default. The result does not depend on it.
@@ -367,7 +350,7 @@ def simulate_machines(
         made: dict[Condition, Realised] = {}
         for i in chunk:
             trial = trials[i]
-            condition = condition_of(trial)
+            condition = trial.condition
             if condition not in made:
                 made[condition] = realise(models[which], trial, dt)
             own = made[condition]
@@ -381,9 +364,9 @@ def simulate_machines(
             results[i].position[which], results[i].reached[which] = measured_of(own, path, trial.sample_times)
 
     tasks = [(which, chunk) for which in range(k) for chunk in chunks]
-    with quiet():
-        _, kernel = compiled.load_machine(_stepped())
-        if not kernel.run_machine.signatures:
+    with quietly():
+        _, kernel = compiled.load_mjcf(_stepped())
+        if not kernel.run_mjcf.signatures:
             work(tasks.pop(0))
         if count == 1 or len(tasks) <= 1:
             for task in tasks:
@@ -400,24 +383,24 @@ def command_at(trial: Trial, times: Array) -> Array:
     return np.asarray(rows[np.searchsorted(trial.times, times, side="right")])
 
 
-def pushes(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:
+def joint_forces(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:
     """Forces of the drives (n, na) and of gravity and motion on the joints (n, nj), without accelerations [N·m or N].
 
     Args:
-        own: the machine.
+        own: the robot.
         position: (n, nj) of the joints.
         velocity: (n, nj) their rates.
         command: (n, na) in force.
     """
     model, data = own.mujoco, _scratch.data(own.mujoco)
     drives, weights = np.empty((len(position), model.nu)), np.empty(position.shape)
-    which = [drive.index for drive in own.machine.actuators]
+    which = [drive.index for drive in own.robot.actuators]
     for k in range(len(position)):
         data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = position[k], velocity[k]
         for q, v, joint in own.rotors:
             data.qpos[q], data.qvel[v] = position[k, joint], velocity[k, joint]
         data.ctrl[:] = command[k]
-        for drive in own.machine.actuators:
+        for drive in own.robot.actuators:
             if drive.state is not None:
                 data.act[drive.state] = command[k, drive.control]
         mujoco.mj_forward(model, data)

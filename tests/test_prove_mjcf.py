@@ -1,4 +1,4 @@
-"""The proof of machines: realities that are what they are said to be, made by other code than the diagnosis uses."""
+"""The proof of MJCF robots: realities that are what they are said to be, made by other code than the diagnosis uses."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.proof.machine_simulation import FINER, machine_excess, simulate_machine, trials_of
-from equimus_ctrl.proof.machine_sizes import machine_sizes
-from equimus_ctrl.proof.machines import Experiment, MachineReality, draw_machine, machine_recordings
+from equimus_ctrl.proof.mjcf import Experiment, MjcfTruth, draw_mjcf, mjcf_recordings
+from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, simulate_mjcf_truth, trials_of
+from equimus_ctrl.proof.mjcf_sizes import mjcf_sizes
 from equimus_ctrl.proof.outside import OUTSIDE
 from equimus_ctrl.proof.simulation import noise
 from equimus_ctrl.types import Array, Recording
@@ -51,15 +51,15 @@ def two_joints() -> Experiment:
         angles = np.zeros((200, 2)) + rng.uniform(-0.5, 0.5, 2)
         still = Recording(f"run_{k}", time, torque, angles, robot.actuator_names, robot.joint_names)
         reality = _reality(model, (still,), ())
-        moved = machine_recordings(reality, simulate_machine(reality), [np.zeros((200, 2))])
+        moved = mjcf_recordings(reality, simulate_mjcf_truth(reality), [np.zeros((200, 2))])
         trials += moved
     return Experiment(model, tuple(trials))
 
 
-def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Effect, ...]) -> MachineReality:
+def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Effect, ...]) -> MjcfTruth:
     from equimus_ctrl.proof.designs import TrialDesign
 
-    return MachineReality(
+    return MjcfTruth(
         0, 0, "single", model.robot, effects, (), (1e-3,) * len(model.robot.joints), 0.0,
         tuple(TrialDesign(r.name, "as recorded", r.time, r.command) for r in recordings),
         np.zeros((len(recordings), 0)), starts=tuple(np.array(r.position[0]) for r in recordings),
@@ -67,9 +67,9 @@ def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Eff
     )  # fmt: skip
 
 
-def test_there_is_a_size_for_every_effect_of_machines(two_joints: Experiment) -> None:
+def test_there_is_a_size_for_every_effect_of_mjcf_robots(two_joints: Experiment) -> None:
     model = two_joints.model
-    table = machine_sizes(model, seen_places(model, two_joints.segments))
+    table = mjcf_sizes(model, seen_places(model, two_joints.segments))
     own = {name for name, cls in REGISTRY.items() if "mjcf" in cls.robots}
     assert own <= {row.effect for row in table}
     assert {row.effect for row in table} <= own | set(OUTSIDE)
@@ -81,7 +81,7 @@ def test_there_is_a_size_for_every_effect_of_machines(two_joints: Experiment) ->
 def without_steps(model: Model, trials: Sequence[Trial]) -> list[Array]:
     """What the diagnosis' engine says of a step of nothing, from two."""
     dt = model.robot.timestep / FINER
-    fine, coarse = (simulate_machines([model], trials, dt=step, threads=1) for step in (dt, 2 * dt))
+    fine, coarse = (simulate_mjcf([model], trials, dt=step, threads=1) for step in (dt, 2 * dt))
     return [2 * a.position[0] - b.position[0] for a, b in zip(fine, coarse, strict=True)]
 
 
@@ -89,7 +89,7 @@ def without_steps(model: Model, trials: Sequence[Trial]) -> list[Array]:
 def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) -> None:
     model, cls = two_joints.model, REGISTRY[name]
     seen = seen_places(model, two_joints.segments)
-    table = machine_sizes(model, seen)
+    table = mjcf_sizes(model, seen)
     site = next(row.at for row in table if row.effect == name) or model.robot.places()[cls.sits_at[0]][0]
     rows = [row for row in table if row.effect == name and row.at in ("", site)]
     rng = np.random.default_rng(1)
@@ -101,7 +101,7 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
         except ConfigError:
             continue
     reality = _reality(model, two_joints.recordings, real.effects)
-    ours = simulate_machine(reality)
+    ours = simulate_mjcf_truth(reality)
     theirs, plain = (without_steps(m, trials_of(reality)) for m in (real, model))
     for own, other, without in zip(ours, theirs, plain, strict=True):
         apart, does = np.abs(own - other).max(), np.abs(own - without).max()
@@ -109,18 +109,18 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
 
 
 def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
-    first, again = (draw_machine(pendulum, 3, 1) for _ in range(2))
+    first, again = (draw_mjcf(pendulum, 3, 1) for _ in range(2))
     assert first.robot.parameters() == again.robot.parameters()
     assert first.effects == again.effects and first.noise == again.noise
-    assert first.robot.parameters() != draw_machine(pendulum, 3, 2).robot.parameters()
-    one, two = simulate_machine(first), simulate_machine(again)
+    assert first.robot.parameters() != draw_mjcf(pendulum, 3, 2).robot.parameters()
+    one, two = simulate_mjcf_truth(first), simulate_mjcf_truth(again)
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
     assert all(np.array_equal(a, b) for a, b in zip(noise(first), noise(again), strict=True))
 
 
 def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experiment) -> None:
     for case in range(40):
-        reality = draw_machine(pendulum, 1, case, "pair")
+        reality = draw_mjcf(pendulum, 1, case, "pair")
         for effect in reality.effects:
             for key in effect.parameter_info():
                 low, high = effect.bounds(key, reality.robot)
@@ -130,7 +130,7 @@ def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experimen
 def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) -> None:
     kinds = set()
     for case in range(30):
-        reality = draw_machine(two_joints, 1, case)
+        reality = draw_mjcf(two_joints, 1, case)
         kinds.add(reality.kind)
         names = {e.name for e in reality.effects}
         assert len(names) == {"none": 0, "single": 1, "pair": 2, "outside": 0}[reality.kind]
@@ -142,19 +142,19 @@ def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) ->
 
 
 def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment) -> None:
-    plain = draw_machine(pendulum, 5, 0, "none")
-    clean = simulate_machine(plain)
-    assert machine_excess(plain, clean).total < 0.02
+    plain = draw_mjcf(pendulum, 5, 0, "none")
+    clean = simulate_mjcf_truth(plain)
+    assert mjcf_excess(plain, clean).total < 0.02
     rubbing = replace(plain, kind="single", effects=(REGISTRY["coulomb_friction"]("hinge", friction=0.1),))
-    clean = simulate_machine(rubbing)
-    assert machine_excess(rubbing, clean).total > 10
-    assert machine_excess(rubbing, clean, rubbing.effects).total < 0.02
+    clean = simulate_mjcf_truth(rubbing)
+    assert mjcf_excess(rubbing, clean).total > 10
+    assert mjcf_excess(rubbing, clean, rubbing.effects).total < 0.02
 
 
 def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None:
-    reality = draw_machine(pendulum, 5, 1, "none")
-    clean = simulate_machine(reality)
-    seen = machine_recordings(reality, clean, noise(reality))
+    reality = draw_mjcf(pendulum, 5, 1, "none")
+    clean = simulate_mjcf_truth(reality)
+    seen = mjcf_recordings(reality, clean, noise(reality))
     error = np.concatenate([r.position - c for r, c in zip(seen, clean, strict=True)])
     assert error.std() == pytest.approx(reality.noise[0], rel=0.1)
     assert [r.name for r in seen] == [r.name for r in pendulum.recordings]
@@ -164,13 +164,13 @@ def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None
 def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experiment) -> None:
     noted = tuple(replace(r, notes={"set.arm.mass": "0.9"}) for r in pendulum.recordings)
     experiment = Experiment(pendulum.model, noted)
-    reality = draw_machine(experiment, 2, 0, "none")
+    reality = draw_mjcf(experiment, 2, 0, "none")
     heavy = reality.model.with_parameters({"arm.mass": 0.9})
     bare = [replace(t, settings={}) for t in trials_of(reality)]
-    light, right = (without_steps(m, bare) for m in (Model(reality.machine), heavy))
-    for own, wrong, other in zip(simulate_machine(reality), light, right, strict=True):
+    light, right = (without_steps(m, bare) for m in (Model(reality.mjcf_robot), heavy))
+    for own, wrong, other in zip(simulate_mjcf_truth(reality), light, right, strict=True):
         assert np.abs(own - other).max() < ALIKE < np.abs(own - wrong).max()
-    assert machine_recordings(reality, simulate_machine(reality), noise(reality))[0].notes == noted[0].notes
+    assert mjcf_recordings(reality, simulate_mjcf_truth(reality), noise(reality))[0].notes == noted[0].notes
 
 
 def test_a_proof_of_a_pendulum_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -199,7 +199,7 @@ def test_a_proof_of_a_pendulum_from_end_to_end(tmp_path: Path, capsys: pytest.Ca
     [
         ([str(EXAMPLES / "pendulum")], "recordings are for --model"),
         (["--model", str(EXAMPLES / "pendulum.xml")], "give their folder or files"),
-        ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "heavy_leg.toml")], "is no machine from MuJoCo's XML"),
+        ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "heavy_leg.toml")], "is no MJCF robot"),
         ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "pendulum.xml"), "--trials", "3"], "are for legs"),
         ([str(EXAMPLES / "pendulum"), "--model", str(EXAMPLES / "pendulum.xml"), "--baselines"], "are for legs"),
     ],
@@ -212,6 +212,6 @@ def test_what_does_not_go_together_is_told(
     assert not (tmp_path / "p").exists()
 
 
-def test_a_leg_is_no_machine(pendulum: Experiment) -> None:
-    with pytest.raises(ConfigError, match="no machine"):
+def test_a_leg_is_no_mjcf_robot(pendulum: Experiment) -> None:
+    with pytest.raises(ConfigError, match="no MJCF robot"):
         Experiment(nominal_model(), pendulum.recordings)

@@ -1,7 +1,7 @@
-"""Concealed realities of a machine from MuJoCo's XML: its numbers wrong, perhaps something left out, driven as it was.
+"""Blinded synthetic ground truth of an MJCF robot: parameters that are off, perhaps missing physics, driven as it was.
 
-A machine has no workspace that a proof could know of. So what is done with it is what was done with it: commands, times
-and first angles are those of recordings that somebody has, and the proof is one of these experiments too.
+An MJCF robot has no workspace that a proof could know of. So what is done with it is what was done with it: commands,
+times and first angles are those of recordings that somebody has, and the proof is one of these experiments too.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import TrialDesign
-from equimus_ctrl.proof.machine_sizes import machine_sizes
+from equimus_ctrl.proof.mjcf_sizes import mjcf_sizes
 from equimus_ctrl.proof.outside import OUTSIDE
 from equimus_ctrl.proof.realities import (
     ALIKE_SHARE,
@@ -35,23 +35,23 @@ from equimus_ctrl.types import Array, Recording
 
 LITTLE_KNOWN = {"damping": 0.4, "quadratic_damping": 0.4, "frictionloss": 0.4, "armature": 0.4}
 SPREAD = 0.15
-"""± share of a machine's free numbers."""
+"""± share of a robot's free parameters."""
 NOISE = (5e-4, 2e-3)
 """Standard deviation of each joint's noise, in units of what it covers."""
 CORRELATION = (0.5, 8.0)
 """Correlation time of coloured noise in sampling intervals."""
 ATTEMPTS, STREAMS = 100, 10
-"""At most, to draw what a machine can have."""
+"""At most, to draw what a robot can have."""
 
 
 @dataclass(frozen=True, eq=False)
-class MachineReality(Reality):
-    """One concealed reality of an MJCF robot.
+class MjcfTruth(Reality):
+    """One blinded ground truth of an MJCF robot.
 
     Attributes:
         starts: for each trial (nj,) angles at its start [rad or m].
         notes: of each trial.
-        drawn: names of the numbers that are not the nominal machine's.
+        drawn: names of the parameters that are not the nominal robot's.
         scales: parameter of an effect at a place → what an error of it is relative to, and where it does nothing.
     """
 
@@ -61,17 +61,17 @@ class MachineReality(Reality):
     scales: dict[tuple[str, str], tuple[float, float | None]] = field(default_factory=dict)
 
     @property
-    def machine(self) -> MjcfRobot:
-        """With its true numbers."""
+    def mjcf_robot(self) -> MjcfRobot:
+        """With its true parameters."""
         return mjcf_of(self.robot)
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A machine and what is done with it.
+    """An MJCF robot and what is done with it.
 
     Attributes:
-        model: the nominal machine.
+        model: the nominal robot.
         recordings: whose commands, times, first angles and notes are used; what else was measured only gives scales.
     """
 
@@ -79,7 +79,7 @@ class Experiment:
     recordings: tuple[Recording, ...]
 
     def __post_init__(self) -> None:
-        require_bare_machine(self.model)
+        require_bare_mjcf(self.model)
         split(self.model, self.recordings)  # what cannot be diagnosed makes no proof
 
     @property
@@ -89,25 +89,23 @@ class Experiment:
         return (*parts.train, *parts.heldout)
 
 
-def require_bare_machine(model: Model) -> None:
-    """Raise ConfigError where a model is of no machine, or has effects already."""
+def require_bare_mjcf(model: Model) -> None:
+    """Raise ConfigError where a model is of no MJCF robot, or has effects already."""
     if not isinstance(model.robot, MjcfRobot):
-        raise ConfigError(f"{model.name} is no machine from MuJoCo's XML; a leg's experiments are drawn")
+        raise ConfigError(f"{model.name} is no MJCF robot; a leg's experiments are drawn")
     if model.effects:
-        raise ConfigError(f"{model.name} has effects already; prove with the machine alone")
+        raise ConfigError(f"{model.name} has effects already; prove with the robot alone")
 
 
-def draw_machine(
-    experiment: Experiment, seed: int, case: int, kind: Kind | None = None, attempt: int = 0
-) -> MachineReality:
-    """The reality of a case.
+def draw_mjcf(experiment: Experiment, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> MjcfTruth:
+    """The ground truth of a case.
 
     Args:
-        experiment: what is done with which machine.
+        experiment: what is done with which robot.
         seed: of the whole proof.
         case: its number.
         kind: by default one of ``realities.SHARES``.
-        attempt: how many realities of this case were none.
+        attempt: how many truths of this case were none.
 
     Raises:
         ConfigError: for an unknown kind, or where none of many draws can be.
@@ -117,7 +115,7 @@ def draw_machine(
     model = experiment.model
     segments = experiment.segments
     seen = seen_places(model, segments)
-    table = machine_sizes(model, seen)
+    table = mjcf_sizes(model, seen)
     real, drawn = _other_numbers(rng, model)
     spans = [seen[joint].span for joint in model.robot.joint_names]
     interval = seen[model.robot.joint_names[0]].interval
@@ -140,7 +138,7 @@ def draw_machine(
                 scales[effect.name, row.parameter] = measured_by(
                     row, type(effect), float(getattr(effect, row.parameter))
                 )
-    return MachineReality(
+    return MjcfTruth(
         case, seed, chosen, real.robot, effects, outside, noise, correlation, tuple(designs),
         np.zeros((len(designs), 0)),
         starts=tuple(np.array(r.position[0]) for r in experiment.recordings),
@@ -149,7 +147,7 @@ def draw_machine(
 
 
 def _other_numbers(rng: np.random.Generator, model: Model) -> tuple[Model, tuple[str, ...]]:
-    """The machine with its default free numbers spread evenly."""
+    """The robot with its default free parameters spread evenly."""
     names = uncertain(model).names
     nominal = model.parameters()
     for _ in range(ATTEMPTS):
@@ -160,20 +158,20 @@ def _other_numbers(rng: np.random.Generator, model: Model) -> tuple[Model, tuple
         except ModelError:  # inertias that no body can have
             continue
         return real, tuple(names)
-    raise ConfigError(f"{model.name}: no numbers near its own make a machine")
+    raise ConfigError(f"{model.name}: no parameters near its own make a robot")
 
 
 def _attached(
     rng: np.random.Generator, real: Model, table: Sequence[Size], known: dict[str, type[Effect]], count: int
 ) -> tuple[Effect, ...]:
-    """So many different effects that the machine can have at once."""
+    """So many different effects that the robot can have at once."""
     names = sorted({row.effect for row in table} & set(known))
     for _ in range(ATTEMPTS):
         chosen = [names[k] for k in rng.choice(len(names), count, replace=False)]
         try:
             found = tuple(effect for name in chosen for effect in _one(rng, real, table, known[name]))
             Model(real.robot, tuple(e for e in found if e.name in REGISTRY))
-        except (ConfigError, ModelError):  # excluded by each other, or not possible on this machine
+        except (ConfigError, ModelError):  # excluded by each other, or not possible on this robot
             continue
         if all(_believable(effect, key, real) for effect in found for key in effect.parameter_info()):
             return found
@@ -199,20 +197,20 @@ def _one(rng: np.random.Generator, real: Model, table: Sequence[Size], cls: type
     return tuple(cls(s, **values) for s in (sites if everywhere else [site]))
 
 
-def machine_recordings(reality: MachineReality, clean: Sequence[Array], disturbed: Sequence[Array]) -> list[Recording]:
+def mjcf_recordings(truth: MjcfTruth, clean: Sequence[Array], disturbed: Sequence[Array]) -> list[Recording]:
     """What a diagnosis may see, to a thousandth of the noise.
 
     Args:
-        reality: what happened.
+        truth: what happened.
         clean: for each trial (n, nj) what sensors without noise would show [rad or m].
         disturbed: the noise.
     """
-    robot = reality.robot
-    digits = int(3 - np.floor(np.log10(min(reality.noise))))
+    robot = truth.robot
+    digits = int(3 - np.floor(np.log10(min(truth.noise))))
     return [
         Recording(
             trial.name, trial.time, trial.command, np.round(shown + more, digits), robot.actuator_names,
             robot.joint_names, notes=notes,
         )
-        for trial, shown, more, notes in zip(reality.trials, clean, disturbed, reality.notes, strict=True)
+        for trial, shown, more, notes in zip(truth.trials, clean, disturbed, truth.notes, strict=True)
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Identification and diagnosis of robots of MuJoCo's XML, on simulated recordings that conceal something, and on real ones."""
+"""Identification and diagnosis of MJCF robots, on simulated recordings that conceal something, and on real ones."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def diagnosed(xml: str, concealed: Sequence[Effect], **given: object) -> Diagnosis:
-    machine = MjcfRobot("robot", xml)
-    trials = recorded(Model(machine, concealed), **given)  # type: ignore[arg-type]
-    return workflow.diagnose_recordings(trials, Model(machine), most=1)
+    robot = MjcfRobot("robot", xml)
+    trials = recorded(Model(robot, concealed), **given)  # type: ignore[arg-type]
+    return workflow.diagnose_recordings(trials, Model(robot), most=1)
 
 
 def named(found: Diagnosis) -> list[tuple[str, tuple[str, ...]]]:
@@ -82,9 +82,9 @@ def test_friction_of_a_hinge_is_found_with_its_size_and_told_whole(tmp_path: Pat
 
 def test_two_kinds_of_friction_of_one_joint_are_told_by_their_names() -> None:
     """A push over the speed could stand for both, and dry friction with more at rest for the dry one."""
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-    real = Model(machine, [CoulombFriction("hinge", 0.06), ViscousFriction("hinge", 0.04)])
-    found = workflow.diagnose_recordings(recorded(real, seed=5), Model(machine), most=2)
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    real = Model(robot, [CoulombFriction("hinge", 0.06), ViscousFriction("hinge", 0.04)])
+    found = workflow.diagnose_recordings(recorded(real, seed=5), Model(robot), most=2)
     assert sorted(named(found)) == [("coulomb_friction", ("hinge",)), ("viscous_friction", ("hinge",))]
     sizes = {f.named.effect: value(found, k) for k, f in enumerate(found.findings)}
     assert sizes["coulomb_friction"] == pytest.approx(0.06, rel=0.05)
@@ -112,9 +112,9 @@ def test_what_slides_is_told_in_metres_and_newtons() -> None:
 
 
 def test_a_payload_shows_where_masses_are_known() -> None:
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-    trials = recorded(Model(machine, [PayloadMass("tip", 0.12)]))
-    found = workflow.diagnose_recordings(trials, Model(machine), free=["hinge.armature"], most=1)
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    trials = recorded(Model(robot, [PayloadMass("tip", 0.12)]))
+    found = workflow.diagnose_recordings(trials, Model(robot), free=["hinge.armature"], most=1)
     group = {(f.named.effect, f.named.locations) for f in found.findings}
     group |= {(o.effect, o.locations) for f in found.findings for o in f.equivalent}
     assert ("payload_mass", ("tip",)) in group
@@ -177,9 +177,9 @@ def test_what_fits_as_well_is_told_after_a_finer_step_too() -> None:
 
 def test_what_is_far_weaker_than_any_guess_is_looked_for_at_its_own_size() -> None:
     """Along a trial a weak drag adds up; a hundred times as much would stop the pendulum and say nothing of it."""
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-    model, drag = Model(machine), 0.0003
-    trials = recorded(Model(machine, [QuadraticDamping("hinge", drag)]), seed=4)
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    model, drag = Model(robot), 0.0003
+    trials = recorded(Model(robot, [QuadraticDamping("hinge", drag)]), seed=4)
     parts = split(model, trials)
     own = Simulator(engine_for(model), 1)
     policy = SearchPolicy(coarse_derivatives=True, rescaled_guesses=True)
@@ -193,12 +193,12 @@ def test_what_is_far_weaker_than_any_guess_is_looked_for_at_its_own_size() -> No
 
 
 def test_a_limit_that_the_trial_held_out_never_reaches_is_named() -> None:
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-    real = Model(machine, [TorqueSaturation("drive", 0.6)])
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    real = Model(robot, [TorqueSaturation("drive", 0.6)])
     loud, quiet = recorded(real, count=2, seed=1), recorded(real, count=1, seed=2, size=0.35)
     trials = [*loud, replace(quiet[0], name="quiet")]
     assert np.abs(quiet[0].command).max() < 0.6 < np.abs(loud[0].command).max()
-    found = workflow.diagnose_recordings(trials, Model(machine), heldout=["quiet"], most=1)
+    found = workflow.diagnose_recordings(trials, Model(robot), heldout=["quiet"], most=1)
     assert named(found) == [("torque_saturation", ("drive",))] and value(found) == pytest.approx(0.6, rel=0.02)
 
 
@@ -230,10 +230,10 @@ def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
 
 
 def test_a_fit_goes_on_with_the_derivatives_of_an_earlier_ones_end() -> None:
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-    nominal = Model(machine)
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    nominal = Model(robot)
     free, simulator = uncertain(nominal), Simulator(engine_for(nominal, "mujoco"))
-    some = split(nominal, recorded(Model(machine, [ViscousFriction("hinge", 0.05)]), seed=7)).train
+    some = split(nominal, recorded(Model(robot, [ViscousFriction("hinge", 0.05)]), seed=7)).train
     noise = white_noise([np.full((100, 1), NOISE)])
     first = fit(free, some, simulator=simulator, noise=noise, settings=FitSettings(1e-3, 2))
     end = [(first.theta, first.starts)]
@@ -260,9 +260,9 @@ class Searching:
     """A search over a pendulum's recordings, and hypotheses fitted by hand."""
 
     def __init__(self, concealed: Sequence[Effect]) -> None:
-        machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-        nominal = Model(machine)
-        self.split = split(nominal, recorded(Model(machine, concealed), seed=7))
+        robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+        nominal = Model(robot)
+        self.split = split(nominal, recorded(Model(robot, concealed), seed=7))
         data = Data(uncertain(nominal), self.split.train, Simulator(engine_for(nominal)))
         self.pool = candidates(nominal, self.split.train)
         self.search = Search(data, self.pool, SearchSettings(many_minima=True))
@@ -300,8 +300,8 @@ def test_another_hypothesis_takes_the_place_of_one_that_trials_left_out_refuse()
 
 
 def test_short_windows_go_with_how_quick_a_motion_is() -> None:
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-    model = Model(machine)
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    model = Model(robot)
     parts = split(model, recorded(model))
     lengths = {round(float(s.trial.sample_times[-1] - s.trial.start), 1) for s in parts.near}
     assert len(parts.train) == 2 and parts.near and lengths <= {0.5, 1.0, 2.0}
@@ -313,10 +313,10 @@ def test_identification_gives_numbers_with_intervals() -> None:
     xml = PENDULUM.format(drive=MOTOR).replace(
         'armature="0.004"', 'armature="0.004" damping="0.05" frictionloss="0.05"'
     )
-    machine = MjcfRobot("robot", xml)
+    robot = MjcfRobot("robot", xml)
     truth = {"arm.mass": 0.66, "hinge.damping": 0.03, "hinge.frictionloss": 0.08}
-    trials = recorded(Model(machine.with_parameters(truth)), count=4)
-    found = workflow.identify_recordings(trials, Model(machine), free=list(truth), folds=0)
+    trials = recorded(Model(robot.with_parameters(truth)), count=4)
+    found = workflow.identify_recordings(trials, Model(robot), free=list(truth), folds=0)
     for name, at, width in zip(
         found.fit.parameters.names, found.fit.theta, found.fit.uncertainty.half_width, strict=True
     ):
@@ -336,12 +336,12 @@ def test_intervals_hold_although_the_physics_step_is_long() -> None:
     assert ahead[delay] == pytest.approx(0.002, rel=0.1) and known.half_width[delay] < 1.5 * off[delay]
 
 
-def test_an_unstable_machine_is_fitted_in_windows() -> None:
+def test_an_unstable_robot_is_fitted_in_windows() -> None:
     """It stands on its head: what is concealed soon leads far astray, and its own model does not."""
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR).replace("0 0 -0.4", "0 0 0.4"))
-    real = Model(machine, [CoulombFriction("hinge", 0.2)])
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR).replace("0 0 -0.4", "0 0 0.4"))
+    real = Model(robot, [CoulombFriction("hinge", 0.2)])
     trials = recorded(real, seconds=8.0)
-    length = window_length(Model(machine), trials)
+    length = window_length(Model(robot), trials)
     assert length is not None and length < 8.0
     assert window_length(real, trials) is None
 

@@ -1,4 +1,4 @@
-"""Concealed realities of machines in MuJoCo, without the error of a step, by other code than the diagnosis uses.
+"""Ground truths of MJCF robots in MuJoCo, free of discretisation error, by other code than the diagnosis uses.
 
 MuJoCo is stepped from Python. All that pushes is a CasADi function, evaluated in the middle of each step, that is at
 coordinates and rates carried on from its start; the diagnosis gives MuJoCo's fields what they can hold and evaluates
@@ -22,14 +22,15 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.limits import MAX_SPEED
-from equimus_ctrl.engines.machine import Course, Realised, commands_on, filled, measured_of, quiet, realise, steps_of
+from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, filled, measured_of, realise, steps_of
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.proof.machines import MachineReality, machine_recordings
+from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.proof.mjcf import MjcfTruth, mjcf_recordings
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import Excess, rounded
 from equimus_ctrl.robots.mjcf.parts import harden
@@ -41,35 +42,35 @@ SEARCH = FitSettings(tolerance=1e-3, steps=30)
 """Of the refit that says how strong a case is; it begins at the truth."""
 
 
-def simulate_machine(reality: MachineReality) -> list[Array]:
+def simulate_mjcf_truth(truth: MjcfTruth) -> list[Array]:
     """For each trial (n, nj) what the sensors would show without noise [rad or m].
 
     Raises:
-        SimulationDiverged: where the machine's numbers are none.
+        SimulationDiverged: where the robot's parameters are none.
     """
-    bodies = Model(reality.machine, tuple(e for e in reality.effects if not isinstance(e, ForceEffect)))
-    push = _push(reality)
+    bodies = Model(truth.mjcf_robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
+    push = _push(truth)
     found = []
-    for trial in trials_of(reality):
-        fine, coarse = (_measured(reality, bodies, trial, push, steps) for steps in (FINER, FINER // 2))
+    for trial in trials_of(truth):
+        fine, coarse = (_measured(truth, bodies, trial, push, steps) for steps in (FINER, FINER // 2))
         found.append(2.0 * fine - coarse)  # the error of a step is of first order (Richardson, 1911)
     return found
 
 
-def _measured(reality: MachineReality, bodies: Model, trial: Trial, push: _Push | None, steps: int) -> Array:
-    own = realise(bodies, trial, reality.machine.timestep / steps)
-    with quiet():
+def _measured(truth: MjcfTruth, bodies: Model, trial: Trial, push: _Push | None, steps: int) -> Array:
+    own = realise(bodies, trial, truth.mjcf_robot.timestep / steps)
+    with quietly():
         course = _follow(own, trial, push)
     if course.sound < len(course.q):
-        raise SimulationDiverged(f"case {reality.case} of seed {reality.seed}: the simulation diverged")
+        raise SimulationDiverged(f"case {truth.case} of seed {truth.seed}: the simulation diverged")
     return measured_of(own, course, trial.sample_times)[0]
 
 
-def trials_of(reality: MachineReality) -> list[Trial]:
+def trials_of(truth: MjcfTruth) -> list[Trial]:
     """What is done, each from rest at its first angles."""
-    model, found = Model(reality.machine), []
-    for design, start, notes in zip(reality.trials, reality.starts, reality.notes, strict=True):
-        recording = _recording(reality, design.name, design.time, design.command, start, notes)
+    model, found = Model(truth.mjcf_robot), []
+    for design, start, notes in zip(truth.trials, truth.starts, truth.notes, strict=True):
+        recording = _recording(truth, design.name, design.time, design.command, start, notes)
         trial = Trial.of(recording, start)
         settings, factors = noted(model, recording, SET), noted(model, recording, TIMES)
         found.append(replace(trial, settings=settings, factors=factors))
@@ -77,9 +78,9 @@ def trials_of(reality: MachineReality) -> list[Trial]:
 
 
 def _recording(
-    reality: MachineReality, name: str, time: Array, command: Array, position: Array, notes: dict[str, str]
+    truth: MjcfTruth, name: str, time: Array, command: Array, position: Array, notes: dict[str, str]
 ) -> Recording:
-    robot = reality.machine
+    robot = truth.mjcf_robot
     rows = np.broadcast_to(position, (len(time), len(robot.joints)))
     return Recording(name, time, command, np.array(rows), robot.actuator_names, robot.joint_names, notes=notes)
 
@@ -106,19 +107,19 @@ class _Push:
         return self._found[0], self._found[1]
 
 
-def _push(reality: MachineReality) -> _Push | None:
-    effects: list[Effect] = [e for e in reality.effects if isinstance(e, ForceEffect)]
-    effects += reality.outside
+def _push(truth: MjcfTruth) -> _Push | None:
+    effects: list[Effect] = [e for e in truth.effects if isinstance(e, ForceEffect)]
+    effects += truth.outside
     if not effects:
         return None
-    robot = reality.machine
+    robot = truth.mjcf_robot
     nj, na = len(robot.joints), len(robot.actuators)
     q, v, load, command = ca.SX.sym("q", nj), ca.SX.sym("v", nj), ca.SX.sym("load", nj), ca.SX.sym("u", na)
     time = ca.SX.sym("t")
     torque, bound, rubbing = ca.SX.zeros(nj), ca.SX.zeros(nj), set()
     by_name = dict(zip(robot.joint_names, range(nj), strict=True))
     at = Motion(
-        reality.robot, time, {name: q[j] for name, j in by_name.items()}, {name: v[j] for name, j in by_name.items()},
+        truth.robot, time, {name: q[j] for name, j in by_name.items()}, {name: v[j] for name, j in by_name.items()},
         dict(zip(robot.actuator_names, ca.vertsplit(command), strict=True)),
     )  # fmt: skip
     for effect in effects:
@@ -172,18 +173,18 @@ def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
     return Course(trial.start, dt, q, v, ctrl, sound)
 
 
-def machine_excess(reality: MachineReality, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
-    """What is left when a machine with ``effects`` alone is fitted to a reality, see ``strength.excess``.
+def mjcf_excess(truth: MjcfTruth, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
+    """What is left when a robot with ``effects`` alone is fitted to a ground truth, see ``strength.excess``.
 
     It is fitted as a diagnosis would be: in the same windows, their starts and the default numbers free; but the error
     of the physics step is none of it.
     """
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
-        model = Model(reality.machine, tuple(effects))
-        silent = machine_recordings(reality, clean, [np.zeros_like(c) for c in clean])
+        model = Model(truth.mjcf_robot, tuple(effects))
+        silent = mjcf_recordings(truth, clean, [np.zeros_like(c) for c in clean])
         segments = split(model, silent).train
-        free, noise = uncertain(model), tuple(JointNoise(sigma) for sigma in reality.noise)
+        free, noise = uncertain(model), tuple(JointNoise(sigma) for sigma in truth.noise)
         simulator = Simulator(engine_for(model).without_step_error(), threads=1)
         found = fit(free, segments, simulator=simulator, settings=SEARCH, noise=noise)
-        joints = ((np.concatenate(found.residuals) / np.array(reality.noise)) ** 2).mean(axis=0)
+        joints = ((np.concatenate(found.residuals) / np.array(truth.noise)) ** 2).mean(axis=0)
         return rounded(joints, dict(zip(free.names, found.theta.tolist(), strict=True)))

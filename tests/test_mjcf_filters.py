@@ -11,13 +11,13 @@ import pytest
 from equimus_ctrl import workflow
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import filled, pushes, realise, simulate_machines
+from equimus_ctrl.engines.mjcf import filled, joint_forces, realise, simulate_mjcf
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.machines import corrected_xml
+from equimus_ctrl.workflow.mjcf import corrected_xml
 
 MASS, TAU, DT = 2.0, 0.08, 1e-3
 FORCE = f'<general name="motor" joint="way" dyntype="filterexact" dynprm="{TAU}"/>'
@@ -37,8 +37,8 @@ def cart(drive: str = FORCE) -> MjcfRobot:
     )
 
 
-def moved(machine: MjcfRobot, trial: Trial, *effects: object) -> Array:
-    (found,) = simulate_machines([Model(machine, effects)], [trial], threads=1)  # type: ignore[arg-type]
+def moved(robot: MjcfRobot, trial: Trial, *effects: object) -> Array:
+    (found,) = simulate_mjcf([Model(robot, effects)], [trial], threads=1)  # type: ignore[arg-type]
     assert found.sound.all()
     return np.asarray(found.position[0, :, 0])
 
@@ -62,14 +62,14 @@ def test_a_force_builds_up_as_its_filter_does(drive: str) -> None:
 
 @pytest.mark.parametrize("drive", [FORCE, EULER, SERVO])
 def test_a_window_begins_with_what_the_filter_came_to(drive: str) -> None:
-    machine, whole = cart(drive), square()
-    x = moved(machine, whole)
+    robot, whole = cart(drive), square()
+    x = moved(robot, whole)
     fine = replace(whole, sample_times=np.array([0.0, 0.83 - 1e-3, 0.83, 0.83 + 1e-3]))
-    near = moved(machine, fine)
+    near = moved(robot, fine)
     speed = (near[3] - near[1]) / 2e-3
     later = whole.times[whole.times > 0.831]
     window = replace(whole, start=0.83, position=near[2:3], velocity=np.array([speed]), sample_times=later)
-    assert np.abs(moved(machine, window) - x[-len(later) :]).max() < 2e-3 * np.ptp(x)
+    assert np.abs(moved(robot, window) - x[-len(later) :]).max() < 2e-3 * np.ptp(x)
 
 
 def test_a_filter_sees_commands_as_they_arrive() -> None:
@@ -77,7 +77,7 @@ def test_a_filter_sees_commands_as_they_arrive() -> None:
     time = np.arange(0, 1, 0.01)
     trial = Trial("t", time, np.ones((100, 1)), np.zeros(1), 0.4, np.zeros(1), time[41:], np.zeros(1))
     assert filled(own, trial)[0] == pytest.approx(1 - np.exp(-0.35 / TAU), abs=2e-3)
-    drives, _ = pushes(own, np.zeros((1, 1)), np.zeros((1, 1)), np.array([[0.7]]))
+    drives, _ = joint_forces(own, np.zeros((1, 1)), np.zeros((1, 1)), np.array([[0.7]]))
     assert drives[0, 0] == pytest.approx(0.7)
 
 
@@ -88,25 +88,25 @@ def test_commands_beyond_their_range_fill_no_further() -> None:
     assert filled(own, trial)[0] == pytest.approx(0.5, rel=1e-3)
 
 
-def recorded(machine: MjcfRobot, *effects: object) -> list[Recording]:
+def recorded(robot: MjcfRobot, *effects: object) -> list[Recording]:
     rng, found = np.random.default_rng(0), []
     for k in range(3):
         time = np.arange(0, 3, 0.01)
         command = (0.1 * np.sin(2 * np.pi * (0.7 + 0.5 * k) * time + k) + 0.05 * np.sign(np.sin(5 * time)))[:, None]
         trial = Trial(f"t{k}", time, command, command[0], 0.0, np.zeros(1), time, np.zeros(1))
-        x = moved(machine, trial, *effects)[:, None] + rng.normal(0, 1e-4, (300, 1))
+        x = moved(robot, trial, *effects)[:, None] + rng.normal(0, 1e-4, (300, 1))
         found.append(Recording(f"t{k}", time, command, x, ("motor",), ("way",)))
     return found
 
 
 def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
-    machine = cart(SERVO)
-    assert machine.parameters()["motor.time_constant"] == TAU and machine.unit("motor.time_constant") == "s"
-    model = Model(machine.with_parameters({"motor.time_constant": 0.03}))
-    found = workflow.identify_recordings(recorded(machine), model, free=["motor.time_constant"], folds=0)
+    robot = cart(SERVO)
+    assert robot.parameters()["motor.time_constant"] == TAU and robot.unit("motor.time_constant") == "s"
+    model = Model(robot.with_parameters({"motor.time_constant": 0.03}))
+    found = workflow.identify_recordings(recorded(robot), model, free=["motor.time_constant"], folds=0)
     assert found.fit.model.parameters()["motor.time_constant"] == pytest.approx(TAU, rel=0.02)
-    machine = machine.with_parameters({"motor.time_constant": 0.05})
-    again = mujoco.MjModel.from_xml_string(exported(machine, machine.mujoco_model()))
+    robot = robot.with_parameters({"motor.time_constant": 0.05})
+    again = mujoco.MjModel.from_xml_string(exported(robot, robot.mujoco_model()))
     assert again.actuator_dynprm[0, 0] == 0.05
 
 
@@ -135,36 +135,32 @@ def test_a_delay_of_the_xml_is_the_one_that_effects_know(start: float) -> None:
 
 def test_a_delay_of_the_xml_is_a_number_that_can_be_found() -> None:
     """Beyond what its buffer holds too."""
-    machine = cart(LATE)
-    assert machine.parameters()["motor.delay"] == DELAY and machine.unit("motor.delay") == "s"
-    real = recorded(machine.with_parameters({"motor.delay": 0.07}))
-    found = workflow.identify_recordings(
-        real, Model(machine), free=["motor.delay", "box.mass"], folds=0, fit_start=True
-    )
+    robot = cart(LATE)
+    assert robot.parameters()["motor.delay"] == DELAY and robot.unit("motor.delay") == "s"
+    real = recorded(robot.with_parameters({"motor.delay": 0.07}))
+    found = workflow.identify_recordings(real, Model(robot), free=["motor.delay", "box.mass"], folds=0, fit_start=True)
     assert found.fit.model.parameters()["motor.delay"] == pytest.approx(0.07, abs=1e-3)
 
 
 def test_a_delay_of_the_xml_stays_one_where_it_is_written() -> None:
-    machine = cart(LATE).with_parameters({"motor.delay": 0.0475})
-    xml, left = corrected_xml(Model(machine, [TransportDelay("motor", 0.02)]))
+    robot = cart(LATE).with_parameters({"motor.delay": 0.0475})
+    xml, left = corrected_xml(Model(robot, [TransportDelay("motor", 0.02)]))
     written = mujoco.MjModel.from_xml_string(xml)
     assert left == () and written.actuator_delay[0] == pytest.approx(0.0675) and written.actuator_history[0, 0] == 68
     trial = square()
-    np.testing.assert_array_equal(
-        moved(MjcfRobot("c", xml), trial), moved(machine, trial, TransportDelay("motor", 0.02))
-    )
+    np.testing.assert_array_equal(moved(MjcfRobot("c", xml), trial), moved(robot, trial, TransportDelay("motor", 0.02)))
 
 
 def test_models_and_trials_with_delays_of_their_own_run_side_by_side() -> None:
-    machine, trials = (
+    robot, trials = (
         cart(LATE),
         [replace(square(before=b), settings=s) for b in (0.0, 1.0) for s in ({}, {"motor.delay": 0.1})],
     )
-    models = [Model(machine.with_parameters({"motor.delay": late})) for late in (0.01, 0.04, 0.07)]
-    found = simulate_machines(models, trials, threads=2)
+    models = [Model(robot.with_parameters({"motor.delay": late})) for late in (0.01, 0.04, 0.07)]
+    found = simulate_mjcf(models, trials, threads=2)
     for k, model in enumerate(models):
         for trial, together in zip(trials, found, strict=True):
-            (alone,) = simulate_machines([model], [trial], threads=1)
+            (alone,) = simulate_mjcf([model], [trial], threads=1)
             np.testing.assert_array_equal(together.position[k], alone.position[0])
     assert len({predicted.position.tobytes() for predicted in found}) == len(trials)
 
@@ -188,10 +184,10 @@ def test_a_lag_beside_the_filter_is_told_where_it_is_written() -> None:
 
 def test_keyframes_fill_filters_that_are_new() -> None:
     own = '<general name="own" joint="way" dyntype="filterexact" dynprm="0.2"/>'
-    machine = cart(PLAIN + own)
+    robot = cart(PLAIN + own)
     keyed = replace(
-        machine,
-        xml=machine.xml.replace("</mujoco>", '<keyframe><key act="0.3" ctrl="0.1 0.3"/><key/></keyframe></mujoco>'),
+        robot,
+        xml=robot.xml.replace("</mujoco>", '<keyframe><key act="0.3" ctrl="0.1 0.3"/><key/></keyframe></mujoco>'),
     )
     written = mujoco.MjModel.from_xml_string(corrected_xml(Model(keyed, [FirstOrderLag("motor", 0.1)]))[0])
     assert written.key_act.tolist() == [[0.1, 0.3], [0.0, 0.0]]

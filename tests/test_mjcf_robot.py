@@ -1,4 +1,4 @@
-"""Robots of MuJoCo's XML: their numbers, which of them are free by default, and what is refused."""
+"""MJCF robots: their numbers, which of them are free by default, and what is refused."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machine_models import CRANE, PENDULUM, pendulum, refusal, slider
+from mjcf_models import CRANE, PENDULUM, pendulum, refusal, slider
 
 from equimus_ctrl.effects import CoulombFriction
 from equimus_ctrl.errors import ModelError
@@ -19,7 +19,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
-from equimus_ctrl.workflow import load_machine, parameter_rows
+from equimus_ctrl.workflow import load_mjcf, parameter_rows
 
 # --- numbers ----------------------------------------------------------------------------------------------------
 
@@ -83,10 +83,10 @@ def fields_of(model: Any) -> dict[str, Array]:
     return {name: np.array(value) for name, value in found.items()} | {"gravity": np.array(model.opt.gravity)}
 
 
-def changed_fields(values: Mapping[str, float], machine: MjcfRobot = CRANE) -> set[str]:
+def changed_fields(values: Mapping[str, float], robot: MjcfRobot = CRANE) -> set[str]:
     """Fields of the model that numbers change, without those that follow from others."""
-    before = fields_of(machine.mujoco_model())
-    after = fields_of(machine.with_parameters(values).mujoco_model())
+    before = fields_of(robot.mujoco_model())
+    after = fields_of(robot.with_parameters(values).mujoco_model())
     return {name for name in before if not np.array_equal(before[name], after[name])} - DERIVED
 
 
@@ -157,7 +157,7 @@ def test_numbers_that_are_set_to_what_they_are_change_no_bit() -> None:
     np.testing.assert_allclose(again.mujoco_model().opt.gravity, CRANE.plan.base.opt.gravity, rtol=1e-15, atol=1e-15)
 
 
-def test_a_change_leaves_the_machine_it_came_from_alone() -> None:
+def test_a_change_leaves_the_robot_it_came_from_alone() -> None:
     before = fields_of(CRANE.mujoco_model())
     model = CRANE.with_parameters({"arm.mass": 5.0, "shoulder.damping": 7.0}).mujoco_model()
     model.body_mass[:] = 9.0
@@ -171,15 +171,15 @@ def test_numbers_follow_from_what_mujoco_makes_of_the_file() -> None:
       <body name="ball"><joint name="pivot" axis="0 1 0" springref="30" range="-90 45"/>
       <geom type="sphere" size="0.1" density="1000" pos="0 0 -0.4"/></body></worldbody>
       <actuator><position name="servo" joint="pivot" kp="8" dampratio="1"/></actuator></mujoco>"""
-    machine = MjcfRobot("d", text)
-    found, mass = machine.parameters(), 1000 * 4 / 3 * math.pi * 0.1**3
+    robot = MjcfRobot("d", text)
+    found, mass = robot.parameters(), 1000 * 4 / 3 * math.pi * 0.1**3
     inertia = 0.4 * mass * 0.01
     assert found["pivot.damping"] == 0.7
     assert found["pivot.springref"] == pytest.approx(math.pi / 6)
     assert found["ball.mass"] == pytest.approx(mass) and found["ball.inertia"] == pytest.approx(inertia)
     assert found["ball.com_z"] == pytest.approx(-0.4)
     assert found["servo.kv"] == pytest.approx(2 * math.sqrt(8 * (inertia + mass * 0.16)))
-    assert machine.joints[0].range == pytest.approx((-math.pi / 2, math.pi / 4))
+    assert robot.joints[0].range == pytest.approx((-math.pi / 2, math.pi / 4))
 
 
 def test_joints_and_actuators_are_told() -> None:
@@ -212,10 +212,10 @@ def test_joints_and_actuators_are_told() -> None:
     ],
 )
 def test_commands_and_gains_of_a_slide_have_its_units(drive: str, unit: str, gain: str | None) -> None:
-    machine = MjcfRobot("cart", slider(drive))
-    assert machine.actuators[0].unit == unit
-    assert gain is None or machine.unit("motor.gain") == gain
-    assert gain is not None or machine.unit("motor.kp") == "N/m"
+    robot = MjcfRobot("cart", slider(drive))
+    assert robot.actuators[0].unit == unit
+    assert gain is None or robot.unit("motor.gain") == gain
+    assert gain is not None or robot.unit("motor.kp") == "N/m"
 
 
 def test_the_unit_of_a_speed_servos_command_does_not_depend_on_its_gain() -> None:
@@ -226,9 +226,9 @@ def test_the_unit_of_a_speed_servos_command_does_not_depend_on_its_gain() -> Non
 
 
 def test_a_speed_servo_has_one_gain() -> None:
-    machine = MjcfRobot("cart", slider('<velocity name="m" joint="way" kv="3"/>'))
-    assert "m.gain" not in machine.parameters() and machine.parameters()["m.kv"] == 3
-    changed = machine.with_parameters({"m.kv": 5.0}).mujoco_model()
+    robot = MjcfRobot("cart", slider('<velocity name="m" joint="way" kv="3"/>'))
+    assert "m.gain" not in robot.parameters() and robot.parameters()["m.kv"] == 3
+    changed = robot.with_parameters({"m.kv": 5.0}).mujoco_model()
     assert changed.actuator_gainprm[0, 0] == 5.0 and changed.actuator_biasprm[0, 2] == -5.0
 
 
@@ -246,10 +246,10 @@ def test_bounds_hold_every_number_and_nothing_negative_that_cannot_be() -> None:
 
 
 def test_a_motor_that_pulls_can_be_free_like_any_other() -> None:
-    machine = MjcfRobot("cart", slider('<general name="motor" joint="way" gainprm="-2"/>'))
-    assert machine.parameters()["motor.gain"] == -2.0
-    assert machine.with_parameters(machine.parameters()).parameters() == machine.parameters()
-    (free,) = free_parameters(Model(machine), ["motor.gain"]).free
+    robot = MjcfRobot("cart", slider('<general name="motor" joint="way" gainprm="-2"/>'))
+    assert robot.parameters()["motor.gain"] == -2.0
+    assert robot.with_parameters(robot.parameters()).parameters() == robot.parameters()
+    (free,) = free_parameters(Model(robot), ["motor.gain"]).free
     assert free.low < -2.0 < free.high
 
 
@@ -361,14 +361,14 @@ def test_what_neither_engine_takes_is_told_with_its_line() -> None:
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_an_xml_that_is_no_machine_is_refused_in_one_sentence(what: str, tmp_path: Path) -> None:
+def test_an_xml_that_is_no_robot_is_refused_in_one_sentence(what: str, tmp_path: Path) -> None:
     text, message = WRONG[what]
     told = refusal(lambda: MjcfRobot("cart", text))
     assert told.startswith("cart: ") and message in told
     with pytest.raises(ModelError):
         MjcfRobot("cart", text)
     (tmp_path / "cart.xml").write_text(text)
-    told = refusal(lambda: load_machine(tmp_path / "cart.xml"))
+    told = refusal(lambda: load_mjcf(tmp_path / "cart.xml"))
     assert told.startswith(f"{tmp_path / 'cart.xml'}: ")
     assert message.removeprefix("cart: ").split(" (")[0] in told
 

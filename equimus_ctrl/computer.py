@@ -1,4 +1,4 @@
-"""What the machine at hand offers: processors, and processes to use them."""
+"""What the computer at hand offers: processors, and processes to use them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from equimus_ctrl.errors import NotAvailable
 
 
 def processors() -> int:
-    """How many processors this process may use; fewer than the machine has where an affinity says so."""
+    """How many processors this process may use; fewer than the computer has where an affinity says so."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

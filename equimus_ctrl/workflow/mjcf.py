@@ -1,4 +1,4 @@
-"""Robots of MuJoCo's XML: reading and writing them, their recordings, and which of their numbers are free."""
+"""MJCF robots: reading and writing them, their recordings, and which of their numbers are free."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import mujoco
 from equimus_ctrl import presets
 from equimus_ctrl.effects.force import CoulombFriction, ForceEffect
 from equimus_ctrl.effects.valves import DELAY, FirstOrderLag, TransportDelay
-from equimus_ctrl.engines.machine import realise
+from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.model import Model
@@ -25,15 +25,15 @@ from equimus_ctrl.types import Recording
 FORMAT = "equimus-ctrl/parameters/1"
 
 
-def load_machine(path: Path, source: str | None = None) -> MjcfRobot:
-    """The machine of a file of MuJoCo's XML.
+def load_mjcf(path: Path, source: str | None = None) -> MjcfRobot:
+    """The MJCF robot of a file.
 
     Args:
         path: of the file.
         source: how a model file names it; by the file's name by default.
 
     Raises:
-        ConfigError, ModelError: where it cannot be read, or is no machine of hinges and slides.
+        ConfigError, ModelError: where it cannot be read, or is no robot of hinges and slides.
     """
     name, xml, assets = presets.read_mjcf(path)
     try:
@@ -52,7 +52,7 @@ def read_trials(files: Sequence[Path], robot: Robot) -> tuple[Recording, ...]:
         return read_set(files)
     joints, actuators = robot.joint_names, robot.actuator_names
     hinges = [name for name in joints if not robot.slides(name)]
-    return read_set(files, joints=joints, actuators=actuators, limits=Limits.of_machine(joints, actuators, hinges))
+    return read_set(files, joints=joints, actuators=actuators, limits=Limits.of_mjcf(joints, actuators, hinges))
 
 
 @dataclass(frozen=True)
@@ -143,15 +143,15 @@ def offer(path: Path, model: Model) -> None:
 
 
 def write_corrected(path: Path, model: Model, source: Path | None = None) -> tuple[str, ...]:
-    """Write MuJoCo's XML with all of a model that it has fields for; labels of the effects that it has none for.
+    """Write the MJCF with all of a model that it has fields for; labels of the effects that it has none for.
 
     Args:
         path: of the file.
-        model: of a machine.
+        model: of an MJCF robot.
         source: folder of the XML that it was made from, where its meshes are.
 
     Raises:
-        ConfigError: where the model is of no machine.
+        ConfigError: where the model is of no MJCF robot.
     """
     mjcf_of(model.robot)
     xml, left = corrected_xml(model, "" if source is None else presets.relative(source, path.parent))
@@ -179,10 +179,10 @@ def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]
             "measurement",
         ):
             left.append(f"{effect.name} at {effect.location}")
-    for drive, late in zip(own.machine.actuators, own.valve[:, DELAY], strict=True):
+    for drive, late in zip(own.robot.actuators, own.valve[:, DELAY], strict=True):
         # By the XML and by effects together; MuJoCo reads what it has written a step before at the earliest.
         held = late >= own.mujoco.opt.timestep
         own.mujoco.actuator_delay[drive.index] = late if held else 0.0
         if late > 0 and not held:
             left.append(f"{TransportDelay.name} at {drive.name}")
-    return exported(own.machine, own.mujoco, left, folder), tuple(left)
+    return exported(own.robot, own.mujoco, left, folder), tuple(left)

@@ -1,4 +1,4 @@
-"""Friction and damping of machines against what is known in closed form."""
+"""Friction and damping of MJCF robots against what is known in closed form."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from machine_models import DT, RK4, M, cart, run, trial_of
+from mjcf_models import DT, RK4, M, cart, run, trial_of
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl.effects import (
@@ -114,25 +114,25 @@ def test_friction_of_a_drive_grows_with_its_push() -> None:
     up = [(t, top * t / 2) for t in np.arange(0, 2, 0.01)]
     down = [(3 + t, top + (low - top) * t / 2) for t in np.arange(0, 2, 0.01)]
     rows = [*up, (2.0, top), *down, (5.0, low)]
-    machine = cart(f'stiffness="{k}" damping="10"', mass=0.05)
-    found = run(machine, LoadFriction("way", share), u=rows, until=6.0)
+    robot = cart(f'stiffness="{k}" damping="10"', mass=0.05)
+    found = run(robot, LoadFriction("way", share), u=rows, until=6.0)
     assert found.x[2990] == pytest.approx((1 - share) * top / k, abs=2e-4)
     assert found.x[-1] == pytest.approx((1 + share) * low / k, abs=2e-4)
-    free = run(machine, u=rows, until=6.0)
+    free = run(robot, u=rows, until=6.0)
     assert free.x[2990] == pytest.approx(top / k, abs=2e-4) and free.x[-1] == pytest.approx(low / k, abs=2e-4)
 
 
 def test_a_drive_that_does_not_push_does_not_rub() -> None:
-    machine = cart('stiffness="50"')
-    np.testing.assert_array_equal(run(machine, LoadFriction("way", 0.5), q=0.3).x, run(machine, q=0.3).x)
+    robot = cart('stiffness="50"')
+    np.testing.assert_array_equal(run(robot, LoadFriction("way", 0.5), q=0.3).x, run(robot, q=0.3).x)
 
 
 def test_friction_of_a_drive_counts_behind_a_drive_that_gives_way_too() -> None:
     """The push goes through the spring; what is left of it moves both masses."""
     share, force, armature = 0.9, 3.0, 1.0
-    machine = cart(f'armature="{armature}"')
-    stiff = run(machine, LoadFriction("way", share), u=force, until=2.0)
-    soft = run(machine, LoadFriction("way", share), DriveCompliance("way", 1e4, 20.0), u=force, until=2.0)
+    robot = cart(f'armature="{armature}"')
+    stiff = run(robot, LoadFriction("way", share), u=force, until=2.0)
+    soft = run(robot, LoadFriction("way", share), DriveCompliance("way", 1e4, 20.0), u=force, until=2.0)
     expected = (1 - share) * force / (M + armature) * 2.0
     assert stiff.x[-1] == pytest.approx(expected, rel=0.02)
     assert soft.x[-1] == pytest.approx(expected, rel=0.1)
@@ -140,9 +140,9 @@ def test_friction_of_a_drive_counts_behind_a_drive_that_gives_way_too() -> None:
 
 @pytest.mark.parametrize("flag", ["frictionloss", "constraint"])
 def test_friction_that_the_file_switches_off_is_not_left_out_in_silence(flag: str) -> None:
-    machine = cart(flags=f'<flag {flag}="disable"/>')
+    robot = cart(flags=f'<flag {flag}="disable"/>')
     try:
-        found = run(machine, CoulombFriction("way", FRICTION), v=1.0)
+        found = run(robot, CoulombFriction("way", FRICTION), v=1.0)
     except EquimusError as error:
         assert flag in str(error)
     else:
@@ -190,9 +190,9 @@ def test_damping_may_depend_on_the_direction(side: int) -> None:
 
 @pytest.mark.parametrize(("flag", "effect"), [("damper", ViscousFriction("way", 6.0))])
 def test_damping_that_the_file_switches_off_is_not_left_out_in_silence(flag: str, effect: Effect) -> None:
-    machine = cart(flags=f'<flag {flag}="disable"/>')
+    robot = cart(flags=f'<flag {flag}="disable"/>')
     try:
-        found = run(machine, effect, v=1.0)
+        found = run(robot, effect, v=1.0)
     except EquimusError as error:
         assert flag in str(error)
     else:

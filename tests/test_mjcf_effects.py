@@ -1,4 +1,4 @@
-"""Effects on robots of MuJoCo's XML: their units, where they sit, payloads and tilts."""
+"""Effects on MJCF robots: their units, where they sit, payloads and tilts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from machine_models import ARM, CRANE, PENDULUM, pendulum, refusal, slider
+from mjcf_models import ARM, CRANE, PENDULUM, pendulum, refusal, slider
 
 from equimus_ctrl.effects import (
     REGISTRY,
@@ -70,15 +70,15 @@ def middle(name: str, place: str) -> Effect:
 
 
 @pytest.mark.parametrize("name", sorted(set(catalogue("elastic")) - set(catalogue("mjcf"))))
-def test_effects_of_elastic_robots_are_refused_on_machines(name: str) -> None:
+def test_effects_of_elastic_robots_are_refused_on_mjcf_robots(name: str) -> None:
     place = {"joint": "shoulder", "actuator": "push", "link": "arm", "foot": "tip", "base": "base"}
     told = refusal(lambda: Model(CRANE, (middle(name, place[REGISTRY[name].sits_at[0]]),)))
-    assert told.startswith(f"crane: a robot from MuJoCo's XML cannot have effect {name} (it can: ")
+    assert told.startswith(f"crane: an MJCF robot cannot have effect {name} (it can: ")
     assert all(other in told for other in catalogue("mjcf"))
 
 
 @pytest.mark.parametrize("name", sorted(set(catalogue("mjcf")) - set(catalogue("elastic"))))
-def test_effects_of_machines_are_refused_on_elastic_robots(name: str) -> None:
+def test_effects_of_mjcf_robots_are_refused_on_elastic_robots(name: str) -> None:
     place = {"joint": "hip", "actuator": "maa", "base": "base"}
     told = refusal(lambda: Model(nominal_leg(), (middle(name, place[REGISTRY[name].sits_at[0]]),)))
     assert told.startswith(f"nominal_leg: a robot with elastic actuators cannot have effect {name} (it can: ")
@@ -110,7 +110,7 @@ def test_effects_sit_where_they_can(effects: tuple[Effect, ...], message: str) -
     assert refusal(lambda: Model(CRANE, effects)).startswith(f"crane: {message}")
 
 
-def test_dry_friction_sits_at_joints_of_machines_alone() -> None:
+def test_dry_friction_sits_at_joints_of_mjcf_robots_alone() -> None:
     """On elastic robots it can rub along an actuator, which has no coordinate of its own here."""
     assert "coulomb_friction" in refusal(lambda: Model(CRANE, (CoulombFriction("push", 1.0),)))
 
@@ -206,19 +206,19 @@ TOOL = '<body name="tool" pos="0 0 -0.6"><site name="end"/></body>'
 
 @pytest.mark.parametrize("mass", [0.0, 0.4])
 def test_a_frame_without_mass_can_carry_a_payload(mass: float) -> None:
-    machine = MjcfRobot("p", pendulum(body=TOOL)).with_payload("end", mass)
-    whole, _ = mass_matrix(machine.mujoco_model(), np.zeros(1))
+    robot = MjcfRobot("p", pendulum(body=TOOL)).with_payload("end", mass)
+    whole, _ = mass_matrix(robot.mujoco_model(), np.zeros(1))
     assert whole[0, 0] == pytest.approx(0.02 + 0.01 + 0.09 + mass * 0.36)
 
 
 def test_a_point_mass_has_no_inertia_of_its_own() -> None:
     """No warning either, of which tests make errors."""
     point = '<body name="ball" pos="0 0 -0.6"><inertial mass="0.3" pos="0 0 0" diaginertia="0 0 0"/></body>'
-    machine = MjcfRobot("p", pendulum(body=point))
-    assert machine.parameters()["ball.mass"] == 0.3
-    whole, _ = mass_matrix(machine.with_parameters({"ball.mass": 0.5}).mujoco_model(), np.zeros(1))
+    robot = MjcfRobot("p", pendulum(body=point))
+    assert robot.parameters()["ball.mass"] == 0.3
+    whole, _ = mass_matrix(robot.with_parameters({"ball.mass": 0.5}).mujoco_model(), np.zeros(1))
     assert whole[0, 0] == pytest.approx(0.02 + 0.01 + 0.09 + 0.5 * 0.36)
-    free = free_parameters(Model(machine))
+    free = free_parameters(Model(robot))
     assert np.all(np.isfinite(free.low)) and "ball.inertia" not in free.names
 
 
@@ -241,8 +241,8 @@ def test_gravity_tilts_about_an_axis_that_matters(what: str) -> None:
     text = f"""<mujoco><worldbody><body name="b"><joint name="j" {joint}/>
       <inertial mass="2" pos="0.1 0.2 -0.3" diaginertia="0.1 0.1 0.1"/></body></worldbody>
       <actuator><motor name="m" joint="j"/></actuator></mujoco>"""
-    machine = MjcfRobot("m", text)
-    models = [machine.with_parameters({"tilt": t}).mujoco_model() for t in (-0.1, 0.1)]
+    robot = MjcfRobot("m", text)
+    models = [robot.with_parameters({"tilt": t}).mujoco_model() for t in (-0.1, 0.1)]
     forces = [float(mass_matrix(m, np.zeros(1))[1][0]) for m in models]
     arm = {"hinge": 0.22, "slide": 1.0}[joint.split('"')[1]]
     if first:
@@ -266,7 +266,7 @@ def test_where_nothing_moves_the_first_joint_the_next_decides() -> None:
       <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><body name="flap"><joint name="x" axis="1 0 0"/>
       <inertial mass="1" pos="0 0 -0.2" diaginertia="0.1 0.1 0.1"/></body></body></worldbody>
       <actuator><motor name="m" joint="x"/></actuator></mujoco>"""
-    machine = MjcfRobot("lift", text)
-    np.testing.assert_allclose(np.abs(machine.plan.tilt_axis), [1, 0, 0], atol=1e-12)
-    weight = mass_matrix(machine.with_parameters({"tilt": 0.1}).mujoco_model(), np.zeros(2))[1]
+    robot = MjcfRobot("lift", text)
+    np.testing.assert_allclose(np.abs(robot.plan.tilt_axis), [1, 0, 0], atol=1e-12)
+    weight = mass_matrix(robot.with_parameters({"tilt": 0.1}).mujoco_model(), np.zeros(2))[1]
     assert abs(weight[1]) == pytest.approx(0.2 * 9.81 * math.sin(0.1))

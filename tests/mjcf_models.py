@@ -1,4 +1,4 @@
-"""Robots of MuJoCo's XML for tests, and runs of them."""
+"""MJCF robots for tests, and runs of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from equimus_ctrl.effects import Effect
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -112,9 +112,9 @@ def trial_of(
     return Trial("t", times, values[:, None], before, 0.0, np.array([q]), samples, np.array([v]))
 
 
-def run(machine: MjcfRobot, *effects: Effect, dt: float | None = None, trial: Trial | None = None, **of: object) -> Ran:
+def run(robot: MjcfRobot, *effects: Effect, dt: float | None = None, trial: Trial | None = None, **of: object) -> Ran:
     one = trial or trial_of(**of)  # type: ignore[arg-type]
-    (found,) = simulate_machines([Model(machine, effects)], [one], threads=1, dt=dt)
+    (found,) = simulate_mjcf([Model(robot, effects)], [one], threads=1, dt=dt)
     assert found.sound.all()
     return Ran(one.sample_times, found.position[0, :, 0])
 

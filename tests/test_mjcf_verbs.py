@@ -1,4 +1,4 @@
-"""The verbs on robots of MuJoCo's XML: what they write, and what they refuse."""
+"""The verbs on MJCF robots: what they write, and what they refuse."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def test_what_makes_an_answer_doubtful_is_told() -> None:
 
 
 def test_a_recording_of_three_rows_is_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-    xml, runs = files(tmp_path, machine.xml, recorded(Model(machine), count=1, seconds=0.03))
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    xml, runs = files(tmp_path, robot.xml, recorded(Model(robot), count=1, seconds=0.03))
     assert main(["score", str(runs), "--model", str(xml), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rmse_rad"]["hinge"] < 0.05
 
 
 def test_the_verbs_write_a_model_that_predicts_better(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    machine = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
-    xml, runs = files(tmp_path, machine.xml, recorded(Model(machine, [CoulombFriction("hinge", 0.08)])))
+    robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
+    xml, runs = files(tmp_path, robot.xml, recorded(Model(robot, [CoulombFriction("hinge", 0.08)])))
     out = tmp_path / "corrected.toml"
     assert main(["diagnose", str(runs), "--model", str(xml), "--write-model", str(out), "--most", "1", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
@@ -122,4 +122,4 @@ def test_verbs_for_elastic_robots_refuse_others(
     path = tmp_path / "robot.xml"
     path.write_text(PENDULUM.format(drive=MOTOR))
     assert main([*verb, "--model", str(path)]) == 2
-    assert "is a robot of MuJoCo's XML, which this is not for" in " ".join(capsys.readouterr().err.split())
+    assert "is an MJCF robot, which this is not for" in " ".join(capsys.readouterr().err.split())

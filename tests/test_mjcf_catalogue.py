@@ -1,4 +1,4 @@
-"""Every effect of machines: seen where it is something, not where it is nothing, and told in its units; and one's own."""
+"""Every effect of MJCF robots: seen where it is something, not where it is nothing, and told in its units; and one's own."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from machine_models import DT, RIG, M, Ran, cart, run, swinging
+from mjcf_models import DT, RIG, M, Ran, cart, run, swinging
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.results import Estimate, Evidence, Finding
 from equimus_ctrl.effects import REGISTRY, Effect, ForceEffect, ShapingEffect, catalogue, parameter, register
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.identification.parameters import unit_of
 from equimus_ctrl.models.model import Model
@@ -60,7 +60,7 @@ def strong(name: str, joint: str) -> Effect:
 
 
 def seen(model: Model) -> Array:
-    (found,) = simulate_machines([model], [swinging(until=3.0)], threads=1)
+    (found,) = simulate_mjcf([model], [swinging(until=3.0)], threads=1)
     assert found.sound.all()
     return found.position[0]
 

@@ -1,4 +1,4 @@
-"""Recordings of robots of MuJoCo's XML: numbers in their notes, and their columns."""
+"""Recordings of MJCF robots: numbers in their notes, and their columns."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from machine_models import CRANE, PENDULUM, refusal
+from mjcf_models import CRANE, PENDULUM, refusal
 
 from equimus_ctrl.diagnosis.split import check_settings, split
 from equimus_ctrl.effects import ViscousFriction
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import RecordingError
 from equimus_ctrl.identification.parameters import free_parameters
@@ -20,16 +20,16 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
-from equimus_ctrl.workflow.machines import read_trials
+from equimus_ctrl.workflow.mjcf import read_trials
 
 
-def recording(notes: Mapping[str, str] | None = None, name: str = "trial", machine: MjcfRobot = PENDULUM) -> Recording:
+def recording(notes: Mapping[str, str] | None = None, name: str = "trial", robot: MjcfRobot = PENDULUM) -> Recording:
     """Two seconds of a swinging pendulum."""
     time = np.arange(0, 2.001, 0.01)
-    na, nj = len(machine.actuators), len(machine.joints)
+    na, nj = len(robot.actuators), len(robot.joints)
     position = np.tile(0.3 * np.cos(4 * time)[:, None], (1, nj))
     return Recording(
-        name, time, np.zeros((len(time), na)), position, machine.actuator_names, machine.joint_names, notes=notes or {}
+        name, time, np.zeros((len(time), na)), position, robot.actuator_names, robot.joint_names, notes=notes or {}
     )
 
 
@@ -49,7 +49,7 @@ def test_numbers_in_notes_reach_the_simulation(notes: dict[str, str], values: di
     (segment,) = cut(model, [recording(notes)])
     (plain,) = cut(model.with_parameters(values), [recording()])
     found, expected, unchanged = (
-        simulate_machines([m], [s.trial], starts=[s.start[None, :]], threads=1)[0].position
+        simulate_mjcf([m], [s.trial], starts=[s.start[None, :]], threads=1)[0].position
         for m, s in ((model, segment), (model.with_parameters(values), plain), (model, plain))
     )
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
@@ -80,14 +80,14 @@ def test_notes_that_say_nothing_usable_are_told_with_the_recordings_name(notes: 
     assert told.startswith("third trial: ")
 
 
-def test_notes_of_numbers_are_for_machines_alone() -> None:
+def test_notes_of_numbers_are_for_mjcf_robots_alone() -> None:
     leg = Model(nominal_leg())
     time = np.arange(0, 2.001, 0.01)
     rest = Recording(
         "leg", time, np.zeros((len(time), 2)), np.tile([1.2, 0.8], (len(time), 1)), leg.morphology.actuator_names,
         leg.morphology.joint_names, notes={"set.hip.damping": "1"},
     )  # fmt: skip
-    assert "is for robots from MuJoCo's XML alone" in refusal(lambda: cut(leg, [rest], shoot=0.5))
+    assert "is for MJCF robots alone" in refusal(lambda: cut(leg, [rest], shoot=0.5))
 
 
 def test_a_number_that_every_recording_gives_cannot_be_free() -> None:
@@ -104,7 +104,7 @@ def test_a_number_that_every_recording_gives_cannot_be_free() -> None:
 
 
 def test_recordings_with_other_names_are_told_with_the_right_ones() -> None:
-    told = refusal(lambda: cut(Model(CRANE), [recording(machine=PENDULUM)]))
+    told = refusal(lambda: cut(Model(CRANE), [recording(robot=PENDULUM)]))
     assert all(name in told for name in (*CRANE.joint_names, *CRANE.actuator_names, "pivot", "motor"))
 
 
@@ -136,7 +136,7 @@ def test_wrong_columns_are_told_with_the_right_ones(header: str, parts: tuple[st
         read_trials([path], CRANE)
 
 
-def test_columns_come_in_the_machines_order_whatever_the_files(tmp_path: Path) -> None:
+def test_columns_come_in_the_robots_order_whatever_the_files(tmp_path: Path) -> None:
     header = "time,pos.reach,pos.shoulder,cmd.drive,cmd.servo,cmd.push"
     path = tmp_path / "trial.csv"
     rows = [f"{k * 0.01:.2f},{100 * k},{-0.1 * k:g},3,-2,1e6" for k in range(50)]

@@ -1,4 +1,4 @@
-"""Commands, drives and sensors of machines against what is known in closed form."""
+"""Commands, drives and sensors of MJCF robots against what is known in closed form."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from machine_models import DT, M, cart, run, trial_of
+from mjcf_models import DT, M, cart, run, trial_of
 
 from equimus_ctrl.effects import (
     ActuatorGain,
@@ -23,7 +23,7 @@ from equimus_ctrl.effects import (
     TorqueSaturation,
     TransportDelay,
 )
-from equimus_ctrl.engines.machine import realise
+from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
@@ -136,16 +136,16 @@ def test_at_the_antiresonance_the_drive_stands_still() -> None:
 def test_at_rest_a_drive_gives_way_by_force_over_stiffness() -> None:
     """A servo holds the drive, not the mass."""
     k, force = 500.0, 10.0
-    machine = cart('armature="0.5" damping="40"', drive=SERVO)
-    rigid = run(machine, ConstantForce("way", force), u=0.1, until=8.0)
-    soft = run(machine, ConstantForce("way", force), DriveCompliance("way", k, 5.0), u=0.1, until=8.0)
+    robot = cart('armature="0.5" damping="40"', drive=SERVO)
+    rigid = run(robot, ConstantForce("way", force), u=0.1, until=8.0)
+    soft = run(robot, ConstantForce("way", force), DriveCompliance("way", k, 5.0), u=0.1, until=8.0)
     assert rigid.x[-1] == pytest.approx(0.1 + force / 200, abs=1e-6)
     assert soft.x[-1] - rigid.x[-1] == pytest.approx(force / k, abs=1e-6)
 
 
 def test_a_very_stiff_drive_is_rigid() -> None:
-    machine = cart('armature="0.5"', drive=SERVO)
-    rigid, stiff = run(machine, u=0.2), run(machine, DriveCompliance("way", 2e4, 100.0), u=0.2)
+    robot = cart('armature="0.5"', drive=SERVO)
+    rigid, stiff = run(robot, u=0.2), run(robot, DriveCompliance("way", 2e4, 100.0), u=0.2)
     np.testing.assert_allclose(stiff.x, rigid.x, rtol=0, atol=2e-3)
     assert np.abs(rigid.x).max() > 0.1
 

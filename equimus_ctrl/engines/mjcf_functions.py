@@ -1,4 +1,4 @@
-"""What is generated for the joints of machines: here only by name, so that the kernel can be read and checked."""
+"""What is generated for the joints of MJCF robots: here only by name, so that the kernel can be read and checked."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def prepare(p: Array) -> Array:
     raise NotImplementedError
 
 
-def joint_push(x: Any, z: Any, c: Array) -> Any:
-    """(push, greatest dry friction, rates of the laws' states …) of coordinate, rate, load and states."""
+def joint_force(x: Any, z: Any, c: Array) -> Any:
+    """(generalised force, greatest dry friction, rates of the laws' states …) of coordinate, rate, load and states."""
     raise NotImplementedError
 
 

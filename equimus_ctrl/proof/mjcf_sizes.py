@@ -1,4 +1,4 @@
-"""How large the missing physics of a machine is: in units of what its recordings show of each place.
+"""How large the missing physics of an MJCF robot is: in units of what its recordings show of each place.
 
 Pushes are in units of the largest that the drive or gravity exerts there, rates and ways in units of what is covered.
 The weak ends hardly show, the strong ones are plain to the eye.
@@ -13,11 +13,11 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.sizes import Size
 
 
-def machine_sizes(model: Model, seen: Mapping[str, Seen]) -> tuple[Size, ...]:
-    """The table for a machine: of the catalogue and of what is outside it.
+def mjcf_sizes(model: Model, seen: Mapping[str, Seen]) -> tuple[Size, ...]:
+    """The table for an MJCF robot: of the catalogue and of what is outside it.
 
     Args:
-        model: of the machine.
+        model: of the robot.
         seen: what its recordings show of each place.
     """
     where = model.robot.places()

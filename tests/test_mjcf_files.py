@@ -1,4 +1,4 @@
-"""Files of robots of MuJoCo's XML: what is saved comes back, what is written moves alike, and what may be freed."""
+"""Files of MJCF robots: what is saved comes back, what is written moves alike, and what may be freed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from machine_models import ARM, CRANE, PENDULUM, pendulum, refusal
+from mjcf_models import ARM, CRANE, PENDULUM, pendulum, refusal
 
 from equimus_ctrl.effects import (
     ActuatorGain,
@@ -30,45 +30,45 @@ from equimus_ctrl.effects import (
     ViscousFriction,
 )
 from equimus_ctrl.engines.batch import Trial
-from equimus_ctrl.engines.machine import simulate_machines
+from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.identification.parameters import default_names, free_parameters
 from equimus_ctrl.models.model import FORMAT, Model, model_from_dict, model_to_dict
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
-from equimus_ctrl.workflow import load_machine, load_model, offer, read_free, save_model
-from equimus_ctrl.workflow.machines import corrected_xml, write_corrected
+from equimus_ctrl.workflow import load_mjcf, load_model, offer, read_free, save_model
+from equimus_ctrl.workflow.mjcf import corrected_xml, write_corrected
 
 # --- model files ------------------------------------------------------------------------------------------------
 
 
-def driven(machine: MjcfRobot, until: float = 1.0) -> Trial:
+def driven(robot: MjcfRobot, until: float = 1.0) -> Trial:
     """Commands that jump on the physics' grid, and a start away from rest."""
     times = np.arange(0.0, until - 0.05, 0.125)
-    k, i = np.meshgrid(np.arange(len(times)), np.arange(len(machine.actuators)), indexing="ij")
+    k, i = np.meshgrid(np.arange(len(times)), np.arange(len(robot.actuators)), indexing="ij")
     commands = np.round(1.5 * np.sin(1.7 * k + i), 3) / (1 + 2 * i)
-    start = np.linspace(0.4, 0.1, len(machine.joints))
+    start = np.linspace(0.4, 0.1, len(robot.joints))
     return Trial("t", times, commands, commands[0], 0.0, start, np.arange(0.0, until + 1e-9, 0.025))
 
 
 def moved(model: Model, trial: Trial | None = None) -> Array:
-    machine = model.robot
-    assert machine is not None
-    found = simulate_machines([model], [trial or driven(machine)], threads=1)[0]
+    robot = model.robot
+    assert robot is not None
+    found = simulate_mjcf([model], [trial or driven(robot)], threads=1)[0]
     assert found.sound.all()
     return found.position[0]
 
 
-def stepped(model: Any, machine: MjcfRobot, trial: Trial) -> Array:
+def stepped(model: Any, robot: MjcfRobot, trial: Trial) -> Array:
     """The same trial, by MuJoCo alone."""
     data = mujoco.MjData(model)
-    joints = [model.joint(name) for name in machine.joint_names]
+    joints = [model.joint(name) for name in robot.joint_names]
     for joint, q in zip(joints, trial.position, strict=True):
         data.qpos[joint.qposadr[0]] = q
         if any(model.joint(k).name == f"{joint.name} drive" for k in range(model.njnt)):
             data.qpos[model.joint(f"{joint.name} drive").qposadr[0]] = q
-    order = [model.actuator(name).id for name in machine.actuator_names]
+    order = [model.actuator(name).id for name in robot.actuator_names]
     for i, before in zip(order, trial.before, strict=True):
         if model.actuator_actadr[i] >= 0:
             data.act[model.actuator_actadr[i]] = before
@@ -111,8 +111,8 @@ HELD["all of them"] = tuple(effect for effects in HELD.values() for effect in ef
 
 @pytest.mark.parametrize("name", HELD)
 def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_file: Path, tmp_path: Path) -> None:
-    machine = load_machine(crane_file).with_parameters({"arm.mass": 2.25, "reach.damping": 2.0, "tilt": 0.05})
-    model = Model(machine, HELD[name])
+    robot = load_mjcf(crane_file).with_parameters({"arm.mass": 2.25, "reach.damping": 2.0, "tilt": 0.05})
+    model = Model(robot, HELD[name])
     path = tmp_path / "found" / "deep" / "model.toml"
     assert save_model(path, model, crane_file) == [path, path.with_suffix(".xml")]
     back = load_model(path)
@@ -121,9 +121,9 @@ def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_fil
     text = path.read_text()
     assert 'mjcf = "../../robots/robot.xml"' in text and "model.xml has all of this in one MuJoCo model." in text
     written = mujoco.MjModel.from_xml_path(str(path.with_suffix(".xml")))
-    trial = driven(machine)
-    own = stepped(written, machine, trial)
-    plain = moved(Model(machine))
+    trial = driven(robot)
+    own = stepped(written, robot, trial)
+    plain = moved(Model(robot))
     # Six digits are written of each number.
     np.testing.assert_allclose(own, moved(model), rtol=0, atol=2e-5)
     assert name == "nothing" or np.abs(own - plain).max() > 2e-3
@@ -131,13 +131,13 @@ def test_a_saved_model_comes_back_and_its_xml_moves_like_it(name: str, crane_fil
 
 def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: Path) -> None:
     """To the six digits that are written; what gravity leans by is in its direction, how mass is spread in the inertia."""
-    machine = load_machine(crane_file)
+    robot = load_mjcf(crane_file)
     kept = "tilt", *SHAPE
-    changed = {name: 1.2345 * value + 0.0123 for name, value in machine.parameters().items() if not name.endswith(kept)}
-    model = Model(machine.with_parameters(changed))
+    changed = {name: 1.2345 * value + 0.0123 for name, value in robot.parameters().items() if not name.endswith(kept)}
+    model = Model(robot.with_parameters(changed))
     save_model(tmp_path / "found.toml", model, crane_file)
-    again = load_machine(tmp_path / "found.xml").parameters()
-    there = dict.fromkeys(machine.parameters(), 0.0) | changed
+    again = load_mjcf(tmp_path / "found.xml").parameters()
+    there = dict.fromkeys(robot.parameters(), 0.0) | changed
     assert again == {name: pytest.approx(value, rel=1e-5) for name, value in there.items()}
     np.testing.assert_array_equal(moved(load_model(tmp_path / "found.toml")), moved(model))
 
@@ -146,14 +146,14 @@ def test_all_numbers_that_were_found_are_in_the_xml(crane_file: Path, tmp_path: 
 @pytest.mark.parametrize("late", [(), (TransportDelay("servo", 0.02),)], ids=["prompt", "late"])
 def test_a_lag_is_a_filter_of_the_actuator(late: tuple[Effect, ...], tau: float, crane_file: Path) -> None:
     """MuJoCo's is half a step from the mean over a step, and as prompt as the command where it takes no time."""
-    machine = load_machine(crane_file)
+    robot = load_mjcf(crane_file)
     lag = FirstOrderLag("servo", tau)
-    xml, left = corrected_xml(Model(machine, (lag, *late)))
+    xml, left = corrected_xml(Model(robot, (lag, *late)))
     assert left == ()
-    trial = replace(driven(machine), before=np.zeros(len(machine.actuators)))
-    own = stepped(mujoco.MjModel.from_xml_string(xml), machine, trial)
-    off = np.abs(own - moved(Model(machine, (lag, *late)), trial)).max()
-    changed = np.abs(own - moved(Model(machine, late), trial)).max()
+    trial = replace(driven(robot), before=np.zeros(len(robot.actuators)))
+    own = stepped(mujoco.MjModel.from_xml_string(xml), robot, trial)
+    off = np.abs(own - moved(Model(robot, (lag, *late)), trial)).max()
+    changed = np.abs(own - moved(Model(robot, late), trial)).max()
     assert off < (0.02 * changed if tau else 2e-5)
     again = MjcfRobot("again", xml)
     assert again.parameters()["servo.time_constant"] == pytest.approx(tau)
@@ -165,7 +165,7 @@ def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> 
         ViscousFriction("reach", 1.0), FirstOrderLag("servo", 0.1), ConstantForce("reach", 1.0),
         SensorOffset("shoulder", 0.1), Backlash("reach", 0.01), TransportDelay("drive", 1e-5),
     )  # fmt: skip
-    model = Model(load_machine(crane_file), effects)
+    model = Model(load_mjcf(crane_file), effects)
     told = [f"{e.name} at {e.location}" for e in effects[2:]]
     xml, left = corrected_xml(model)
     assert list(left) == told and f"<!-- Not in here: {', '.join(told)}. -->" in xml
@@ -192,7 +192,7 @@ def test_the_xml_is_found_beside_the_model_file_from_anywhere(
 
 
 def test_a_model_that_is_saved_again_still_finds_its_xml(crane_file: Path, tmp_path: Path) -> None:
-    model = Model(load_machine(crane_file), (ViscousFriction("reach", 1.0),))
+    model = Model(load_mjcf(crane_file), (ViscousFriction("reach", 1.0),))
     first, second = tmp_path / "a" / "one.toml", tmp_path / "b" / "c" / "two.toml"
     save_model(first, model, crane_file)
     save_model(second, load_model(first), first)
@@ -201,14 +201,14 @@ def test_a_model_that_is_saved_again_still_finds_its_xml(crane_file: Path, tmp_p
 
 def test_saving_beside_the_xml_leaves_it_as_it_is(crane_file: Path) -> None:
     """The corrected XML must not take the place of the one that the model file changes."""
-    model = Model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    model = Model(load_mjcf(crane_file), (PayloadMass("tip", 0.7),))
     save_model(crane_file.with_suffix(".toml"), model, crane_file)
     assert crane_file.read_text() == ARM
     np.testing.assert_array_equal(moved(load_model(crane_file.with_suffix(".toml"))), moved(model))
 
 
 def test_an_xml_of_somebody_else_stays(crane_file: Path, tmp_path: Path) -> None:
-    model = Model(load_machine(crane_file), (PayloadMass("tip", 0.7),))
+    model = Model(load_mjcf(crane_file), (PayloadMass("tip", 0.7),))
     (tmp_path / "keep.xml").write_text("<mujoco/>")
     assert save_model(tmp_path / "keep.toml", model, crane_file)[1].name == "keep_whole.xml"
     assert (tmp_path / "keep.xml").read_text() == "<mujoco/>"
@@ -239,7 +239,7 @@ def test_a_model_is_its_dictionary() -> None:
 
 WRONG_FILES: dict[str, tuple[str, str]] = {
     'mjcf = "robto.xml"': ("there is no such file", "robto.xml"),
-    "mjcf = 3": ("mjcf is 3, expected the name of a file of MuJoCo's XML", ""),
+    "mjcf = 3": ("mjcf is 3, expected the name of an MJCF file", ""),
     'mjcf = "robot.xml"\nmorphology = "nominal_leg"': ("there is no key 'morphology'", "known: effects, format, mjcf"),
     'mjcf = "robot.xml"\nphase = "stance"': ("there is no key 'phase'", ""),
     'mjcf = "robot.xml"\nformat = "x"': (f"format is 'x', expected {FORMAT!r}", ""),
@@ -249,7 +249,7 @@ WRONG_FILES: dict[str, tuple[str, str]] = {
     'mjcf = "robot.xml"\n[parameters]\n"arm.mass" = -1': ("arm.mass is -1, expected a finite number of at least 0", ""),
     'mjcf = "robot.xml"\n[parameters]\narm.mass = 1': ("'arm' is a table; put a dotted name in quotes", ""),
     'mjcf = "robot.xml"\n[[effects]]\neffect = "creep"\nlocation = "push"\nstiffness = 1\ntime_constant = 1': (
-        "a robot from MuJoCo's XML cannot have effect creep", "",
+        "an MJCF robot cannot have effect creep", "",
     ),
     'mjcf = "robot.xml"\n[[effects]]\neffect = "viscous_friction"\nlocation = "elbow"\ndamping = 1': (
         "effect viscous_friction: there is no joint 'elbow'", "known: reach, shoulder",
@@ -278,8 +278,8 @@ def test_without_a_file_to_read_from_an_xml_cannot_be_named() -> None:
 
 def test_an_xml_is_a_model_by_itself(crane_file: Path) -> None:
     model = load_model(crane_file)
-    machine = model.robot
-    assert machine is not None and machine.source == "robot.xml"
+    robot = model.robot
+    assert robot is not None and robot.source == "robot.xml"
     assert model.effects == () and model.parameters() == CRANE.parameters()
     assert load_model(str(crane_file)).name == "crane"
 
@@ -291,17 +291,17 @@ def test_a_robot_without_a_name_is_called_after_its_file(tmp_path: Path) -> None
 
 def test_numbers_come_out_of_a_file_with_all_their_digits(tmp_path: Path) -> None:
     (tmp_path / "p.xml").write_text(pendulum(inertial='mass="0.123456789" pos="0 0 -0.3" diaginertia="1 1 1"'))
-    assert load_machine(tmp_path / "p.xml").parameters()["arm.mass"] == pytest.approx(0.123456789, rel=1e-12)
+    assert load_mjcf(tmp_path / "p.xml").parameters()["arm.mass"] == pytest.approx(0.123456789, rel=1e-12)
 
 
 def test_included_files_are_read_into_one(tmp_path: Path) -> None:
     drive = '<actuator><motor name="motor" joint="pivot"/></actuator>'
     (tmp_path / "drive.xml").write_text(f"<mujocoinclude>{drive}</mujocoinclude>")
     (tmp_path / "p.xml").write_text(pendulum().replace(drive, '<include file="drive.xml"/>'))
-    machine = load_machine(tmp_path / "p.xml")
+    robot = load_mjcf(tmp_path / "p.xml")
     (tmp_path / "drive.xml").unlink()
-    assert machine.actuator_names == ("motor",)
-    assert replace(machine, name="copy").parameters() == PENDULUM.parameters()
+    assert robot.actuator_names == ("motor",)
+    assert replace(robot, name="copy").parameters() == PENDULUM.parameters()
 
 
 SOLID = "v 0 0 0\nv .2 0 0\nv 0 .2 0\nv 0 0 .2\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -310,7 +310,7 @@ MESHED = """<mujoco model="meshed"><compiler meshdir="parts"/><asset><mesh name=
   </worldbody><actuator><motor name="motor" joint="pivot"/></actuator></mujoco>"""
 
 
-def test_meshes_are_kept_with_the_machine_and_found_from_what_is_saved(tmp_path: Path) -> None:
+def test_meshes_are_kept_with_the_robot_and_found_from_what_is_saved(tmp_path: Path) -> None:
     (tmp_path / "robot" / "parts").mkdir(parents=True)
     (tmp_path / "robot" / "parts" / "shape.obj").write_text(SOLID)
     (tmp_path / "robot" / "meshed.xml").write_text(MESHED)
@@ -333,7 +333,7 @@ def test_a_mesh_is_taken_from_where_mujoco_takes_it(tmp_path: Path) -> None:
     assert load_model(tmp_path / "meshed.xml").parameters()["arm.mass"] == pytest.approx(own, rel=1e-9)
 
 
-def test_machines_that_differ_in_a_mesh_alone_are_two() -> None:
+def test_robots_that_differ_in_a_mesh_alone_are_two() -> None:
     small, large = (
         MjcfRobot("meshed", MESHED, {"shape.obj": SOLID.replace(".2", size).encode()}) for size in (".2", ".4")
     )
@@ -368,20 +368,20 @@ NAMELESS = '<body pos="0 0 -0.6"><inertial mass="0.3" pos="0 0 0" diaginertia="0
     ],
 )
 @pytest.mark.parametrize("effect", [PayloadMass("tip", 0.5), DriveCompliance("pivot", 20.0, 0.1)], ids=lambda e: e.name)
-def test_any_machine_can_be_written(text: str, effect: Effect) -> None:
+def test_any_mjcf_robot_can_be_written(text: str, effect: Effect) -> None:
     model = Model(MjcfRobot("p", text), (effect,))
-    machine = model.robot
-    assert machine is not None
+    robot = model.robot
+    assert robot is not None
     xml, left = corrected_xml(model)
     assert left == ()
-    trial = driven(machine)
-    own = stepped(mujoco.MjModel.from_xml_string(xml), machine, trial)
+    trial = driven(robot)
+    own = stepped(mujoco.MjModel.from_xml_string(xml), robot, trial)
     np.testing.assert_allclose(own, moved(model, trial), rtol=0, atol=2e-5)
-    assert np.abs(own - moved(Model(machine), trial)).max() > 1e-3
+    assert np.abs(own - moved(Model(robot), trial)).max() > 1e-3
 
 
-def test_elastic_robots_are_not_written_as_machines(tmp_path: Path) -> None:
-    assert "is no robot of MuJoCo's XML" in refusal(lambda: write_corrected(tmp_path / "leg.xml", Model(nominal_leg())))
+def test_elastic_robots_are_not_written_as_mjcf(tmp_path: Path) -> None:
+    assert "is no MJCF robot" in refusal(lambda: write_corrected(tmp_path / "leg.xml", Model(nominal_leg())))
     assert list(tmp_path.iterdir()) == []
 
 

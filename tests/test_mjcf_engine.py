@@ -1,4 +1,4 @@
-"""Machines simulated: what moves freely is known in closed form, and what must not matter does not."""
+"""MJCF robots simulated: what moves freely is known in closed form, and what must not matter does not."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from machine_models import DT, RIG, RK4, M, Ran, cart, run, swinging, trial_of
+from mjcf_models import DT, RIG, RK4, M, Ran, cart, run, swinging, trial_of
 
 from equimus_ctrl.diagnosis.split import window_length
 from equimus_ctrl.effects import (
@@ -32,8 +32,8 @@ from equimus_ctrl.effects import (
     ViscousFriction,
 )
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.machine import pushes, realise, simulate_machines
-from equimus_ctrl.engines.machine_motion import machine_motion, pushed
+from equimus_ctrl.engines.mjcf import joint_forces, realise, simulate_mjcf
+from equimus_ctrl.engines.mjcf_motion import mjcf_motion, simulated_response
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.segments import cut
@@ -89,14 +89,14 @@ def crossings(found: Ran, level: float = 0.0) -> Array:
 
 def test_a_torsion_pendulum_has_the_period_of_its_inertia_and_stiffness() -> None:
     inertia, stiffness, rest = 0.1, 8.0, 0.3
-    machine = MjcfRobot(
+    robot = MjcfRobot(
         "torsion",
         f"""<mujoco><compiler angle="radian"/><option timestep="{DT}" gravity="0 0 0"/><worldbody><body name="disc">
         <joint name="wire" axis="0 0 1" stiffness="{stiffness}" springref="{rest}"/>
         <inertial mass="1" pos="0 0 0" diaginertia="0.05 0.05 {inertia}"/></body></worldbody>
         <actuator><motor name="m" joint="wire"/></actuator></mujoco>""",
     )
-    found = run(machine, q=rest + 0.5, until=8.0)
+    found = run(robot, q=rest + 0.5, until=8.0)
     times, omega = crossings(found, rest), math.sqrt(stiffness / inertia)
     assert len(times) > 20
     # cos(ω'·dt) = 1 − (ω·dt)²/2 is what the steps make of it.
@@ -127,8 +127,8 @@ def test_a_trial_may_begin_at_any_time() -> None:
 
 def test_starts_may_be_given_beside_the_trials() -> None:
     model, one = Model(cart()), trial_of(1.0)
-    both = simulate_machines([model, model], [one], starts=[np.array([[0.5, 2.0], [0.3, 0.0]])], threads=1)[0]
-    still = simulate_machines([model, model], [one], starts=[np.array([[0.5], [0.3]])], threads=1)[0]
+    both = simulate_mjcf([model, model], [one], starts=[np.array([[0.5, 2.0], [0.3, 0.0]])], threads=1)[0]
+    still = simulate_mjcf([model, model], [one], starts=[np.array([[0.5], [0.3]])], threads=1)[0]
     expected = [run(cart(), u=1.0, q=q, v=v).x for q, v in ((0.5, 2.0), (0.3, 0.0), (0.5, 0.0))]
     np.testing.assert_array_equal(both.position[0, :, 0], expected[0])
     np.testing.assert_array_equal(both.position[1, :, 0], expected[1])
@@ -138,7 +138,7 @@ def test_starts_may_be_given_beside_the_trials() -> None:
 @pytest.mark.parametrize("dt", [0.0, -1e-3, math.nan, math.inf])
 def test_a_step_that_is_none_is_refused(dt: float) -> None:
     with pytest.raises(ConfigError, match=r"the physics step is .* s, expected more than 0"):
-        simulate_machines([Model(cart())], [trial_of()], dt=dt)
+        simulate_mjcf([Model(cart())], [trial_of()], dt=dt)
 
 
 def test_another_physics_step_can_be_asked_for() -> None:
@@ -161,16 +161,16 @@ VARIED: tuple[tuple[Effect, ...], ...] = (
 def test_results_do_not_depend_on_threads_or_on_what_is_simulated_beside() -> None:
     models = [Model(RIG, effects) for effects in VARIED]
     trials = [swinging(k) for k in range(3)]
-    together = simulate_machines(models, trials, threads=1)
+    together = simulate_mjcf(models, trials, threads=1)
     assert all(found.sound.all() for found in together)
     for threads in (2, 5):
-        for one, two in zip(together, simulate_machines(models, trials, threads=threads), strict=True):
+        for one, two in zip(together, simulate_mjcf(models, trials, threads=threads), strict=True):
             np.testing.assert_array_equal(one.position, two.position)
     for k, model in enumerate(models):
         for i, trial in enumerate(trials):
-            alone = simulate_machines([model], [trial], threads=2)[0]
+            alone = simulate_mjcf([model], [trial], threads=2)[0]
             np.testing.assert_array_equal(alone.position[0], together[i].position[k])
-    backwards = simulate_machines(models[::-1], trials[::-1], threads=2)
+    backwards = simulate_mjcf(models[::-1], trials[::-1], threads=2)
     for one, two in zip(together, backwards[::-1], strict=True):
         np.testing.assert_array_equal(one.position, two.position[::-1])
     spread = [np.abs(found.position - found.position[:1]).max(axis=(1, 2)) for found in together]
@@ -188,7 +188,7 @@ def test_a_model_that_diverges_says_how_far_it_came(
     monkeypatch.chdir(tmp_path)
     sound, wild = Model(HUGE), Model(HUGE, (ConstantForce("way", 1e3),))
     one = trial_of(until=0.1, every=0.01)
-    found, again = simulate_machines([sound, wild, sound], [one, one], threads=threads)
+    found, again = simulate_mjcf([sound, wild, sound], [one, one], threads=threads)
     assert found.reached.tolist() == [11, 1, 11] == again.reached.tolist()
     assert found.sound.tolist() == [True, False, True]
     np.testing.assert_array_equal(found.position[[0, 2]], 0.0)
@@ -200,7 +200,7 @@ def test_a_model_that_diverges_says_how_far_it_came(
 def test_a_divergence_is_found_where_speeds_mean_nothing_any_more() -> None:
     """After two seconds at 500 m/s²."""
     one = trial_of(until=4.0, every=0.25)
-    (found,) = simulate_machines([Model(cart(), (ConstantForce("way", 1e3),))], [one], threads=1)
+    (found,) = simulate_mjcf([Model(cart(), (ConstantForce("way", 1e3),))], [one], threads=1)
     assert found.reached.tolist() == [8]
     np.testing.assert_allclose(found.position[0, :8, 0], 250 * one.sample_times[:8] ** 2, atol=500 * 2 * DT)
 
@@ -209,7 +209,7 @@ def test_warnings_of_mujoco_are_heard_again_after_a_simulation() -> None:
     heard: list[str] = []
     mujoco.set_mju_user_warning(heard.append)
     try:
-        simulate_machines([Model(HUGE, (ConstantForce("way", 1e3),))], [trial_of()], threads=1)
+        simulate_mjcf([Model(HUGE, (ConstantForce("way", 1e3),))], [trial_of()], threads=1)
         assert heard == []
         assert mujoco.get_mju_user_warning() is not None
         data = mujoco.MjData(HUGE.plan.base)
@@ -236,9 +236,9 @@ def test_trials_may_have_other_numbers() -> None:
     ]  # fmt: skip
     trials = [replace(plain, settings=settings, factors=factors) for settings, factors, _ in given]
     for threads in (1, 2):
-        together = simulate_machines([model, model], trials, threads=threads)
+        together = simulate_mjcf([model, model], trials, threads=threads)
         for found, (_, _, values) in zip(together, given, strict=True):
-            alone = simulate_machines([model.with_parameters(values)], [plain], threads=1)[0]
+            alone = simulate_mjcf([model.with_parameters(values)], [plain], threads=1)[0]
             np.testing.assert_allclose(found.position[0], alone.position[0], rtol=0, atol=1e-12)
             np.testing.assert_array_equal(found.position[0], found.position[1])
     spread = [np.abs(found.position[0] - together[0].position[0]).max() for found in together]
@@ -252,27 +252,27 @@ def test_the_motion_inside_is_what_is_simulated() -> None:
     trial = swinging()
     model = Model(RIG, (SensorOffset("shoulder", 0.2), FirstOrderLag("lift", 0.05)))
     start = np.concatenate([trial.position, trial.velocity])
-    motion = machine_motion(model, trial, start)
-    seen = simulate_machines([model], [trial], threads=1)[0].position[0]
+    motion = mjcf_motion(model, trial, start)
+    seen = simulate_mjcf([model], [trial], threads=1)[0].position[0]
     np.testing.assert_allclose(motion.position, seen - [0.2, 0.0], rtol=0, atol=1e-12)
     slopes = np.diff(motion.position, axis=0) / np.diff(trial.sample_times)[:, None]
     np.testing.assert_allclose(motion.between.velocity, slopes, rtol=0, atol=0.02 * np.abs(slopes).max())
     np.testing.assert_allclose(motion.between.time, trial.sample_times[:-1] + 0.005)
-    steady = machine_motion(Model(RIG), trial, start).between.pressure
+    steady = mjcf_motion(Model(RIG), trial, start).between.pressure
     held = trial.commands[np.searchsorted(trial.times, trial.sample_times[:-1] + 0.005) - 1]
     np.testing.assert_allclose(steady, held, rtol=0, atol=1e-9)
 
 
 def test_a_motion_that_diverges_is_told() -> None:
     with pytest.raises(SimulationDiverged, match="t: the simulation of cart diverged"):
-        machine_motion(Model(cart(), (ConstantForce("way", 1e3),)), trial_of(until=3.0), np.zeros(2))
+        mjcf_motion(Model(cart(), (ConstantForce("way", 1e3),)), trial_of(until=3.0), np.zeros(2))
 
 
 def test_the_answer_to_a_push_of_a_free_mass_is_known() -> None:
     one = trial_of(until=1.0, every=0.01)
     push = np.ones((100, 1, 2))
     push[:, 0, 1] = np.where(np.arange(100) < 30, -2.0, 0.0)
-    (found,) = pushed(Model(cart()), [one], [np.array([0.1, 0.5])], np.array([1.0])).response([push])
+    (found,) = simulated_response(Model(cart()), [one], [np.array([0.1, 0.5])], np.array([1.0])).response([push])
     t = one.sample_times
     np.testing.assert_allclose(found[:, 0, 0], t**2 / 2 / M, rtol=0, atol=DT / M)
     later = np.maximum(t - 0.3, 0)
@@ -295,12 +295,12 @@ def test_the_answer_to_a_push_is_the_difference_of_two_simulations(effects: tupl
     push = np.zeros((len(trials[0].sample_times) - 1, 2, 3))
     push[:, 0, 0], push[:, 1, 2] = 1.0, 1.0
     model = Model(RIG, effects)
-    found = pushed(model, trials, starts, np.array([1.0, 1.0])).response([push, push])
+    found = simulated_response(model, trials, starts, np.array([1.0, 1.0])).response([push, push])
     h = 1e-3
     for k, trial in enumerate(trials):
         for joint, column in (("shoulder", 0), ("reach", 2)):
             either = [Model(RIG, (*effects, ConstantForce(joint, sign * h))) for sign in (1, -1)]
-            more, less = simulate_machines(either, [trial], threads=1)[0].position
+            more, less = simulate_mjcf(either, [trial], threads=1)[0].position
             slope = (more - less) / (2 * h)
             # One side alone is off by the curvature: a thousandth of a push, on an answer of some tenths.
             np.testing.assert_allclose(found[k][:, :, column], slope, rtol=0, atol=2e-3 * np.abs(slope).max())
@@ -311,48 +311,48 @@ def test_the_answer_to_a_push_is_the_difference_of_two_simulations(effects: tupl
 def test_pushes_belong_to_trials() -> None:
     one = trial_of(until=0.5, every=0.1)
     with pytest.raises(ConfigError, match="torques are for 2 trials, expected 1"):
-        pushed(Model(cart()), [one], [np.zeros(2)], np.ones(1)).response([np.ones((5, 1, 1))] * 2)
+        simulated_response(Model(cart()), [one], [np.zeros(2)], np.ones(1)).response([np.ones((5, 1, 1))] * 2)
 
 
 def test_what_drives_and_gravity_push_is_told() -> None:
     own = realise(Model(hung(), (ActuatorGain("motor", 2.0), TorqueSaturation("motor", 5.0))))
     angles = np.array([[0.0], [math.pi / 2], [-0.4]])
-    drives, weights = pushes(own, angles, np.zeros((3, 1)), np.array([[1.0], [-2.0], [4.0]]))
+    drives, weights = joint_forces(own, angles, np.zeros((3, 1)), np.array([[1.0], [-2.0], [4.0]]))
     np.testing.assert_allclose(drives[:, 0], [2.0, -4.0, 5.0], atol=1e-12)
     np.testing.assert_allclose(weights[:, 0], WEIGHT * np.sin(angles[:, 0]), atol=1e-9)
 
 
-# --- recordings of machines -------------------------------------------------------------------------------------
+# --- recordings of MJCF robots -------------------------------------------------------------------------------------
 
 
-def recorded(machine: MjcfRobot, *effects: Effect, until: float = 3.0) -> Recording:
+def recorded(robot: MjcfRobot, *effects: Effect, until: float = 3.0) -> Recording:
     one = trial_of([(0.0, 0.0), (0.5, 1.0), (1.5, -1.0)], q=0.4, until=until, every=0.01)
-    found = run(machine, *effects, trial=one)
+    found = run(robot, *effects, trial=one)
     command = np.array([0.0 if t < 0.5 else 1.0 if t < 1.5 else -1.0 for t in one.sample_times])[:, None]
-    return Recording("r", found.t, command, found.x[:, None], machine.actuator_names, machine.joint_names)
+    return Recording("r", found.t, command, found.x[:, None], robot.actuator_names, robot.joint_names)
 
 
 def test_a_recording_is_predicted_from_where_and_how_fast_it_begins() -> None:
-    machine = hung('damping="0.1"')
-    recording = recorded(machine)
-    found = predict(Model(machine), recording, engine="mujoco")
+    robot = hung('damping="0.1"')
+    recording = recorded(robot)
+    found = predict(Model(robot), recording, engine="mujoco")
     np.testing.assert_allclose(found, recording.position, rtol=0, atol=5e-3)
-    exact = predict(Model(machine), recording, engine="mujoco", start=np.array([0.4, 0.0]))
+    exact = predict(Model(robot), recording, engine="mujoco", start=np.array([0.4, 0.0]))
     np.testing.assert_allclose(exact, recording.position, rtol=0, atol=1e-12)
     late = replace(
         recording, time=recording.time[40:], command=recording.command[40:], position=recording.position[40:]
     )
     for engine in ("mujoco", "reduced"):
-        np.testing.assert_allclose(predict(Model(machine), late, engine=engine), late.position, rtol=0, atol=0.02)
+        np.testing.assert_allclose(predict(Model(robot), late, engine=engine), late.position, rtol=0, atol=0.02)
 
 
 def test_a_window_of_a_late_sensor_begins_in_motion() -> None:
     """What a sensor shows at first is what was before the window, when the joint moved already."""
-    machine, effect = cart(), SensorDelay("way", 0.1)
+    robot, effect = cart(), SensorDelay("way", 0.1)
     time = np.arange(0, 2.001, 0.01)
     rolled = 0.8 * np.maximum(time - 0.1, 0.0)
     recording = Recording("r", time, np.zeros((len(time), 1)), rolled[:, None], ("motor",), ("way",))
-    model = Model(machine, (effect,))
+    model = Model(robot, (effect,))
     segments = cut(model, [recording], window=(0.5, 2.0), shoot=0.5)
     assert len(segments) == 3
     both = [Simulator(engine_for(model, name), 1) for name in ("reduced", "mujoco")]
@@ -368,10 +368,10 @@ def test_a_start_that_is_none_is_refused_in_a_sentence(start: Array) -> None:
 
 
 def test_whole_trials_are_compared_where_a_model_can_follow_them() -> None:
-    machine = hung('damping="0.1"')
-    recording = recorded(machine)
-    assert window_length(Model(machine), [recording], None) is None
-    off = Model(machine.with_parameters({"arm.com_z": -0.15}))
+    robot = hung('damping="0.1"')
+    recording = recorded(robot)
+    assert window_length(Model(robot), [recording], None) is None
+    off = Model(robot.with_parameters({"arm.com_z": -0.15}))
     length = window_length(off, [recording], None)
     assert length is not None and 0.5 <= length < 3.0
 

@@ -1,6 +1,6 @@
-"""Physics steps of machines: MuJoCo's own, and what it has no field for before each of them, in machine code.
+"""Physics steps of MJCF robots: MuJoCo's own, and what it has no field for before each of them, in machine code.
 
-A step of a small machine takes MuJoCo one or two microseconds; Python between two of them would take ten times that.
+A step of a small robot takes MuJoCo one or two microseconds; Python between two of them would take ten times that.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from equimus_ctrl.engines.machine_functions import N_STATES, joint_push, state_tuple
+from equimus_ctrl.engines.mjcf_functions import N_STATES, joint_force, state_tuple
 from equimus_ctrl.types import Array
 
 
@@ -32,7 +32,7 @@ def call(context: Any, address: Any, model: Any, data: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run_machine(
+def run_mjcf(
     step: int,
     model: int,
     data: int,
@@ -41,7 +41,7 @@ def run_machine(
     loss: Array,
     fastest: Array,
     ctrl: Array,
-    push: Array,
+    force: Array,
     states: Array,
     qpos: Array,
     qvel: Array,
@@ -53,7 +53,7 @@ def run_machine(
     out_q: Array,
     out_v: Array,
 ) -> int:
-    """Step a machine; the number of steps after which all was still sound.
+    """Step a robot; the number of steps after which all was still sound.
 
     Args:
         step: address of MuJoCo's ``mj_step``.
@@ -64,7 +64,7 @@ def run_machine(
         loss: (nj,) dry friction that the model itself has [N·m or N].
         fastest: (nj,) rates beyond which it has diverged [rad/s or m/s].
         ctrl: (steps, na) commands that act over each step.
-        push: (steps, nj) further pushes on the joints [N·m or N]; (0, nj) for none.
+        force: (steps, nj) further generalised forces on the joints [N·m or N]; (0, nj) for none.
         states: (nj, nz) the laws' states, kept.
         qpos: view of the data's.
         qvel: view of the data's.
@@ -88,8 +88,8 @@ def run_machine(
             control[i] = ctrl[k, i]
         for j in range(nj):
             dof = places[j, 1]
-            found = joint_push((out_q[k, j], out_v[k, j], driven[places[j, 2]]), state_tuple(states[j]), laws[j])
-            applied[dof] = found[0] + (push[k, j] if len(push) > 0 else 0.0)
+            found = joint_force((out_q[k, j], out_v[k, j], driven[places[j, 2]]), state_tuple(states[j]), laws[j])
+            applied[dof] = found[0] + (force[k, j] if len(force) > 0 else 0.0)
             frictionloss[dof] = loss[j] + found[1]
             for s in range(N_STATES):
                 states[j, s] += dt * found[2 + s]
