@@ -181,8 +181,10 @@ def _fit(
         )
     measured = [s.start for s in segments]
     given = begin or [(parameters.start, measured)]
+    together = problem.simulator.engine.batched
     # A window's start that an earlier fit has led astray goes on from what was measured.
-    choices = [[b[1], measured] if free_starts and begin else [b[1]] for b in given]
+    astray = bool(free_starts and begin and together)
+    choices = [[b[1], measured] if astray else [b[1]] for b in given]
     point = min(problem.points([b[0] for b in given], choices), key=lambda tried: tried.cost)
     if all(np.all(r[-1] == DIVERGED) for r in point.residuals):
         raise SimulationDiverged(f"{parameters.model.name}: the simulation diverges on every trial as the model came")
@@ -192,7 +194,6 @@ def _fit(
         slopes = problem.slopes(point, earlier.derivatives)
     weights = np.zeros(p)
     damping, converged = 1e-2, False
-    together = problem.simulator.engine.batched
     around = DAMPINGS if together else ONE_BY_ONE
     for _ in range(settings.steps):
         slopes = slopes or problem.slopes(point)
