@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from equimus_ctrl.engines.base import Engine
+
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, and nothing else there.")]
 ElasticFile = Annotated[
     Path | None, typer.Option("--model", metavar="FILE", help="Model file (TOML); the nominal leg by default.")
@@ -158,6 +160,12 @@ def tell_files(console: Console, files: Iterable[Path]) -> None:
     """A line for each file that was written."""
     for file in files:
         console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
+
+
+def tell_engine(console: Console, engine: Engine) -> None:
+    """Which engine simulates and why, where there was something to choose."""
+    if engine.reason:
+        console.print(engine.sentence, style="dim", markup=False, soft_wrap=True)
 
 
 def light_table(title: str, caption: str | None = None) -> Table:

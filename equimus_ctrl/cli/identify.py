@@ -23,6 +23,7 @@ from equimus_ctrl.cli.common import (
     parse_bounds,
     people,
     print_json,
+    tell_engine,
     tell_files,
     write_results,
 )
@@ -194,8 +195,7 @@ def _tell_trials(console: Console, done: Identified, from_poses: bool) -> None:
         f"search {done.seconds:.1f} s over {found.evaluations} sets of parameters{checked}",
         markup=False,
     )
-    if done.engine.reason:
-        console.print(done.engine.sentence, style="dim", markup=False)
+    tell_engine(console, done.engine)
     import numpy as np
 
     before, after = (np.concatenate(r) for r in (found.before, found.residuals))

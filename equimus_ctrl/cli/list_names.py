@@ -8,7 +8,16 @@ from typing import Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, check_model_file, people, print_json, tell_files
+from equimus_ctrl.cli.common import (
+    EffectFiles,
+    Json,
+    ModelFile,
+    check_model_file,
+    people,
+    print_json,
+    tell_engine,
+    tell_files,
+)
 from equimus_ctrl.errors import ConfigError
 
 
@@ -65,6 +74,11 @@ def list_names(
         summary = escape(str(row["summary"])) + (f"\n[dim]{escape(detail)}[/dim]" if detail else "")
         table.add_row(f"[bold]{row['name']}[/bold]", summary)
     console.print(table)
+    if kind is Kind.parameters:
+        from equimus_ctrl.engines.choice import engine_for
+        from equimus_ctrl.workflow import load_model
+
+        tell_engine(console, engine_for(load_model(model)))
 
 
 def _parameters(model: Path | None, write: Path | None) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Figures, Json, people, print_json, tell_files
+from equimus_ctrl.cli.common import Figures, Json, people, print_json, tell_engine, tell_files
 from equimus_ctrl.cli.progress import bars, times
 from equimus_ctrl.errors import ConfigError, unknown_name
 
@@ -84,6 +84,10 @@ def prove(
     folder = output or presets.workspace() / "proof" / "results" / name
     presets.check_folder(folder)
     console = people()
+    if experiment is not None:
+        from equimus_ctrl.engines.choice import engine_for
+
+        tell_engine(console, engine_for(experiment.model, positions=[r.position for r in experiment.recordings]))
     columns = (TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), *times())
     try:
         with bars(console, *columns) as progress:

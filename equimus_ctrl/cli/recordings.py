@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, people, print_json
+from equimus_ctrl.cli.common import Json, ModelFile, people, print_json, tell_engine
 from equimus_ctrl.cli.emulate import HardwareFile
 
 if TYPE_CHECKING:
@@ -106,6 +106,7 @@ def check(
     import warnings
 
     from equimus_ctrl import recordings, workflow
+    from equimus_ctrl.engines.choice import engine_for
 
     known = workflow.load_model(model)
     limits = recordings.Limits(command_low=command_low, command_high=command_high, rotating=tuple(rotating or ()))
@@ -119,6 +120,7 @@ def check(
     summaries = [recordings.summarise(trial) for trial in trials]
     console = people()
     console.print(_table(summaries, known))
+    tell_engine(console, engine_for(known, positions=[trial.position for trial in trials]))
     for doubt in doubts:
         console.print(f"warning: {doubt}", style="yellow", markup=False, soft_wrap=True)
     if as_json:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, EngineName, Json, ModelFile, people, print_json
+from equimus_ctrl.cli.common import EffectFiles, EngineName, Json, ModelFile, people, print_json, tell_engine
 from equimus_ctrl.cli.progress import share_bar
 
 
@@ -48,8 +48,7 @@ def score(
             progress=show,
         )
     joints = found.model.robot.joint_names
-    if found.engine.reason:
-        console.print(found.engine.sentence, style="dim", markup=False)
+    tell_engine(console, found.engine)
     table = Table(title=f"{found.model.name} against {len(found.trials)} trial(s), RMSE in rad", title_justify="left")
     table.add_column("trial")
     for joint in joints:

@@ -19,6 +19,7 @@ from equimus_ctrl.cli.common import (
     light_table,
     people,
     print_json,
+    tell_engine,
     tell_files,
     write_results,
 )
@@ -125,6 +126,7 @@ def _tell(console: Console, found: Sensitivity) -> None:
         cells += ["–" if np.isnan(v) else f"{1e3 * v:.3f}" for v in found.local[i]]
         table.add_row(found.names[i], *cells)
     console.print(table)
+    tell_engine(console, found.engine)
     idle = [name for name, local in zip(found.names, found.local, strict=True) if np.all(local == 0)]
     if idle:
         console.print(f"No effect on these trials at all: {', '.join(idle)}.", markup=False)

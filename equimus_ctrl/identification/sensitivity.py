@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
 from equimus_ctrl.identification.parameters import default_bounds, matching, unit_of
 from equimus_ctrl.identification.segments import Segment
@@ -37,6 +38,7 @@ class Sensitivity:
         diverged: (p, k) where it can be, but its simulation diverges.
         base: (nj,) error of the model as it came [rad].
         local: (p, nj) root mean square change of the predictions for a change of one per cent, to first order [rad].
+        engine: that simulated.
     """
 
     model: Model
@@ -48,6 +50,7 @@ class Sensitivity:
     diverged: NDArray[np.bool_]
     base: Array
     local: Array
+    engine: Engine
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types; angles in rad, null where there is no number."""
@@ -59,6 +62,7 @@ class Sensitivity:
         return {
             "schema": SCHEMA,
             "model": self.model.name,
+            "engine": self.engine.to_dict(),
             "rmse_rad": row(self.base),
             "shares": [float(share) for share in self.shares],
             "parameters": [
@@ -163,6 +167,7 @@ def sensitivity(
         diverged[order],
         rmse[0],
         local[order],
+        simulator.engine,
     )
 
 
