@@ -208,6 +208,28 @@ def test_what_the_equations_cannot_hold_runs_on_mujoco() -> None:
         engine_for(Model(robot), "reduced")
 
 
+def chain(n: int) -> str:
+    """MJCF of n links, each on a hinge with an axis of its own."""
+    axes = ("1 0.2 0", "0.1 1 0.3", "0 0.4 1")
+    inner = ""
+    for i in reversed(range(n)):
+        joint = f'<joint name="j{i}" axis="{axes[i % 3]}"/>'
+        mass = '<inertial pos="0.1 0.02 -0.1" mass="1" diaginertia="0.02 0.03 0.04"/>'
+        inner = f'<body name="b{i}" pos="0 0.1 -0.2">{joint}{mass}{inner}</body>'
+    motor = '<actuator><motor name="drive" joint="j0"/></actuator>'
+    return f"<mujoco><worldbody>{inner}</worldbody>{motor}</mujoco>"
+
+
+@pytest.mark.parametrize(("n", "name"), [(7, "reduced"), (25, "mujoco"), (60, "mujoco")])
+def test_trees_that_take_minutes_to_compile_run_on_mujoco(n: int, name: str) -> None:
+    model = Model(MjcfRobot("chain", chain(n)))
+    found = engine_for(model)
+    assert found.name == name
+    if name == "mujoco":
+        assert found.reason == f"equations of motion of {n} joints would take minutes to compile"
+        assert engine_for(model, "reduced").name == "reduced"
+
+
 def test_contacts_that_happen_run_on_mujoco() -> None:
     floor = '<geom name="ball" type="sphere" size="0.1" pos="0 0 -0.6" mass="0"/>'
     text = pendulum(body=floor).replace(

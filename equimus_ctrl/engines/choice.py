@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import get_args
 
+import casadi as ca
 import mujoco
 import numpy as np
 
@@ -20,7 +22,10 @@ from equimus_ctrl.engines.step_choice import followed_step
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Morphology
+from equimus_ctrl.robots.mechanics import Structure
+from equimus_ctrl.robots.mjcf.form import TreeForm
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
 
@@ -33,6 +38,19 @@ MUJOCO_COARSER = 2.0
 """Of MuJoCo's step, where candidates are screened."""
 STEPS_FINER = 4
 """So many of MuJoCo's physics steps take the place of one where its error is looked at."""
+MOST_OPERATIONS, MOST_LINKS = 16_000, 40
+"""Equations of motion with more take longer than two minutes to compile, at some 7 ms an operation: some sixteen hinges
+in a row. Those of so many links have more in any case."""
+
+
+@lru_cache(maxsize=64)
+def too_large(form: Structure) -> bool:
+    """Whether the accelerations of a structure take so many operations that compiling them takes minutes."""
+    if isinstance(form, TreeForm) and len(form.links) > MOST_LINKS:
+        return True
+    m = build(form, "swing")
+    whole = ca.Function("acceleration", [m.q, m.v, m.f, m.tau, m.p], [m.acceleration])
+    return bool(whole.n_instructions() > MOST_OPERATIONS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,6 +221,9 @@ def engine_for(
     if name == "mujoco":
         return MujocoEngine(own, dt, reason="it was asked for")
     reason = next(iter(own.obstacles), None) or touching(own, positions)
+    if reason is None and name is None and too_large(own.mechanics().form):
+        joints = len(robot.joint_names)
+        return MujocoEngine(own, dt, reason=f"equations of motion of {joints} joints would take minutes to compile")
     if reason is None:
         return ReducedEngine(dt, reason="compiled equations of motion hold all of the robot")
     if name == "reduced":

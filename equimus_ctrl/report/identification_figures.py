@@ -112,7 +112,7 @@ def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
     joints = model.robot.joint_names
     chosen = _telling(trials)
     width = min(5.2 * len(joints) + 0.6, 15.0)
-    figure = style.new_figure(width, 1.1 + 1.75 * len(chosen), f"Measured and predicted, {found.engine} engine")
+    figure = style.new_figure(width, 1.1 + 1.75 * len(chosen), f"Measured and predicted, {found.engine.name} engine")
     grid = figure.subplots(len(chosen), len(joints), squeeze=False)
     for row, (trial, label) in enumerate(chosen):
         for j, joint in enumerate(joints):
