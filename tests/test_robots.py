@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import fields, replace
 
 import numpy as np
@@ -125,3 +126,10 @@ def test_the_search_follows_the_robot_and_its_cost_the_engine() -> None:
     plain = SearchSettings()
     assert SearchPolicy().applied(plain) == plain
     assert policy.applied(plain).many_minima
+
+
+@every_robot
+def test_a_robot_that_was_looked_at_goes_to_another_process(robot: Robot) -> None:
+    assert robot.joint_names and robot.actuator_names
+    again = pickle.loads(pickle.dumps(robot))
+    assert again.joint_names == robot.joint_names and again.parameters() == robot.parameters()

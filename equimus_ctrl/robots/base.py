@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
@@ -90,6 +90,10 @@ class Robot(ABC):
 
         @property
         def actuators(self) -> tuple[_Named, ...]: ...
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was worked out is worked out again elsewhere.
+        return {own.name: getattr(self, own.name) for own in fields(self)}
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
