@@ -73,12 +73,21 @@ class Search(Moves):
                 top = min(options, key=self.score)
             others = tuple(o for o in options if o is not top)
             before, best = best, top
+            if self.settings.many_minima and not before.hypothesis:
+                # The first fit of the model alone may have ended in a worse minimum than it has.
+                plain = self.refit(best, ())
+                if plain.deviance < before.deviance:
+                    base = before = plain
+                if not self.believed(plain, best):
+                    best, without, rivals = plain, (), ()
+                    sure = best, without, rivals
+                    continue
             without, rivals = (before,), (others,)
             if before.hypothesis:
                 best, without, rivals = self.exchanged(best)
             if self.settings.many_minima:
-                plain = simplified(self, Searched(base, best, without, rivals, (), ()))
-                best, without, rivals = plain.best, plain.without, plain.rivals
+                least = simplified(self, Searched(base, best, without, rivals, (), ()))
+                best, without, rivals = least.best, least.without, least.rivals
             if not outdone:
                 sure = best, without, rivals
             if not best.hypothesis:

@@ -35,10 +35,18 @@ def residual_of(segment: Segment, found: Predicted, index: int) -> Array:
     return residual
 
 
-def residuals_of(model: Model, segments: Sequence[Segment], simulator: Simulator) -> list[Array]:
+def residuals_of(
+    model: Model, segments: Sequence[Segment], simulator: Simulator, improved: int = STARTS
+) -> list[Array]:
     """For each segment (m, nj) measured − predicted from its measured start [rad]; DIVERGED where there is none.
 
     Of robots that need not start at rest, from the start that fits best.
+
+    Args:
+        model: that predicts.
+        segments: what was measured.
+        simulator: the engine.
+        improved: so often such a start is improved.
     """
     if not segments:
         return []
@@ -47,7 +55,7 @@ def residuals_of(model: Model, segments: Sequence[Segment], simulator: Simulator
     residuals = [residual_of(s, f, 0) for s, f in zip(segments, found, strict=True)]
     if model.robot.traits.starts_at_rest:
         return residuals
-    for _ in range(STARTS):
+    for _ in range(improved):
         starts, residuals = _better_starts(model, segments, simulator, starts, residuals)
     return residuals
 
