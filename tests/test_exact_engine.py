@@ -17,6 +17,7 @@ from equimus_ctrl.engines.batch import Trial, encode, simulate
 from equimus_ctrl.engines.choice import MujocoEngine, ReducedEngine, engine_for
 from equimus_ctrl.engines.field import Field
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.step_choice import noise_of
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.parts import constrained, gaps, grips
@@ -271,3 +272,26 @@ def test_numbers_of_a_trial_are_its_own() -> None:
     alone = simulate([Model(robot)], [trial], dt=1e-3, check=False)
     np.testing.assert_allclose(both[1].position, alone[0].position, rtol=0, atol=1e-12)
     assert np.abs(both[0].position - both[1].position).max() > 1e-3
+
+
+def test_a_servo_that_follows_its_goal_closely_is_simulated_finely() -> None:
+    """What tells of it is far less than it moves: only a sensor's noise says how fine a step has to be."""
+    servo = Model(MjcfRobot("p", pendulum(drive='<position name="motor" joint="pivot" kp="4000" kv="60"/>')))
+    time = np.linspace(0, 2, 2001)
+    goal = 0.5 * np.sin(2 * np.pi * time)[:, None]
+    trial = Trial("goal", time, goal, goal[0], 0.0, np.zeros(1), time, np.array([np.pi]))
+    start = [np.array([[0.0, np.pi]])]
+    exact = ReducedEngine(dt=2e-5).simulate([servo], [trial], start)[0].position[0]
+    rng, errors = np.random.default_rng(0), []
+    for noise in (1e-3, 1e-7):
+        engine = engine_for(servo, positions=[exact + rng.normal(0, noise, exact.shape)])
+        errors.append(float(np.abs(engine.simulate([servo], [trial], start)[0].position[0] - exact).max()))
+    assert errors[1] < 1e-6 < 1e-4 < errors[0] < 1e-3
+
+
+def test_noise_is_what_third_differences_show() -> None:
+    rng, time = np.random.default_rng(1), np.linspace(0, 5, 1001)
+    smooth = np.column_stack([np.sin(3 * time), 0.2 * time])
+    found = noise_of([smooth + rng.normal(0, (1e-3, 1e-4), smooth.shape), smooth[:2]])
+    assert found is not None and found == pytest.approx([1e-3, 1e-4], rel=0.1)
+    assert noise_of([smooth[:3]]) is None

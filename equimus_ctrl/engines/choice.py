@@ -18,7 +18,7 @@ from equimus_ctrl.engines.contacts import touching
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
-from equimus_ctrl.engines.step_choice import followed_step
+from equimus_ctrl.engines.step_choice import followed_step, noise_of
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
@@ -62,6 +62,7 @@ class ReducedEngine(Engine):
             then stays, so that a search always sees the same discretisation.
         longest: [s].
         reason: see ``Engine``.
+        noise: (nj,) of what is to be simulated, see ``step_choice.noise_of``; None where it is not known.
     """
 
     name = "reduced"
@@ -72,6 +73,7 @@ class ReducedEngine(Engine):
     dt: float | None = None
     longest: float = STEP
     reason: str = ""
+    noise: Array | None = None
     _chosen: list[float] = field(default_factory=list, init=False, repr=False)
 
     @property
@@ -92,13 +94,13 @@ class ReducedEngine(Engine):
             m = changed_bodies(model.effects, model.morphology)
             poses = [trial.position for trial in trials]
             return self.longest / step_divisor(m, model.phase, poses, self.longest, stops=False)
-        return followed_step(model, trials, starts, self.longest)
+        return followed_step(model, trials, starts, self.longest, self.noise)
 
     def coarser(self) -> Engine:
-        return ReducedEngine(longest=self.longest * REDUCED_COARSER, reason=self.reason)
+        return ReducedEngine(longest=self.longest * REDUCED_COARSER, reason=self.reason, noise=self.noise)
 
     def finer(self) -> Engine:
-        return ReducedEngine(longest=self.longest / REDUCED_FINER, reason=self.reason)
+        return ReducedEngine(longest=self.longest / REDUCED_FINER, reason=self.reason, noise=self.noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +227,8 @@ def engine_for(
         joints = len(robot.joint_names)
         return MujocoEngine(own, dt, reason=f"equations of motion of {joints} joints would take minutes to compile")
     if reason is None:
-        return ReducedEngine(dt, reason="compiled equations of motion hold all of the robot")
+        reason = "compiled equations of motion hold all of the robot"
+        return ReducedEngine(dt, reason=reason, noise=noise_of(positions))
     if name == "reduced":
         raise ConfigError(f"{robot.name}: compiled equations of motion cannot hold {reason}; expected --engine mujoco")
     return MujocoEngine(own, dt, reason=f"compiled equations of motion cannot hold {reason}")

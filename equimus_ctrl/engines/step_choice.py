@@ -16,23 +16,41 @@ from equimus_ctrl.types import Array
 
 SAMPLED = 6
 """So many trials tell how fine a step has to be."""
-UNSEEN = 1e-4
-"""Share of a joint's motion that nobody sees: a hundredth of the noise where that is a hundredth of the motion."""
+UNSEEN, LEAST_UNSEEN = 1e-4, 1e-6
+"""Share of a joint's motion that is seen by no sensor, and share that need not be followed whatever the sensor."""
+SHARE_OF_NOISE = 0.1
+"""An error of so much of the noise is not seen either."""
 LEAST_MOTION = 1e-6
 """A motion that is none [rad or m]."""
 
 
-def followed_step(model: Model, trials: Sequence[Trial], starts: Sequence[Array], longest: float) -> float:
+def noise_of(positions: Sequence[Array]) -> Array | None:
+    """(nj,) the noise of measured positions (n, nj) each, or more: from their third differences; None without any.
+
+    White noise of size σ has third differences of size √20 σ; what moves within a few samples counts as noise here.
+    """
+    long = [p for p in positions if len(p) > 3]
+    if not long:
+        return None
+    apart = np.concatenate([np.diff(p, 3, axis=0) for p in long])
+    return np.asarray(np.sqrt((apart**2).mean(axis=0) / 20.0))
+
+
+def followed_step(
+    model: Model, trials: Sequence[Trial], starts: Sequence[Array], longest: float, noise: Array | None = None
+) -> float:
     """A physics step at which the reduced engine's own error is far below what any sensor shows [s].
 
-    It is halved until halving it changes predictions by less than ``UNSEEN`` of what the joints move, or it is
-    ``MOST_DIVISOR`` times shorter.
+    It is halved until halving it changes predictions by less than ``UNSEEN`` of what the joints move, and than
+    ``SHARE_OF_NOISE`` of the noise where that is known, or it is ``MOST_DIVISOR`` times shorter. A servo that follows
+    its goal closely shows how it does by far less than it moves.
 
     Args:
         model: what moves.
         trials: what is done; a few of them are simulated.
         starts: for each (2 nj,) positions and velocities at its start.
         longest: to begin with [s].
+        noise: (nj,) of the sensors [rad or m].
     """
     chosen = list(range(0, len(trials), max(math.ceil(len(trials) / SAMPLED), 1)))
     some, begin = [trials[i] for i in chosen], [starts[i][None] for i in chosen]
@@ -46,7 +64,10 @@ def followed_step(model: Model, trials: Sequence[Trial], starts: Sequence[Array]
     reached = np.concatenate(coarse)
     if not len(reached):
         return dt
-    moved = reached.std(axis=0)
+    moved = np.maximum(reached.std(axis=0), LEAST_MOTION)
+    seen = UNSEEN * moved
+    if noise is not None:
+        seen = np.minimum(seen, np.maximum(SHARE_OF_NOISE * noise, LEAST_UNSEEN * moved))
     while dt > longest / MOST_DIVISOR:
         fine = paths(dt / 2)
         pairs = [(a[: len(b)], b[: len(a)]) for a, b in zip(coarse, fine, strict=True) if len(a) and len(b)]
@@ -54,8 +75,8 @@ def followed_step(model: Model, trials: Sequence[Trial], starts: Sequence[Array]
             break
         off = [np.sqrt(((a - b) ** 2).mean(axis=0)) for a, b in pairs]
         with np.errstate(all="ignore"):
-            share = np.nanmedian(np.array(off) / np.maximum(moved, LEAST_MOTION), axis=0).max()
-        if not share > UNSEEN:
+            share = np.nanmedian(np.array(off) / seen, axis=0).max()
+        if not share > 1.0:
             break
         dt, coarse = dt / 2, fine
     return dt
