@@ -17,6 +17,7 @@ from equimus_ctrl.engines.batch import Trial, encode, simulate
 from equimus_ctrl.engines.choice import MujocoEngine, ReducedEngine, engine_for
 from equimus_ctrl.engines.field import Field
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.motion import motion
 from equimus_ctrl.engines.step_choice import noise_of
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
@@ -160,6 +161,21 @@ def test_energy_is_kept_where_nothing_takes_it() -> None:
     inertia = 0.02 + 0.01 + 1.0 * 0.3**2
     energy = inertia * v**2 / 2 + 9.81 * 0.3 * (1 - np.cos(q)) + 2.0 * q**2 / 2
     np.testing.assert_allclose(energy[2:-2], energy[2], rtol=2e-3)
+
+
+def test_a_spatial_arm_keeps_its_energy_and_its_momentum_about_a_vertical_first_joint() -> None:
+    """Without friction; gravity has no torque about the first joint's axis."""
+    robot = MjcfRobot("chain", chain(4).replace('<joint name="j0" axis="1 0.2 0"/>', '<joint name="j0" axis="0 0 1"/>'))
+    model, mechanics = Model(robot), robot.mechanics()
+    samples = np.linspace(0.0, 5.0, 201)
+    rest, start = np.zeros((1, 1)), np.array([0.3, 0.8, -0.5, 0.4, 2.0, -1.0, 1.5, 0.7])
+    moved = motion(model, Trial("t", np.zeros(1), rest, rest[0], 0.0, start[:4], samples), start, dt=1e-3)
+    own = build(mechanics.form, "swing")
+    both = ca.Function("kept", [own.q, own.v, own.p], [own.kinetic + own.potential, (own.mass @ own.v)[0], own.kinetic])
+    energy, momentum, kinetic = both.map(len(samples))(moved.coordinates.T, moved.rates.T, mechanics.numbers)
+    assert np.ptp(np.array(kinetic)) > 0.5  # it is exchanged all the time
+    np.testing.assert_allclose(np.array(energy).ravel(), float(energy[0]), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(np.array(momentum).ravel(), float(momentum[0]), rtol=0, atol=1e-8)
 
 
 def test_slopes_are_those_of_a_pendulum() -> None:
