@@ -313,31 +313,30 @@ def _simulated(
                 f"{model.name} and {models[0].name} differ in structure or phase, so they cannot run together"
             )
     results = [Predicted(np.empty((k, len(trial.sample_times), nj)), np.zeros(k, dtype=np.int64)) for trial in trials]
-    tasks: list[_Task] = []
+    tasks: list[tuple[_Block, int]] = []
+    histories = _Histories()
     for condition in dict.fromkeys(trial.condition for trial in trials):
         own_trials = [index for index, trial in enumerate(trials) if trial.condition == condition]
         groups = _grouped(models, trials[own_trials[0]]) if coded is None else [(list(range(k)), coded)]
         for chosen, arrays in groups:
-            tasks += [
-                _Task(arrays, np.array(chosen[first : first + LANES]), slice(first, first + LANES), index)
-                for index in own_trials
+            blocks = [
+                _Block(arrays, np.array(chosen[first : first + LANES]), slice(first, first + LANES), histories)
                 for first in range(0, len(chosen), LANES)
             ]
+            tasks += [(block, index) for index in own_trials for block in blocks]
 
-    histories = _Histories()
-
-    def work(task: _Task) -> None:
-        own = None if starts is None else starts[task.trial]
-        task.run(trials[task.trial], own, dt, results[task.trial], histories)
+    def work(task: tuple[_Block, int]) -> None:
+        block, index = task
+        block.run(trials[index], None if starts is None else starts[index], dt, results[index])
 
     count = min(threads or processors(), len(tasks))
     if count <= 1:
         for task in tasks:
             work(task)
     else:
-        for kernel in {task.coded.kernel for task in tasks}:
+        for kernel in {block.kernel for block, _ in tasks}:
             if not kernel.run_block.signatures:  # what has to be compiled is compiled once
-                first_task = next(task for task in tasks if task.coded.kernel is kernel)
+                first_task = next(task for task in tasks if task[0].kernel is kernel)
                 tasks.remove(first_task)
                 work(first_task)
         with ThreadPoolExecutor(count) as pool:
@@ -365,71 +364,77 @@ class _Histories:
     """What reaches the valves in trials, each worked out once for all models and windows that share it."""
 
     def __init__(self) -> None:
-        self._single: dict[tuple[Hashable, ...], Array] = {}
-        self._blocks: dict[tuple[tuple[Hashable, ...], ...], tuple[Array, Array]] = {}
+        self._known: dict[tuple[Hashable, ...], Array] = {}
 
-    def block(self, coded: Encoded, rows: slice, trial: Trial) -> tuple[Array, Array]:
-        """(k, n, na) commands of some models, and (k, na) those before the first."""
-        keys = []
-        for model, counting in zip(coded.models[rows], coded.between[rows], strict=True):
-            shaping = tuple(effect for effect in model.effects if isinstance(effect, ShapingEffect))
-            # By which array it is: it lives as long as the trials that are simulated.
-            keys.append((id(trial.commands), trial.before.tobytes(), shaping, counting.tobytes()))
-            if keys[-1] not in self._single:
-                self._single[keys[-1]] = np.clip(shaped_for(model, trial), *counting)
-        known = tuple(keys)
-        if known not in self._blocks:
-            whole = np.array([self._single[key] for key in keys])
-            self._blocks[known] = np.ascontiguousarray(whole[:, 1:]), np.ascontiguousarray(whole[:, 0])
-        return self._blocks[known]
+    def of(self, model: Model, counting: Array, trial: Trial) -> Array:
+        """(1 + n, na) what reaches a model's valves: before the first row, then row by row, between (2, na)."""
+        shaping = tuple(effect for effect in model.effects if isinstance(effect, ShapingEffect))
+        # By which array it is: it lives as long as the trials that are simulated.
+        key = (id(trial.commands), trial.before.tobytes(), shaping, counting.tobytes())
+        if key not in self._known:
+            self._known[key] = np.clip(shaped_for(model, trial), *counting)
+        return self._known[key]
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """Up to LANES models in one trial.
+class _Block:
+    """Up to LANES models of one structure, with what of them is the same in all trials.
 
-    Attributes:
+    Args:
         coded: they and others of their structure.
         models: which of all models they are.
         rows: which of ``coded``.
-        trial: index of the trial.
+        histories: of what reaches valves.
     """
 
-    coded: Encoded
-    models: NDArray[np.int64]
-    rows: slice
-    trial: int
+    def __init__(self, coded: Encoded, models: NDArray[np.int64], rows: slice, histories: _Histories) -> None:
+        self.coded, self.models, self.rows, self.kernel = coded, models, rows, coded.kernel
+        self.histories = histories
+        self.joints, self.moved = coded.mechanics[0].joints, coded.mechanics[0].starts
+        self.parameters, self.valve, self.follow = (
+            np.ascontiguousarray(part[rows]) for part in (coded.parameters, coded.valve, coded.follow)
+        )
+        self.sensor = np.zeros((len(models), len(self.moved), 4))
+        self.sensor[:, :, SCALE] = 1.0
+        self.sensor[:, self.joints] = coded.sensor[rows]
+        self.moving = not coded.models[0].robot.traits.starts_at_rest
+        self._commands: dict[tuple[Hashable, ...], tuple[Array, Array]] = {}
 
-    def run(self, trial: Trial, start: Array | None, dt: float, result: Predicted, histories: _Histories) -> None:
-        coded, chosen = self.coded, self.coded.models[self.rows]
-        nj = result.position.shape[2]
-        q0 = np.tile(trial.position, (len(chosen), 1))
-        v0 = np.zeros((len(chosen), nj)) if trial.velocity is None else np.tile(trial.velocity, (len(chosen), 1))
-        if start is not None:
-            q0 = np.array(start[self.models, :nj])
-            v0 = np.array(start[self.models, nj:]) if start.shape[1] > nj else v0
-        commands, before = histories.block(coded, self.rows, trial)
+    def commands(self, trial: Trial) -> tuple[Array, Array]:
+        """(k, n, na) what reaches the valves, and (k, na) before the first row."""
+        key = (id(trial.commands), trial.before.tobytes())
+        if key not in self._commands:
+            pairs = zip(self.coded.models[self.rows], self.coded.between[self.rows], strict=True)
+            whole = np.array([self.histories.of(model, counting, trial) for model, counting in pairs])
+            self._commands[key] = np.ascontiguousarray(whole[:, 1:]), np.ascontiguousarray(whole[:, 0])
+        return self._commands[key]
+
+    def run(self, trial: Trial, start: Array | None, dt: float, result: Predicted) -> None:
+        """Simulate a trial from its own start, or from rows of ``start`` for all models."""
+        k, nj = len(self.models), result.position.shape[2]
+        if start is None or start.shape[1] == nj:
+            still = np.zeros(nj) if trial.velocity is None else trial.velocity
+            v0 = np.tile(still, (k, 1))
+        else:
+            v0 = start[self.models, nj:]
+        q0 = np.tile(trial.position, (k, 1)) if start is None else start[self.models, :nj]
+        commands, before = self.commands(trial)
         span = trial.sample_times[-1] - trial.start if len(trial.sample_times) else 0.0
         steps = max(int(np.ceil(span / dt - 1e-9)), 1)
-        joints, moved = coded.mechanics[0].joints, coded.mechanics[0].starts
-        sensor = np.zeros((len(chosen), len(moved), 4))
-        sensor[:, :, SCALE] = 1.0
-        sensor[:, joints] = coded.sensor[self.rows]
-        position = np.empty((len(chosen), len(trial.sample_times), len(moved)))
-        reached = np.zeros(len(chosen), np.int64)
-        coded.kernel.run_block(
-            coded.parameters[self.rows].copy(),
+        position = np.empty((k, len(trial.sample_times), len(self.moved)))
+        reached = np.zeros(k, np.int64)
+        self.kernel.run_block(
+            self.parameters,
             trial.times,
             commands,
             before,
-            coded.valve[self.rows].copy(),
-            coded.follow[self.rows].copy(),
-            first_activations(coded, self.rows, trial, q0),
-            sensor,
-            np.ascontiguousarray(q0[:, moved]),
-            np.ascontiguousarray(v0[:, moved]),
-            coded.rubbing,
-            not chosen[0].robot.traits.starts_at_rest,
+            self.valve,
+            self.follow,
+            first_activations(self.coded, self.rows, trial, q0),
+            self.sensor,
+            np.ascontiguousarray(q0[:, self.moved]),
+            np.ascontiguousarray(v0[:, self.moved]),
+            self.coded.rubbing,
+            self.moving,
             trial.start,
             dt,
             steps,
@@ -437,7 +442,7 @@ class _Task:
             position,
             reached,
         )
-        result.position[self.models] = position[:, :, joints]
+        result.position[self.models] = position[:, :, self.joints]
         result.reached[self.models] = reached
 
 
