@@ -123,5 +123,10 @@ def test_base_parameters_are_a_name_of_what_is_free() -> None:
 
 
 def test_a_leg_knows_no_base_parameters() -> None:
-    with pytest.raises(ConfigError, match="base_parameters"):
+    with pytest.raises(ConfigError, match="base_parameters are told of MJCF robots alone"):
         matching(workflow.load_model(), ["base_parameters"])
+
+
+def test_a_slip_of_the_name_is_told() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'base_parameters'"):
+        matching(Model(arm()), ["base_parameter"])

@@ -145,8 +145,11 @@ def matching(model: Model, patterns: Sequence[str]) -> list[str]:
     found: set[str] = set()
     for pattern in patterns:
         hits = model.robot.base_names() if pattern == BASE else fnmatch.filter(known, pattern)
+        if not hits and pattern == BASE:
+            raise ConfigError(f"{model.name}: {BASE} are told of MJCF robots alone; expected names such as {known[0]}")
         if not hits:
-            raise ConfigError(unknown_name("parameter", pattern, known, model.name))
+            names = [*known, BASE] if model.robot.base_names() else known
+            raise ConfigError(unknown_name("parameter", pattern, names, model.name))
         found |= set(hits)
     return [name for name in known if name in found]
 
