@@ -134,22 +134,27 @@ class SymbolicModel:
 
 
 def ldl_solve(matrix: ca.SX, rhs: ca.SX) -> ca.SX:
-    """Solve A x = b for a small symmetric positive definite A by LDLᵀ, written out as scalar operations."""
+    """Solve A x = b for a small symmetric positive definite A by LDLᵀ, written out as scalar operations.
+
+    From the last row to the first: zeros between the branches of a tree stay zeros (Featherstone, *Rigid Body Dynamics
+    Algorithms*, 2008, chapter 6).
+    """
     n = matrix.shape[0]
-    lower = ca.SX.eye(n)
-    d: list[ca.SX] = []
+    order = list(reversed(range(n)))
+    a, y = matrix[order, order], ca.vertsplit(rhs[order])
+    lower, scaled = ca.SX(n, n), ca.SX(n, n)  # L and L·D below their diagonals
+    inverse: list[ca.SX] = []
     for j in range(n):
-        d.append(matrix[j, j] - sum((lower[j, k] ** 2 * d[k] for k in range(j)), ca.SX(0)))
+        inverse.append(1 / (a[j, j] - sum((lower[j, k] * scaled[j, k] for k in range(j)), ca.SX(0))))
         for i in range(j + 1, n):
-            partial = sum((lower[i, k] * lower[j, k] * d[k] for k in range(j)), ca.SX(0))
-            lower[i, j] = (matrix[i, j] - partial) / d[j]
-    y: list[ca.SX] = []
+            scaled[i, j] = a[i, j] - sum((lower[i, k] * scaled[j, k] for k in range(j)), ca.SX(0))
+            lower[i, j] = scaled[i, j] * inverse[j]
     for i in range(n):
-        y.append(rhs[i] - sum((lower[i, k] * y[k] for k in range(i)), ca.SX(0)))
-    x: list[ca.SX] = [y[i] / d[i] for i in range(n)]
+        y[i] -= sum((lower[i, k] * y[k] for k in range(i)), ca.SX(0))
+    x = [y[i] * inverse[i] for i in range(n)]
     for i in reversed(range(n)):
-        x[i] = x[i] - sum((lower[k, i] * x[k] for k in range(i + 1, n)), ca.SX(0))
-    return ca.vertcat(*x)
+        x[i] -= sum((lower[k, i] * x[k] for k in range(i + 1, n)), ca.SX(0))
+    return ca.vertcat(*reversed(x))
 
 
 def pseudo_solve(matrix: ca.SX, rhs: ca.SX) -> ca.SX:

@@ -5,6 +5,9 @@ Recursive Newton–Euler for the bias and composite rigid bodies for the mass ma
 
     M(q) a + h(q, v) = τ
 
+Before that, inertial parameters go to the parent where both move alike (Gautier & Khalil, "Direct calculation of
+minimum set of inertial parameters of serial robots", 1990): the equations stay the same and become a third shorter.
+
 Every joint turns about, or slides along, the third axis of its link's frame. Beside the links there may be mass that is
 spread evenly along a straight line between two points, as of elastic actuators (Zhu et al., "EquiMus", 2025), and the
 base may translate such that a point of a link rests.
@@ -199,6 +202,7 @@ class _Step:
         self.link = link
         self.c, self.s = ca.cos(coordinate), ca.sin(coordinate)
         self.way = link.place + link.turn[:, 2] * coordinate if link.slides else link.place
+        self.about_x = link.turn[0, 0].is_one()
 
     def down(self, x: ca.SX) -> ca.SX:
         """(3,) a vector of the parent's frame in the link's."""
@@ -216,24 +220,62 @@ class _Step:
     def inertia_up(self, six: ca.SX, first: ca.SX, mass: ca.SX) -> tuple[ca.SX, ca.SX]:
         """First moment and inertia (6,) about the parent's origin, in its frame."""
         if not self.link.slides:
-            xx, yy, zz, xy, xz, yz = ca.vertsplit(six)
-            turned = self.s * (xx - yy) + 2 * self.c * xy
-            more = self.s * turned
-            six = ca.vertcat(
-                xx - more, yy + more, zz, self.c * turned - xy, self.c * xz - self.s * yz, self.s * xz + self.c * yz
-            )
-        full = self.link.turn @ symmetric(six) @ self.link.turn.T
-        r, moved = self.way, self.up(first)
-        g = moved + (mass / 2) * r
-        x, y, z = (2 * r[k] * g[k] for k in range(3))
-        return moved + mass * r, ca.vertcat(
-            full[0, 0] + y + z,
-            full[1, 1] + x + z,
-            full[2, 2] + x + y,
-            full[0, 1] - r[0] * g[1] - r[1] * g[0],
-            full[0, 2] - r[0] * g[2] - r[2] * g[0],
-            full[1, 2] - r[1] * g[2] - r[2] * g[1],
-        )
+            six = _turned(six, self.c, self.s, "z")
+        turn = self.link.turn
+        if self.about_x:
+            six = _turned(six, turn[1, 1], turn[2, 1], "x")
+        else:
+            six = _six(turn @ symmetric(six) @ turn.T)
+        moved = self.up(first)
+        return moved + mass * self.way, six + _of_shift(self.way, moved, mass)
+
+
+def _turned(six: ca.SX, c: ca.SX, s: ca.SX, axis: str) -> ca.SX:
+    """(6,) R·I·Rᵀ of an inertia, R turning about one of the axes x and z by an angle with cosine c and sine s."""
+    xx, yy, zz, xy, xz, yz = ca.vertsplit(six)
+    a, b, across, first, second = (xx, yy, xy, xz, yz) if axis == "z" else (yy, zz, yz, xy, xz)
+    turned = s * (a - b) + 2 * c * across
+    more = s * turned
+    a, b, across = a - more, b + more, c * turned - across
+    first, second = c * first - s * second, s * first + c * second
+    return ca.vertcat(a, b, zz, across, first, second) if axis == "z" else ca.vertcat(xx, a, b, first, second, across)
+
+
+def _of_shift(way: ca.SX, first: ca.SX, mass: ca.SX) -> ca.SX:
+    """(6,) what an inertia gains about a point from which its own origin is at ``way``."""
+    g = first + (mass / 2) * way
+    x, y, z = (2 * way[k] * g[k] for k in range(3))
+    xy, xz, yz = (-way[j] * g[k] - way[k] * g[j] for j, k in ((0, 1), (0, 2), (1, 2)))
+    return ca.vertcat(y + z, x + z, x + y, xy, xz, yz)
+
+
+def _grouped(tree: Tree) -> tuple[list[ca.SX], list[ca.SX], list[ca.SX], ca.SX]:
+    """Mass, first moment and inertia of each link, and mass of the base, with as much as can be further to the base.
+
+    What is spread about a hinge's axis such that turning leaves it where it is — mass on the axis, an inertia
+    (y, y, 0) — moves as if it were fixed to the parent, and so does the inertia of a link that slides.
+    """
+    links = tree.links
+    mass, first, inertia = ([getattr(link, key) for link in links] for key in ("mass", "first", "inertia"))
+    base = tree.base_mass
+    for i in reversed(range(len(links))):
+        link, up, none = links[i], links[i].parent, ca.SX(1, 1)
+        axis = link.turn[:, 2]
+        if link.slides:
+            given, fixed, moment = none, ca.SX(3, 1), _six(link.turn @ symmetric(inertia[i]) @ link.turn.T)
+            inertia[i] = ca.SX(6, 1)
+        else:
+            (hx, hy, hz), (xx, yy, zz, xy, xz, yz) = ca.vertsplit(first[i]), ca.vertsplit(inertia[i])
+            given, along = mass[i], hz * axis
+            moment = yy * _six(ca.SX.eye(3) - axis @ axis.T) + _of_shift(link.place, along, given)
+            fixed = along + given * link.place
+            mass[i], first[i] = none, ca.vertcat(hx, hy, none)
+            inertia[i] = ca.vertcat(xx - yy, none, zz, xy, xz, yz)
+        if up == BASE:
+            base = base + given
+        else:
+            mass[up], first[up], inertia[up] = mass[up] + given, first[up] + fixed, inertia[up] + moment
+    return mass, first, inertia, base
 
 
 def equations(tree: Tree, q: ca.SX, v: ca.SX) -> Equations:
@@ -251,11 +293,11 @@ def equations(tree: Tree, q: ca.SX, v: ca.SX) -> Equations:
         start = start - Frames(tree, q, v, ca.SX(3, 1)).acceleration(tree.pinned)
     frames = Frames(tree, q, v, start)
     steps = [_Step(link, q[i] - link.reference) for i, link in enumerate(links)]
-    force, moment = _inertial(tree, steps, v, start)
+    mass, first, inertia, base_mass = _grouped(tree)
+    force, moment = _inertial(tree, steps, (mass, first, inertia), v, start)
     matrix, momentum = ca.SX(n, n), ca.SX(3, n)
-    rest = tree.base_mass * start  # force on the base
+    rest = base_mass * start  # force on the base
     bias: list[ca.SX] = [ca.SX(0)] * n
-    mass, first, inertia = ([getattr(link, key) for link in links] for key in ("mass", "first", "inertia"))
     for i in reversed(range(n)):
         link, step = links[i], steps[i]
         bias[i] = force[i][2] if link.slides else moment[i][2]
@@ -295,19 +337,29 @@ def equations(tree: Tree, q: ca.SX, v: ca.SX) -> Equations:
             rest += push
     if tree.pinned is not None:
         arm = frames.jacobian(tree.pinned)
-        whole = tree.base_mass + sum((m for m in _roots(links, mass)), ca.SX(0))
+        whole = base_mass + sum((m for m in _roots(links, mass)), ca.SX(0))
         whole += sum((s.mass for s in tree.spread), ca.SX(0))
         matrix += whole * (arm.T @ arm) - arm.T @ momentum - momentum.T @ arm
         h -= arm.T @ rest
     return Equations(matrix, h, _floated(tree, frames), frames)
 
 
-def _inertial(tree: Tree, steps: Sequence[_Step], v: ca.SX, start: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Force and moment about its origin that each link takes without joint accelerations, in its own frame."""
+def _inertial(
+    tree: Tree, steps: Sequence[_Step], inertial: tuple[list[ca.SX], list[ca.SX], list[ca.SX]], v: ca.SX, start: ca.SX
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Force and moment about its origin that each link takes without joint accelerations, in its own frame.
+
+    Args:
+        tree: whose links.
+        steps: from each to its parent.
+        inertial: mass, first moment and inertia of each.
+        v: (n,) joint rates.
+        start: (3,) acceleration of the base.
+    """
     base = ca.SX(3, 1)
     state: dict[int, tuple[ca.SX, ca.SX, ca.SX, ca.SX]] = {BASE: (base, base, start, ca.SX(3, 3))}
     force, moment = [], []
-    for i, (link, step) in enumerate(zip(tree.links, steps, strict=True)):
+    for i, (link, step, mass, first, six) in enumerate(zip(tree.links, steps, *inertial, strict=True)):
         spin, turning, rise, field_ = state[link.parent]
         spin, turning, rise = step.down(spin), step.down(turning), step.down(rise + field_ @ step.way)
         across = ca.vertcat(spin[1] * v[i], -spin[0] * v[i], ca.SX(1, 1))
@@ -323,14 +375,14 @@ def _inertial(tree: Tree, steps: Sequence[_Step], v: ca.SX, start: ca.SX) -> tup
             ca.horzcat(x * z - q, y * z + p, -(x * x + y * y)),
         )
         state[i] = spin, turning, rise, field_
-        xx, yy, zz, xy, xz, yz = ca.vertsplit(link.inertia)
+        xx, yy, zz, xy, xz, yz = ca.vertsplit(six)
         # ∫ r rᵀ dm, of which the inertia is the trace less itself.
         second = symmetric(ca.vertcat((yy + zz - xx) / 2, (xx + zz - yy) / 2, (xx + yy - zz) / 2, -xy, -xz, -yz))
         flow = field_ @ second
-        force.append(link.mass * rise + field_ @ link.first)
+        force.append(mass * rise + field_ @ first)
         moment.append(
             ca.vertcat(flow[2, 1] - flow[1, 2], flow[0, 2] - flow[2, 0], flow[1, 0] - flow[0, 1])
-            + ca.cross(link.first, rise)
+            + ca.cross(first, rise)
         )
     return force, moment
 
@@ -340,6 +392,11 @@ def symmetric(six: ca.SX) -> ca.SX:
     return ca.vertcat(
         ca.horzcat(six[0], six[3], six[4]), ca.horzcat(six[3], six[1], six[5]), ca.horzcat(six[4], six[5], six[2])
     )
+
+
+def _six(matrix: ca.SX) -> ca.SX:
+    """(6,) xx, yy, zz, xy, xz, yz of a symmetric matrix."""
+    return ca.vertcat(*[matrix[j, k] for j, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))])
 
 
 def _roots(links: Sequence[Link], mass: Sequence[ca.SX]) -> list[ca.SX]:

@@ -18,13 +18,11 @@ from equimus_ctrl.robots.mjcf.form import (
     TendonForm,
     Transmission,
     TreeForm,
-    Vector,
 )
+from equimus_ctrl.robots.mjcf.frames import Frame, shortened, snapped
 from equimus_ctrl.robots.mjcf.obstacles import DYNAMICS, obstacles, switched_off
 from equimus_ctrl.types import Array
 
-DUST = 1e-14
-"""Entries of directions that are rounding errors."""
 INPUTS = {1: "pos", 2: "vel", 4: "ff", 8: "voltage"}
 """Bits of MuJoCo's ``actuator_ctrlspec`` of pid and dcmotor."""
 
@@ -44,7 +42,7 @@ def form_of(model: Any, flexible: bool = False) -> TreeForm:
     off = switched_off(model)
     links, frames = _links(model)
     bodies = tuple(
-        (b, link, _snapped(place), _snapped(turn))
+        (b, link, snapped(place), snapped(turn))
         for b, (link, place, turn) in enumerate(frames)
         if link >= 0 and (model.body_mass[b] > 0 or model.body_inertia[b].max() > 0)
     )
@@ -82,25 +80,13 @@ def quaternion_matrix(quaternion: Array) -> Array:
     return flat.reshape(3, 3)
 
 
-def _snapped(values: Array) -> Vector:
-    """Flat, with rounding errors around 0 and ±1 taken off, so that generated code leaves those terms out."""
-    flat = np.array(values, dtype=np.float64).ravel()
-    for whole in (0.0, 1.0, -1.0):
-        flat[np.abs(flat - whole) < DUST] = whole
-    return tuple(float(v) for v in flat)
-
-
 def _upright(axis: Array) -> Array:
     """(3, 3) a rotation whose third column is an axis; its entries are 0 and ±1 where that can be."""
-    z = np.array(_snapped(axis / np.linalg.norm(axis)))
+    z = np.array(snapped(axis / np.linalg.norm(axis)))
     x = np.roll(np.eye(3)[int(np.argmax(np.abs(z)))], 1)
     x = x - z * (z @ x)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
-
-
-Frame = tuple[int, Array, Array]
-"""Link, place and axes in the link's frame of a body's frame."""
 
 
 def _links(m: Any) -> tuple[tuple[LinkForm, ...], list[Frame]]:
@@ -118,8 +104,8 @@ def _links(m: Any) -> tuple[tuple[LinkForm, ...], list[Frame]]:
                 LinkForm(
                     m.joint(j).name,
                     link,
-                    _snapped(place + turn @ anchor),
-                    _snapped(turn @ stand),
+                    snapped(place + turn @ anchor),
+                    snapped(turn @ stand),
                     slides,
                     float(m.qpos0[m.jnt_qposadr[j]]),
                 )
@@ -127,13 +113,13 @@ def _links(m: Any) -> tuple[tuple[LinkForm, ...], list[Frame]]:
             link, turn = len(links) - 1, stand.T
             place = -turn @ anchor
         frames.append((link, place, turn))
-    return tuple(links), frames
+    return shortened(links, frames)
 
 
 def _spot(m: Any, site: int, frames: Sequence[Frame]) -> SpotForm:
     link, place, turn = frames[int(m.site_bodyid[site])]
     own = turn @ quaternion_matrix(m.site_quat[site])
-    return SpotForm(link, _snapped(place + turn @ m.site_pos[site]), _snapped(own))
+    return SpotForm(link, snapped(place + turn @ m.site_pos[site]), snapped(own))
 
 
 def _tendon(m: Any, t: int, frames: Sequence[Frame]) -> TendonForm:
