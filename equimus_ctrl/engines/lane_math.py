@@ -9,61 +9,49 @@ _ROUND = 6755399441055744.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _sin_near_zero(r: float) -> float:
-    s = r * r
-    return r + r * s * (
-        -1.66666666666666307295e-1
-        + s
-        * (
-            8.33333333332211858878e-3
-            + s
-            * (
-                -1.98412698295895385996e-4
-                + s * (2.75573136213857245213e-6 + s * (-2.50507477628578072866e-8 + s * 1.58962301576546568060e-10))
-            )
-        )
-    )
+def _half_turns(x: float) -> float:
+    """The nearest whole number to x/π."""
+    return (x * 0.3183098861837907 + _ROUND) - _ROUND
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _cos_near_zero(r: float) -> float:
-    s = r * r
-    return (
-        1.0
-        - 0.5 * s
-        + s
-        * s
-        * (
-            4.16666666666665929218e-2
-            + s
-            * (
-                -1.38888888888730564116e-3
-                + s
-                * (
-                    2.48015872888517045348e-5
-                    + s
-                    * (-2.75573141792967388112e-7 + s * (2.08757008419747316778e-9 + s * -1.13585365213876817300e-11))
-                )
-            )
-        )
-    )
+def _rest(x: float, k: float) -> float:
+    """x − k·π, the first part of π with so few digits that its product with k is exact (Cody & Waite, 1980)."""
+    return (x - k * 3.1415926534682512) - k * 1.2154201013012384e-10
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _sign(k: float) -> float:
+    """−1 where k is odd, else 1."""
+    return 1.0 - 2.0 * abs(k - 2.0 * ((k * 0.5 + _ROUND) - _ROUND))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def lane_sin(x: float) -> float:
-    """Sine of x to 2e-16 for |x| below 1e5 rad: reduced to |r| ≤ π/4 (Cody and Waite), polynomials of Cephes."""
-    k = (x * 0.6366197723675814 + _ROUND) - _ROUND
-    r = (x - k * 1.5707963267341256) - k * 6.077100506506192e-11
-    quadrant = k - 4.0 * ((k * 0.25 + _ROUND) - _ROUND)  # −2 … 2
-    y = _cos_near_zero(r) if abs(quadrant) == 1.0 else _sin_near_zero(r)
-    return -y if quadrant == -1.0 or abs(quadrant) == 2.0 else y
+    """Sine of x to 4e-16 for |x| below 1e5 rad: reduced to |r| ≤ π/2, a polynomial through Chebyshev's nodes.
+
+    No branch, not even a choice between two numbers; the polynomial in pairs (Estrin), so that little waits for another.
+    """
+    k = _half_turns(x)
+    r = _rest(x, k)
+    s = r * r
+    s2 = s * s
+    low = (-0.16666666666666666 + s * 0.008333333333333316) + s2 * (-0.00019841269841254974 + s * 2.7557319219163183e-06)
+    high = (-2.5052107616990068e-08 + s * 1.60589773120677e-10) + s2 * (
+        -7.643970284142959e-13 + s * 2.7314446091851363e-15
+    )
+    return _sign(k) * (r + r * s * (low + (s2 * s2) * high))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def lane_cos(x: float) -> float:
     """Cosine of x, as ``lane_sin``."""
-    k = (x * 0.6366197723675814 + _ROUND) - _ROUND
-    r = (x - k * 1.5707963267341256) - k * 6.077100506506192e-11
-    quadrant = k - 4.0 * ((k * 0.25 + _ROUND) - _ROUND)
-    y = _sin_near_zero(r) if abs(quadrant) == 1.0 else _cos_near_zero(r)
-    return -y if quadrant == 1.0 or abs(quadrant) == 2.0 else y
+    k = _half_turns(x)
+    r = _rest(x, k)
+    s = r * r
+    s2 = s * s
+    low = (-0.5 + s * 0.04166666666666634) + s2 * (-0.0013888888888860709 + s * 2.4801587292446122e-05)
+    high = (-2.7557317767308945e-07 + s * 2.087663086667205e-09) + s2 * (
+        -1.1464689861744774e-11 + s * 4.6276756860773096e-14
+    )
+    return _sign(k) * (1.0 + s * (low + (s2 * s2) * high))

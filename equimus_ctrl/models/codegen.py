@@ -244,6 +244,8 @@ def _write(
             return constant_at(needed.setdefault(name, offset + len(needed)))
         return name
 
+    inverses = _inverses(function)
+    inverted: dict[str, str] = {}
     for k in range(function.n_instructions()):
         op = function.instruction_id(k)
         ins, outs = function.instruction_input(k), function.instruction_output(k)
@@ -265,7 +267,27 @@ def _write(
             arguments = [use(value, constant) for value in values]
             name = f"{tag}{k}" if constant else f"w{k}"
             form = _BINARY[op] if constant else functions.get(op, _BINARY[op])
+            if k in inverses and not constant:
+                # A division takes as long as ten products.
+                below, known = values[1]
+                if below not in inverted:
+                    inverted[below] = f"{tag}{k}i" if known else f"w{k}i"
+                    (prepare if known else body).append(f"    {inverted[below]} = 1.0 / {below}\n")
+                form, arguments[1] = _BINARY[ca.OP_MUL], use((inverted[below], known), False)
             line = f"    {name} = {form.format(*[f'({a})' if a[0] == '-' else a for a in arguments])}\n"
             (prepare if constant else body).append(line)
             work[outs[0]] = (name, constant)
     return _Written(prepare, list(needed), body, [outputs[i] for i in range(dense.numel())])
+
+
+def _inverses(function: ca.Function) -> set[int]:
+    """Divisions, as instructions, that share their denominator with others."""
+    current: dict[int, int] = {}
+    below: dict[int, list[int]] = {}
+    for k in range(function.n_instructions()):
+        op, ins = function.instruction_id(k), function.instruction_input(k)
+        if op == ca.OP_DIV:
+            below.setdefault(current[ins[1]], []).append(k)
+        if op != ca.OP_OUTPUT:
+            current[function.instruction_output(k)[0]] = k
+    return {k for divisions in below.values() if len(divisions) > 1 for k in divisions}
