@@ -248,7 +248,7 @@ def test_one_structure_has_one_kernel() -> None:
     assert compiled.load_lanes(structure(random_morphology("mono_and_bi", 7)), "swing", laws) is kernel
     # Compiled once for all of them: one signature.
     simulate([crowd(19)[0], Model(ideal_leg())], trials())
-    assert len(kernel.run_block.signatures) == 1
+    assert len(kernel.run_trials.signatures) == 1
 
 
 def test_what_is_handed_in_is_left_alone() -> None:

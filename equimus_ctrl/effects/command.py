@@ -184,6 +184,12 @@ def advance_pressure(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _remembers(valve: Array) -> bool:
+    """Whether the pressure behind a valve (6,) hangs on more than the command that last arrived there."""
+    return bool(valve[1] > 0.0 or valve[2] > 0.0 or valve[3] < math.inf or valve[4] < math.inf)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def pressure_history(
     times: Array, commands: Array, before: Array, valve: Array, start: float, dt: float, out: Array
 ) -> None:
@@ -204,7 +210,10 @@ def pressure_history(
         for k in range(n):
             column[k] = commands[k, i]
         pressure, cursor = before[i], -1
-        if start > times[0]:
+        if start > times[0] and not _remembers(valve[i]):
+            cursor = np.searchsorted(times, start - valve[i, 0], side="right") - 1
+            pressure = column[cursor] if cursor >= 0 else before[i]
+        elif start > times[0]:
             lead = start - times[0]
             pressure, _, _, cursor = advance_pressure(
                 times, column, before[i], cursor, times[0], lead, pressure, valve[i]

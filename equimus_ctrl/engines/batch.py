@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -43,6 +44,8 @@ from equimus_ctrl.types import Array, Recording
 
 STEP = 1e-3
 """Default physics step [s]."""
+PARTS = 4
+"""In so many parts for each thread work is divided, so that none waits long for the others."""
 
 Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
 KNOWN_KINDS = (BodyEffect, ForceEffect, SensorEffect, ShapingEffect, ValveEffect)
@@ -313,8 +316,9 @@ def _simulated(
                 f"{model.name} and {models[0].name} differ in structure or phase, so they cannot run together"
             )
     results = [Predicted(np.empty((k, len(trial.sample_times), nj)), np.zeros(k, dtype=np.int64)) for trial in trials]
-    tasks: list[tuple[_Block, int]] = []
+    tasks: list[tuple[_Block, list[int]]] = []
     histories = _Histories()
+    count = threads or processors()
     for condition in dict.fromkeys(trial.condition for trial in trials):
         own_trials = [index for index, trial in enumerate(trials) if trial.condition == condition]
         groups = _grouped(models, trials[own_trials[0]]) if coded is None else [(list(range(k)), coded)]
@@ -323,19 +327,24 @@ def _simulated(
                 _Block(arrays, np.array(chosen[first : first + LANES]), slice(first, first + LANES), histories)
                 for first in range(0, len(chosen), LANES)
             ]
-            tasks += [(block, index) for index in own_trials for block in blocks]
+            for together in _shared(trials, own_trials):
+                size = max(math.ceil(len(together) * len(blocks) / (PARTS * count)), 1)
+                parts = [together[first : first + size] for first in range(0, len(together), size)]
+                tasks += [(block, part) for part in parts for block in blocks]
 
-    def work(task: tuple[_Block, int]) -> None:
-        block, index = task
-        block.run(trials[index], None if starts is None else starts[index], dt, results[index])
+    def work(task: tuple[_Block, list[int]]) -> None:
+        block, chosen = task
+        own = [trials[index] for index in chosen]
+        at = None if starts is None else [starts[index] for index in chosen]
+        block.run(own, at, dt, [results[index] for index in chosen])
 
-    count = min(threads or processors(), len(tasks))
+    count = min(count, len(tasks))
     if count <= 1:
         for task in tasks:
             work(task)
     else:
         for kernel in {block.kernel for block, _ in tasks}:
-            if not kernel.run_block.signatures:  # what has to be compiled is compiled once
+            if not kernel.run_trials.signatures:  # what has to be compiled is compiled once
                 first_task = next(task for task in tasks if task[0].kernel is kernel)
                 tasks.remove(first_task)
                 work(first_task)
@@ -348,6 +357,16 @@ def _simulated(
         reached = [found.position[0] for found in results]
         warn_if_coarse(robot, models[0].phase, poses, dt, reached, MOST_DIVISOR)
     return results
+
+
+def _shared(trials: Sequence[Trial], chosen: Sequence[int]) -> list[list[int]]:
+    """Trials, as indices, that share one history of commands: such as windows of one recording."""
+    groups: dict[tuple[int, int, bytes], list[int]] = {}
+    for index in chosen:
+        trial = trials[index]
+        # By which arrays they are: those live as long as the trials that are simulated.
+        groups.setdefault((id(trial.times), id(trial.commands), trial.before.tobytes()), []).append(index)
+    return list(groups.values())
 
 
 def _grouped(models: Sequence[Model], trial: Trial) -> list[tuple[list[int], Encoded]]:
@@ -408,42 +427,57 @@ class _Block:
             self._commands[key] = np.ascontiguousarray(whole[:, 1:]), np.ascontiguousarray(whole[:, 0])
         return self._commands[key]
 
-    def run(self, trial: Trial, start: Array | None, dt: float, result: Predicted) -> None:
-        """Simulate a trial from its own start, or from rows of ``start`` for all models."""
-        k, nj = len(self.models), result.position.shape[2]
-        if start is None or start.shape[1] == nj:
-            still = np.zeros(nj) if trial.velocity is None else trial.velocity
-            v0 = np.tile(still, (k, 1))
-        else:
-            v0 = start[self.models, nj:]
-        q0 = np.tile(trial.position, (k, 1)) if start is None else start[self.models, :nj]
-        commands, before = self.commands(trial)
-        span = trial.sample_times[-1] - trial.start if len(trial.sample_times) else 0.0
-        steps = max(int(np.ceil(span / dt - 1e-9)), 1)
-        position = np.empty((k, len(trial.sample_times), len(self.moved)))
-        reached = np.zeros(k, np.int64)
-        self.kernel.run_block(
+    def run(
+        self, trials: Sequence[Trial], starts: Sequence[Array] | None, dt: float, results: Sequence[Predicted]
+    ) -> None:
+        """Simulate trials of one history of commands from their own starts, or from rows of ``starts`` for all models.
+
+        Args:
+            trials: what is done.
+            starts: for each trial (k, nj) or (k, 2 nj), for all models.
+            dt: physics step [s].
+            results: for each trial, written.
+        """
+        k, nj = len(self.models), results[0].position.shape[2]
+        q0, v0 = np.empty((2, len(trials), k, nj))
+        for t, trial in enumerate(trials):
+            row = trial.position if starts is None else starts[t][self.models]
+            q0[t], speed = row[..., :nj], row[..., nj:]
+            v0[t] = speed if speed.size else 0.0 if trial.velocity is None else trial.velocity
+        first = np.array([first_activations(self.coded, self.rows, own, q) for own, q in zip(trials, q0, strict=True)])
+        commands, before = self.commands(trials[0])
+        times = [trial.sample_times for trial in trials]
+        place = np.concatenate([[0], np.cumsum([len(own) for own in times])])
+        start = np.array([trial.start for trial in trials], dtype=np.float64)
+        spans = [own[-1] - trial.start if len(own) else 0.0 for own, trial in zip(times, trials, strict=True)]
+        steps = np.maximum(np.ceil(np.array(spans) / dt - 1e-9), 1).astype(np.int64)
+        position = np.empty((k, place[-1], len(self.moved)))
+        reached = np.zeros((len(trials), k), np.int64)
+        self.kernel.run_trials(
             self.parameters,
-            trial.times,
+            trials[0].times,
             commands,
             before,
             self.valve,
             self.follow,
-            first_activations(self.coded, self.rows, trial, q0),
+            first,
             self.sensor,
-            np.ascontiguousarray(q0[:, self.moved]),
-            np.ascontiguousarray(v0[:, self.moved]),
+            q0[:, :, self.moved].copy(),
+            v0[:, :, self.moved].copy(),
             self.coded.rubbing,
             self.moving,
-            trial.start,
+            start,
             dt,
             steps,
-            trial.sample_times,
+            np.concatenate(times),
+            place,
             position,
             reached,
         )
-        result.position[self.models] = position[:, :, self.joints]
-        result.reached[self.models] = reached
+        position = position[:, :, self.joints]
+        for t, result in enumerate(results):
+            result.position[self.models] = position[:, place[t] : place[t + 1]]
+            result.reached[self.models] = reached[t]
 
 
 def first_activations(coded: Encoded, rows: slice, trial: Trial, position: Array) -> Array:

@@ -343,6 +343,7 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, key: str) -> str:
         f"QUICK_INSIDE = {not symbolic.build(form, phase).inside.quickness.is_zero()}",
         f"SOFT_LIMITS = {any(limit.push is None for limit in symbolic.build(form, phase).limits)}",
         *[f"ROW_{name} = {first}" for name, first in rows.items()],
+        f"ROW_CONSTANTS = {row}",
         "",
     ]
     return "\n".join([*header, "", functions])

@@ -52,6 +52,7 @@ ROW_FROM = 0
 ROW_PART = 0
 ROW_BEGIN = 0
 ROW_END = 0
+ROW_CONSTANTS = 0
 
 
 def prepare_lane(p: Array, w: Array, l: int) -> None:  # noqa: E741

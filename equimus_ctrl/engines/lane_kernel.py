@@ -22,6 +22,7 @@ from equimus_ctrl.engines.lane_functions import (
     N_ROWS,
     N_STATES,
     ROW_BOUND,
+    ROW_CONSTANTS,
     ROW_DELASSUS,
     ROW_DEPTHS,
     ROW_GAPS,
@@ -135,10 +136,18 @@ def run_lanes(w: Array, drive: Array, dt: float, rubbing: Array, out: Array) -> 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def begin_block(
+def prepared(parameters: Array) -> Array:
+    """A work array with the constants of up to LANES parameter sets (k, np); lanes to spare repeat the last."""
+    w = np.zeros(WORK_ROWS * LANES)
+    for l in range(LANES):  # noqa: E741
+        prepare_lane(parameters[min(l, len(parameters) - 1)], w, l)
+    return w
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def begin(
     w: Array,
     drive: Array,
-    parameters: Array,
     times: Array,
     commands: Array,
     before: Array,
@@ -150,30 +159,39 @@ def begin_block(
     start: float,
     dt: float,
 ) -> None:
-    """Put parameter sets at rest into the work array w and their pressures into drive (steps, 2, na·LANES).
+    """Put the lanes of the work array w at a start, and the pressures into drive (steps, 2, na·LANES).
 
-    The other arguments are those of ``run_block``.
+    The other arguments are those of ``run_trials``, for one trial.
     """
-    k, steps = len(parameters), len(drive)
-    history = np.empty((steps, 2, N_ACTUATORS))
+    k, steps = len(q0), len(drive)
+    for i in range(ROW_CONSTANTS * LANES):
+        w[i] = 0.0
     for l in range(LANES):  # noqa: E741
-        # Lanes without a set of their own repeat the last.
         own = min(l, k - 1)
-        prepare_lane(parameters[own], w, l)
         for j in range(N_JOINTS):
             w[(ROW_X + j) * LANES + l] = q0[own, j]
             w[(ROW_X + N_JOINTS + j) * LANES + l] = v0[own, j]
-        if l < k and not (l > 0 and _same(commands, before, valve, follow, first, l)):
-            followed_history(times, commands[own], before[own], valve[own], follow[own], first[own], start, dt, history)
-        for s in range(steps):
-            for i in range(N_ACTUATORS):
-                drive[s, 0, i * LANES + l] = history[s, 0, i]
-                drive[s, 1, i * LANES + l] = history[s, 1, i]
     lane_rest(w)
+    history = np.empty((steps, 2, N_ACTUATORS))
+    l = 0  # noqa: E741
+    while l < k:
+        followed_history(times, commands[l], before[l], valve[l], follow[l], first[l], start, dt, history)
+        # Neighbours with the same pressures get them at once, and lanes to spare those of the last.
+        end = l + 1
+        while end < k and _same(commands, before, valve, follow, first, end):
+            end += 1
+        last = end if end < k else LANES
+        for s in range(steps):
+            for part in range(2):
+                for i in range(N_ACTUATORS):
+                    value = history[s, part, i]
+                    for m in range(i * LANES + l, i * LANES + last):
+                        drive[s, part, m] = value
+        l = end  # noqa: E741
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run_block(
+def run_trials(
     parameters: Array,
     times: Array,
     commands: Array,
@@ -186,14 +204,15 @@ def run_block(
     v0: Array,
     rubbing: Array,
     moving: bool,
-    start: float,
+    start: Array,
     dt: float,
-    steps: int,
+    steps: Array,
     out_times: Array,
+    place: Array,
     out: Array,
     reached: Array,
 ) -> None:
-    """Up to LANES parameter sets through one trial: valves, motion and sensors.
+    """Up to LANES parameter sets through trials of one history of commands: valves, motion and sensors.
 
     Args:
         parameters: (k, np) parameter vectors, k ≤ LANES.
@@ -202,41 +221,50 @@ def run_block(
         before: (k, na) in force before [Pa].
         valve: (k, na, 6), see ``effects.valves``.
         follow: (k, na, 6), see ``effects.command.FOLLOW_KIND``.
-        first: (k, na) what integrators of commands begin with.
+        first: (trials, k, na) what integrators of commands begin with.
         sensor: (k, nj, 4), see ``effects.sensors``.
-        q0: (k, nj) angles at the start [rad].
-        v0: (k, nj) velocities there [rad/s].
+        q0: (trials, k, nj) angles at the starts [rad].
+        v0: (trials, k, nj) velocities there [rad/s].
         rubbing: rows where any has dry friction.
         moving: whether joints moved before the start as they do there; else they stood still.
-        start: of the motion [s].
+        start: (trials,) of the motion [s].
         dt: physics step [s].
-        steps: how many.
-        out_times: (m,) ascending [s].
+        steps: (trials,) how many.
+        out_times: (m,) of all trials, ascending in each [s].
+        place: (trials + 1,) where in ``out_times`` each begins, and its end.
         out: (k, m, nj) written: measured angles [rad].
-        reached: (k,) written: m where all is well, else the index of the first sample that could not be had.
+        reached: (trials, k) written: how many samples a trial has where all is well, else the index of the first that
+            could not be had.
     """
-    k, m = len(parameters), len(out_times)
-    w = np.zeros(WORK_ROWS * LANES)
-    drive = np.empty((steps, 2, N_ACTUATORS * LANES))
-    begin_block(w, drive, parameters, times, commands, before, valve, follow, first, q0, v0, start, dt)
-    grid = np.empty((steps + 1, 2 * N_JOINTS * LANES))
-    run_lanes(w, drive, dt, rubbing, grid)
-    q, v = np.empty(steps + 1), np.empty(steps + 1)
-    y = np.empty(m)
-    for l in range(k):  # noqa: E741
-        reached[l] = m
-        for j in range(N_JOINTS):
-            for s in range(steps + 1):
-                q[s] = grid[s, j * LANES + l]
-                v[s] = grid[s, (N_JOINTS + j) * LANES + l]
-            sample(q, v, start, dt, sensor[l, j], out_times, y, v[0] if moving else 0.0)
-            for i in range(m):
-                out[l, i, j] = y[i]
-            for s in range(steps + 1):
-                if not abs(v[s]) < MAX_SPEED:
-                    lost = start + (s - 1) * dt + sensor[l, j, 2]
-                    reached[l] = min(reached[l], np.searchsorted(out_times, lost, side="right"))
-                    break
+    k, most = len(parameters), steps.max()
+    w = prepared(parameters)
+    drive = np.empty((most, 2, N_ACTUATORS * LANES))
+    grid = np.empty((most + 1, 2 * N_JOINTS * LANES))
+    q, v = np.empty(most + 1), np.empty(most + 1)
+    for trial in range(len(start)):
+        n, low, high = steps[trial], place[trial], place[trial + 1]
+        sampled = out_times[low:high]
+        own = drive[:n]
+        begin(
+            w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], start[trial], dt
+        )  # fmt: skip
+        run_lanes(w, own, dt, rubbing, grid[: n + 1])
+        for l in range(k):  # noqa: E741
+            reached[trial, l] = high - low
+            for j in range(N_JOINTS):
+                sound = n + 1
+                for s in range(n + 1):
+                    q[s] = grid[s, j * LANES + l]
+                    v[s] = grid[s, (N_JOINTS + j) * LANES + l]
+                for s in range(n + 1):
+                    if not abs(v[s]) < MAX_SPEED:
+                        sound = s
+                        break
+                early = v[0] if moving else 0.0
+                sample(q[: n + 1], v[: n + 1], start[trial], dt, sensor[l, j], sampled, out[l, low:high, j], early)
+                if sound <= n:
+                    lost = start[trial] + (sound - 1) * dt + sensor[l, j, 2]
+                    reached[trial, l] = min(reached[trial, l], np.searchsorted(sampled, lost, side="right"))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -259,7 +287,7 @@ def run_inner(
     """One parameter set through one trial, with what no sensor shows.
 
     Args:
-        parameters: (1, np), as all arrays that are handed in those of ``run_block`` for one set.
+        parameters: (1, np), as all arrays that are handed in those of ``run_trials`` for one set and trial.
         times: (n,) [s].
         commands: (1, n, na) [Pa].
         before: (1, na) [Pa].
@@ -274,9 +302,9 @@ def run_inner(
         states: (steps + 1, 2 nj + nz) written: angles, velocities and effect states on the grid.
         pressures: (steps, 2, na) written: mean and slope over each step [Pa].
     """
-    w = np.zeros(WORK_ROWS * LANES)
+    w = prepared(parameters)
     drive = np.empty((len(pressures), 2, N_ACTUATORS * LANES))
-    begin_block(w, drive, parameters, times, commands, before, valve, follow, first, q0, v0, start, dt)
+    begin(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt)
     grid = np.empty((len(states), N_STATE * LANES))
     run_lanes(w, drive, dt, rubbing, grid)
     for s in range(len(states)):
@@ -298,15 +326,6 @@ def _same(commands: Array, before: Array, valve: Array, follow: Array, first: Ar
         and np.array_equal(before[l], before[l - 1])
         and np.array_equal(commands[l], commands[l - 1])
     )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lanes_of(parameters: Array) -> Array:
-    """A work array with one parameter set (np,) in all lanes."""
-    w = np.zeros(WORK_ROWS * LANES)
-    for l in range(LANES):  # noqa: E741
-        prepare_lane(parameters, w, l)
-    return w
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -349,7 +368,7 @@ def field(
         side: (n, nr) the sign of each rubbing rate, against which dry friction acts in full; 0 for none.
         out: (n, nj + nz) written.
     """
-    w = lanes_of(parameters)
+    w = prepared(parameters.reshape(1, -1))
     rubs = np.any(side != 0.0)
     for begin in range(0, len(q), LANES):
         here = put_states(w, begin, q, v, z, pressure, pressed)
@@ -378,7 +397,7 @@ def rubbing_field(parameters: Array, q: Array, v: Array, z: Array, pressure: Arr
         pressed: as there.
         out: (n, nj·nr + nr·nr + 2 nr) written.
     """
-    w = lanes_of(parameters)
+    w = prepared(parameters.reshape(1, -1))
     for begin in range(0, len(q), LANES):
         here = put_states(w, begin, q, v, z, pressure, pressed)
         lane_friction(w)
@@ -403,7 +422,7 @@ def limit_gaps(
         depths: (n, nl) written: below 0 short of a limit.
         out: (n, nl) written.
     """
-    w = lanes_of(parameters)
+    w = prepared(parameters.reshape(1, -1))
     for begin in range(0, len(q), LANES):
         here = put_states(w, begin, q, v, z, pressure, pressed)
         lane_depths(w)
