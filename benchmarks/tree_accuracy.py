@@ -16,6 +16,8 @@ With ``--friction`` every tree has dry friction that acts. MuJoCo's is a soft co
 reference without its error of first order (Richardson, 1911).
 
     python benchmarks/tree_accuracy.py --friction [--trees 6] [--seed 0] [--joints 1 2 3 4 5 6] [--mjcf FILE.xml ...]
+
+With ``--keep FOLDER`` the trees are written there.
 """
 
 from __future__ import annotations
