@@ -37,7 +37,8 @@ from equimus_ctrl.errors import EquimusError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
-from equimus_ctrl.proof.realities import Reality, draw, findings
+from equimus_ctrl.proof.drawing import Reality, findings
+from equimus_ctrl.proof.realities import draw
 from equimus_ctrl.proof.store import Request, make_case, open_truth
 from equimus_ctrl.recordings.sets import read_set
 from equimus_ctrl.report import style

@@ -33,22 +33,20 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import outside, sizes
 from equimus_ctrl.proof.designs import DURATION, JITTER, SAMPLE_RATE, TOP, design, sample_times
+from equimus_ctrl.proof.drawing import Reality, attached, findings, noise, strayed
 from equimus_ctrl.proof.outside import OUTSIDE, Motion, acts_on
 from equimus_ctrl.proof.realities import (
     ALIKE,
     CORRELATION,
     NOISE,
     SPREAD,
-    Reality,
-    _attach,
     catalogue,
     draw,
-    draw_leg,
-    findings,
+    leg_draws,
 )
 from equimus_ctrl.proof.seal import canonical, opened, salt, salted, seal
-from equimus_ctrl.proof.simulation import noise, simulate
 from equimus_ctrl.proof.simulation import recordings as recorded
+from equimus_ctrl.proof.simulation import simulate
 from equimus_ctrl.proof.store import Request, make_case, make_cases, open_truth
 from equimus_ctrl.proof.strength import excess
 from equimus_ctrl.robots.elastic.leg import nominal_leg
@@ -142,8 +140,8 @@ def test_numbers_stay_in_their_ranges() -> None:
 
 
 def test_the_leg_spreads_over_its_whole_range() -> None:
-    rng = np.random.default_rng(0)
-    legs = [draw_leg(rng).parameters() for _ in range(300)]
+    rng, draws = np.random.default_rng(0), leg_draws()
+    legs = [strayed(rng, draws).parameters() for _ in range(300)]
     for name in ("maa.stiffness", "baa.area", "maa.rest_length", "knee.damping"):
         share = np.array([leg[name] for leg in legs]) / nominal_leg().parameters()[name] - 1
         spread = SPREAD[name.rpartition(".")[2]]
@@ -160,9 +158,9 @@ def test_a_symmetric_lag_is_never_called_asymmetric() -> None:
 
 def test_dry_friction_that_breaks_away_hardly_later_is_never_called_stribeck_s() -> None:
     found = [e for r in many() for e in r.effects if isinstance(e, StribeckFriction)]
-    rng = np.random.default_rng(4)
+    rng, draws = np.random.default_rng(4), leg_draws()
     for _ in range(300):
-        (effect,) = _attach(rng, "stribeck_friction", nominal_leg(), REGISTRY)
+        (effect,) = attached(rng, draws, StribeckFriction)
         assert isinstance(effect, StribeckFriction)
         found.append(effect)
     shares = np.array([e.breakaway / e.friction for e in found])

@@ -17,11 +17,12 @@ from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.proof.mjcf import Experiment, MjcfTruth, draw_mjcf, mjcf_recordings
-from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, simulate_mjcf_truth, trials_of
+from equimus_ctrl.proof.designs import TrialDesign
+from equimus_ctrl.proof.drawing import Reality, noise
+from equimus_ctrl.proof.mjcf import Experiment
+from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, mjcf_recordings, simulate_mjcf_truth, trials_of
 from equimus_ctrl.proof.mjcf_sizes import mjcf_sizes
 from equimus_ctrl.proof.outside import OUTSIDE
-from equimus_ctrl.proof.simulation import noise
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.models import load_model
 from equimus_ctrl.workflow.scores import gather
@@ -56,15 +57,12 @@ def two_joints() -> Experiment:
     return Experiment(model, tuple(trials))
 
 
-def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Effect, ...]) -> MjcfTruth:
-    from equimus_ctrl.proof.designs import TrialDesign
-
-    return MjcfTruth(
-        0, 0, "single", model.robot, effects, (), (1e-3,) * len(model.robot.joints), 0.0,
-        tuple(TrialDesign(r.name, "as recorded", r.time, r.command) for r in recordings),
-        np.zeros((len(recordings), 0)), starts=tuple(np.array(r.position[0]) for r in recordings),
-        notes=tuple(dict(r.notes) for r in recordings),
-    )  # fmt: skip
+def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Effect, ...]) -> Reality:
+    trials = [
+        TrialDesign(r.name, "as recorded", r.time, r.command, np.array(r.position[0]), r.notes) for r in recordings
+    ]
+    noise = (1e-3,) * len(model.robot.joints)
+    return Reality(0, 0, "single", model.robot, effects, (), noise, 0.0, tuple(trials), np.zeros((len(recordings), 0)))
 
 
 def test_there_is_a_size_for_every_effect_of_mjcf_robots(two_joints: Experiment) -> None:
@@ -109,10 +107,10 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
 
 
 def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
-    first, again = (draw_mjcf(pendulum, 3, 1) for _ in range(2))
+    first, again = (pendulum.draw(3, 1) for _ in range(2))
     assert first.robot.parameters() == again.robot.parameters()
     assert first.effects == again.effects and first.noise == again.noise
-    assert first.robot.parameters() != draw_mjcf(pendulum, 3, 2).robot.parameters()
+    assert first.robot.parameters() != pendulum.draw(3, 2).robot.parameters()
     one, two = simulate_mjcf_truth(first), simulate_mjcf_truth(again)
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
     assert all(np.array_equal(a, b) for a, b in zip(noise(first), noise(again), strict=True))
@@ -120,7 +118,7 @@ def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
 
 def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experiment) -> None:
     for case in range(40):
-        reality = draw_mjcf(pendulum, 1, case, "pair")
+        reality = pendulum.draw(1, case, "pair")
         for effect in reality.effects:
             for key in effect.parameter_info():
                 low, high = effect.bounds(key, reality.robot)
@@ -130,7 +128,7 @@ def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experimen
 def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) -> None:
     kinds = set()
     for case in range(30):
-        reality = draw_mjcf(two_joints, 1, case)
+        reality = two_joints.draw(1, case)
         kinds.add(reality.kind)
         names = {e.name for e in reality.effects}
         assert len(names) == {"none": 0, "single": 1, "pair": 2, "outside": 0}[reality.kind]
@@ -142,7 +140,7 @@ def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) ->
 
 
 def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment) -> None:
-    plain = draw_mjcf(pendulum, 5, 0, "none")
+    plain = pendulum.draw(5, 0, "none")
     clean = simulate_mjcf_truth(plain)
     assert mjcf_excess(plain, clean).total < 0.02
     rubbing = replace(plain, kind="single", effects=(REGISTRY["coulomb_friction"]("hinge", friction=0.1),))
@@ -152,7 +150,7 @@ def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment)
 
 
 def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None:
-    reality = draw_mjcf(pendulum, 5, 1, "none")
+    reality = pendulum.draw(5, 1, "none")
     clean = simulate_mjcf_truth(reality)
     seen = mjcf_recordings(reality, clean, noise(reality))
     error = np.concatenate([r.position - c for r, c in zip(seen, clean, strict=True)])
@@ -164,10 +162,10 @@ def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None
 def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experiment) -> None:
     noted = tuple(replace(r, notes={"set.arm.mass": "0.9"}) for r in pendulum.recordings)
     experiment = Experiment(pendulum.model, noted)
-    reality = draw_mjcf(experiment, 2, 0, "none")
+    reality = experiment.draw(2, 0, "none")
     heavy = reality.model.with_parameters({"arm.mass": 0.9})
     bare = [replace(t, settings={}) for t in trials_of(reality)]
-    light, right = (without_steps(m, bare) for m in (Model(reality.mjcf_robot), heavy))
+    light, right = (without_steps(m, bare) for m in (Model(reality.robot), heavy))
     for own, wrong, other in zip(simulate_mjcf_truth(reality), light, right, strict=True):
         assert np.abs(own - other).max() < ALIKE < np.abs(own - wrong).max()
     assert mjcf_recordings(reality, simulate_mjcf_truth(reality), noise(reality))[0].notes == noted[0].notes

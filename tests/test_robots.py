@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from mjcf_models import CRANE, PENDULUM
+from morphologies import STRUCTURES, random_morphology
 
 from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
 from equimus_ctrl.effects import CoulombFriction, NarrowingArea
@@ -15,10 +16,11 @@ from equimus_ctrl.effects.base import PLACES
 from equimus_ctrl.engines.choice import MujocoEngine, ReducedEngine, engine_for
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.identification.parameters import default_bounds, default_names, unit_of
+from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
 from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
-from equimus_ctrl.robots.elastic.morphology import elastic_of
+from equimus_ctrl.robots.elastic.morphology import Point, elastic_of
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 
 ROBOTS: tuple[Robot, ...] = (nominal_leg(), ideal_leg(), CRANE, PENDULUM)
@@ -54,6 +56,31 @@ def test_a_model_asks_its_robot(robot: Robot) -> None:
     for name in robot.default_names():
         assert default_bounds(model, name) == robot.bounds(name)
         assert unit_of(model, name) == robot.unit(name)
+
+
+@every_robot
+def test_an_actuator_drives_joints_of_its_robot(robot: Robot) -> None:
+    for actuator in robot.actuator_names:
+        assert robot.driven_joints(actuator) and robot.driven_joints(actuator) <= set(robot.joint_names)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_an_elastic_actuator_drives_the_joints_on_which_it_has_a_lever_arm(structure: str) -> None:
+    for seed in range(10):
+        robot = random_morphology(structure, seed)
+        kinematics, rng = Kinematics(robot), np.random.default_rng(seed)
+        poses = rng.uniform(-2, 2, (20, len(robot.joints)))
+        arms = np.max([np.abs(kinematics.jacobian(q)) for q in poses], axis=0)
+        for own, actuator in zip(arms, robot.actuator_names, strict=True):
+            found = {name for name, arm in zip(robot.joint_names, own, strict=True) if arm > 1e-9}
+            assert found == robot.driven_joints(actuator)
+
+
+def test_an_elastic_actuator_does_not_drive_a_joint_on_whose_pivot_it_ends() -> None:
+    leg = nominal_leg()
+    baa = replace(leg.actuators[1], insertion=Point("calf", 0.0))
+    assert leg.driven_joints("baa") == {"hip", "knee"}
+    assert replace(leg, actuators=(leg.actuators[0], baa)).driven_joints("baa") == {"hip"}
 
 
 @every_robot

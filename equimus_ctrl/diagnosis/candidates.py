@@ -22,7 +22,6 @@ from equimus_ctrl.identification.parameters import (
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array
 
 SLOPE_SAMPLES = 4
@@ -204,8 +203,8 @@ def seen_places(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
 
 def _seen_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
     """The same where drives are at joints: pushes are those of drives and of gravity along what was measured."""
-    robot = mjcf_of(model.robot)
     own = realise(model)
+    robot = own.robot
     times = [s.trial.sample_times for s in segments]
     angles = np.concatenate([s.measured for s in segments])
     speeds = np.concatenate([_speed(s.trial.sample_times, s.measured) for s in segments])

@@ -9,10 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.robots.base import Robot
-from equimus_ctrl.robots.elastic.morphology import elastic_of
-from equimus_ctrl.robots.mjcf.robot import mjcf_of
 
 STRONG = 0.3
 """Excess from which on an effect is to be found."""
@@ -23,10 +20,6 @@ BINS = (
     f"above {EDGES[-1]:g}",
 )
 """Names of ranges of the excess."""
-POSES = 5
-"""Along each joint, at which lever arms are looked at."""
-NO_ARM = 1e-9
-"""Lever arm that is none [m]."""
 
 Parts = Mapping[str, frozenset[str]]
 """Effect → all places where it acts."""
@@ -54,23 +47,11 @@ class Places:
 
     @classmethod
     def of(cls, robot: Robot) -> Places:
-        """Of a robot: an actuator acts on the joints on which it has a lever arm in any pose."""
-        names = robot.joint_names
-        if not robot.traits.forces_along_actuators:
-            mjcf = mjcf_of(robot)
-            own = {drive.name: frozenset({drive.joint}) for drive in mjcf.actuators}
-            bodies = [place for kind in ("link", "foot", "base") for place in mjcf.places()[kind]]
-            joints = {name: frozenset({name}) for name in names}
-            return cls("", {**{place: frozenset(names) for place in bodies}, **own, **joints})
-        ends = [np.clip(side, -np.pi, np.pi) for side in robot.joint_range]
-        axes = [np.linspace(low, high, POSES) for low, high in zip(*ends, strict=True)]
-        kinematics = Kinematics(elastic_of(robot))
-        arms = np.max([np.abs(kinematics.jacobian(np.array(q))) for q in itertools.product(*axes)], axis=0)
-        moved = {name: frozenset({name}) for name in names}
-        for actuator, own in zip(robot.actuator_names, arms, strict=True):
-            moved[actuator] = frozenset(name for name, arm in zip(names, own, strict=True) if arm > NO_ARM)
-        for kind in ("link", "foot", "base"):
-            moved |= {place: frozenset(names) for place in robot.places()[kind]}
+        """Of a robot; where a joint and its actuator have one name, it is the joint's."""
+        names, places = robot.joint_names, robot.places()
+        moved = {place: frozenset(names) for kind in ("link", "foot", "base") for place in places[kind]}
+        moved |= {actuator: robot.driven_joints(actuator) for actuator in robot.actuator_names}
+        moved |= {name: frozenset({name}) for name in names}
         return cls(robot.foot_link or "", moved)
 
     def same(self, location: str) -> str:

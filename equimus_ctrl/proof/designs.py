@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -34,15 +34,25 @@ class TrialDesign:
 
     Attributes:
         name: of the trial.
-        kind: steps, staircase, multisine or releases.
+        kind: steps, staircase, multisine or releases; as recorded where it was.
         time: (n,) sample times, ascending from 0 [s].
-        command: (n, 2) in force from each of them on [Pa]; the leg has settled under the first.
+        command: (n, na) in force from each of them on, in units of the robot's commands.
+        start: (nj,) where the joints are at the first, at rest [rad or m]; None where the robot has settled under the
+            first command.
+        notes: what differs in this trial, see ``Recording``.
     """
 
     name: str
     kind: str
     time: Array
     command: Array
+    start: Array | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def settles(self) -> bool:
+        """Whether the robot has settled under the first command when the trial starts."""
+        return self.start is None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", frozen_array(self.time, 1, self.name))

@@ -28,12 +28,14 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
-from equimus_ctrl.proof.mjcf import MjcfTruth, mjcf_recordings
+from equimus_ctrl.proof.drawing import Excess, Reality, recordings_of
 from equimus_ctrl.proof.outside import Motion, MotionEffect
-from equimus_ctrl.proof.strength import Excess, rounded
+from equimus_ctrl.proof.strength import rounded
 from equimus_ctrl.robots.mjcf.parts import harden
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
 FINER = 8
@@ -42,13 +44,13 @@ SEARCH = FitSettings(tolerance=1e-3, steps=30)
 """Of the refit that says how strong a case is; it begins at the truth."""
 
 
-def simulate_mjcf_truth(truth: MjcfTruth) -> list[Array]:
+def simulate_mjcf_truth(truth: Reality) -> list[Array]:
     """For each trial (n, nj) what the sensors would show without noise [rad or m].
 
     Raises:
         SimulationDiverged: where the robot's parameters are none.
     """
-    bodies = Model(truth.mjcf_robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
+    bodies = Model(truth.robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
     push = _push(truth)
     found = []
     for trial in trials_of(truth):
@@ -57,8 +59,8 @@ def simulate_mjcf_truth(truth: MjcfTruth) -> list[Array]:
     return found
 
 
-def _measured(truth: MjcfTruth, bodies: Model, trial: Trial, push: _Push | None, steps: int) -> Array:
-    own = realise(bodies, trial, truth.mjcf_robot.timestep / steps)
+def _measured(truth: Reality, bodies: Model, trial: Trial, push: _Push | None, steps: int) -> Array:
+    own = realise(bodies, trial, mjcf_of(truth.robot).timestep / steps)
     with quietly():
         course = _follow(own, trial, push)
     if course.sound < len(course.q):
@@ -66,53 +68,39 @@ def _measured(truth: MjcfTruth, bodies: Model, trial: Trial, push: _Push | None,
     return measured_of(own, course, trial.sample_times)[0]
 
 
-def trials_of(truth: MjcfTruth) -> list[Trial]:
+def trials_of(truth: Reality) -> list[Trial]:
     """What is done, each from rest at its first angles."""
-    model, found = Model(truth.mjcf_robot), []
-    for design, start, notes in zip(truth.trials, truth.starts, truth.notes, strict=True):
-        recording = _recording(truth, design.name, design.time, design.command, start, notes)
-        trial = Trial.of(recording, start)
+    model, found = Model(truth.robot), []
+    still = [np.broadcast_to(d.start, (len(d.time), len(truth.noise))) for d in truth.trials if d.start is not None]
+    for recording in recordings_of(truth, still):
+        trial = Trial.of(recording, recording.position[0])
         settings, factors = noted(model, recording, SET), noted(model, recording, TIMES)
         found.append(replace(trial, settings=settings, factors=factors))
     return found
-
-
-def _recording(
-    truth: MjcfTruth, name: str, time: Array, command: Array, position: Array, notes: dict[str, str]
-) -> Recording:
-    robot = truth.mjcf_robot
-    rows = np.broadcast_to(position, (len(time), len(robot.joints)))
-    return Recording(name, time, command, np.array(rows), robot.actuator_names, robot.joint_names, notes=notes)
 
 
 class _Push:
     """All pushes at once, through buffers."""
 
     def __init__(self, function: ca.Function, rubbing: tuple[int, ...]) -> None:
-        self.rubbing = rubbing
-        self._given = [np.zeros(function.numel_in(i)) for i in range(5)]
-        self._found = [np.zeros(function.numel_out(i)) for i in range(2)]
-        self._buffer, self._evaluate = function.buffer()
-        for i, array in enumerate(self._given):
-            self._buffer.set_arg(i, memoryview(array))  # type: ignore[call-arg, arg-type]
-        for i, array in enumerate(self._found):
-            self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg, arg-type]
+        self.rubbing, self._evaluate = rubbing, Buffered(function)
 
     def __call__(self, q: Array, v: Array, load: Array, command: Array, time: float) -> tuple[Array, Array]:
         """(nj,) pushes and (nj,) bounds of dry friction."""
         values: tuple[Array | float, ...] = (q, v, load, command, time)
-        for array, value in zip(self._given, values, strict=True):
+        for array, value in zip(self._evaluate.arguments, values, strict=True):
             array[:] = value
         self._evaluate()
-        return self._found[0], self._found[1]
+        torque, bound = self._evaluate.results
+        return torque, bound
 
 
-def _push(truth: MjcfTruth) -> _Push | None:
+def _push(truth: Reality) -> _Push | None:
     effects: list[Effect] = [e for e in truth.effects if isinstance(e, ForceEffect)]
     effects += truth.outside
     if not effects:
         return None
-    robot = truth.mjcf_robot
+    robot = truth.robot
     nj, na = len(robot.joints), len(robot.actuators)
     q, v, load, command = ca.SX.sym("q", nj), ca.SX.sym("v", nj), ca.SX.sym("load", nj), ca.SX.sym("u", na)
     time = ca.SX.sym("t")
@@ -173,14 +161,26 @@ def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
     return Course(trial.start, dt, q, v, ctrl, sound)
 
 
-def mjcf_excess(truth: MjcfTruth, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
+def mjcf_recordings(truth: Reality, clean: Sequence[Array], disturbed: Sequence[Array]) -> list[Recording]:
+    """What a diagnosis may see, to a thousandth of the noise.
+
+    Args:
+        truth: what happened.
+        clean: for each trial (n, nj) what sensors without noise would show [rad or m].
+        disturbed: the noise.
+    """
+    digits = int(3 - np.floor(np.log10(min(truth.noise))))
+    return recordings_of(truth, [shown + more for shown, more in zip(clean, disturbed, strict=True)], digits)
+
+
+def mjcf_excess(truth: Reality, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
     """What is left when a robot with ``effects`` alone is fitted to a ground truth, see ``strength.excess``.
 
     It is fitted as a diagnosis would be: in the same windows, their starts and the default numbers free; but the error
     of the physics step is none of it.
     """
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
-        model = Model(truth.mjcf_robot, tuple(effects))
+        model = Model(truth.robot, tuple(effects))
         silent = mjcf_recordings(truth, clean, [np.zeros_like(c) for c in clean])
         segments = split(model, silent).train
         free, noise = uncertain(model), tuple(JointNoise(sigma) for sigma in truth.noise)

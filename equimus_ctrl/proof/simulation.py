@@ -27,11 +27,12 @@ from equimus_ctrl.engines.mujoco_trials import MUJOCO_KINDS
 from equimus_ctrl.engines.rest import settle
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
+from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place
 from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.proof.drawing import Reality, noise, recordings_of
 from equimus_ctrl.proof.outside import Motion, MotionEffect
-from equimus_ctrl.proof.realities import NOISE_STREAM, Reality, stream
 from equimus_ctrl.robots.elastic.morphology import Morphology, pack, structure
 from equimus_ctrl.types import Array, Recording
 
@@ -215,14 +216,9 @@ class _Loop:
 
     def __init__(self, pushes: _Pushes, n: int) -> None:
         # Lanes stand side by side in CasADi's columns, which are the rows of an array.
-        mapped = pushes.push.map(n)
-        self._given = [np.zeros((n, pushes.push.numel_in(i))) for i in range(5)]
-        self._found = [np.zeros((n, pushes.push.numel_out(i))) for i in range(4)]
-        self._buffer, self._evaluate = mapped.buffer()
-        for i, array in enumerate(self._given):
-            self._buffer.set_arg(i, memoryview(array.reshape(-1)))  # type: ignore[call-arg, arg-type]
-        for i, array in enumerate(self._found):
-            self._buffer.set_res(i, memoryview(array.reshape(-1)))  # type: ignore[call-arg, arg-type]
+        self._evaluate = Buffered(pushes.push.map(n))
+        self._given = [array.reshape(n, -1) for array in self._evaluate.arguments]
+        self._found = [array.T.reshape(n, -1) for array in self._evaluate.results]
         self.z: Array = np.zeros((n, pushes.n_states))
 
     def middle(
@@ -254,20 +250,6 @@ class _Loop:
         return torque, force, bound
 
 
-def noise(reality: Reality) -> list[Array]:
-    """For each trial (n, nj) the noise of its sensors [rad]: white, or of first order over the time between samples."""
-    rng = stream(reality.seed, reality.case, NOISE_STREAM)
-    found = []
-    for trial in reality.trials:
-        white = rng.standard_normal((len(trial.time), len(reality.noise)))
-        if reality.correlation > 0:
-            kept = np.exp(-np.diff(trial.time) / reality.correlation)
-            for k, share in enumerate(kept, start=1):
-                white[k] = share * white[k - 1] + np.sqrt(1 - share**2) * white[k]
-        found.append(white * np.array(reality.noise))
-    return found
-
-
 def recordings(reality: Reality, clean: Sequence[Array]) -> list[Recording]:
     """What a diagnosis may see: commands and noisy angles, to 0.01 mrad.
 
@@ -275,16 +257,5 @@ def recordings(reality: Reality, clean: Sequence[Array]) -> list[Recording]:
         reality: what happened.
         clean: for each trial (n, nj), see ``simulate``.
     """
-    robot = reality.leg
-    return [
-        Recording(
-            trial.name,
-            trial.time,
-            trial.command,
-            np.round(angles + disturbed, 5),
-            robot.actuator_names,
-            robot.joint_names,
-            before=trial.command[0],
-        )
-        for trial, angles, disturbed in zip(reality.trials, clean, noise(reality), strict=True)
-    ]
+    noisy = [angles + disturbed for angles, disturbed in zip(clean, noise(reality), strict=True)]
+    return recordings_of(reality, noisy, digits=5)

@@ -9,7 +9,7 @@ BAA is mostly below 22 kPa.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -175,15 +175,18 @@ def measured_by(row: Size, effect: type[Effect], true: float) -> tuple[float, fl
 
 
 def size_of(effect: str, parameter: str, kind: str, location: str) -> Size:
-    """The row for a parameter of an effect at a place.
+    """The row for a parameter of an effect at a place of a leg, see ``row_of``."""
+    return row_of((*CATALOGUE, *BEYOND), effect, parameter, kind, location)
+
+
+def row_of(table: Sequence[Size], effect: str, parameter: str, kind: str, location: str) -> Size:
+    """The row of a table for a parameter of an effect at a place.
 
     Raises:
         ConfigError: where the table has none or more than one.
     """
     found = [
-        row
-        for row in (*CATALOGUE, *BEYOND)
-        if (row.effect, row.parameter) == (effect, parameter) and row.at in ("", kind, location)
+        row for row in table if (row.effect, row.parameter) == (effect, parameter) and row.at in ("", kind, location)
     ]
     if len(found) != 1:
         raise ConfigError(

@@ -14,28 +14,24 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
-from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
-from equimus_ctrl.proof.mjcf import ATTEMPTS, Experiment, MjcfTruth, draw_mjcf, mjcf_recordings
-from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, simulate_mjcf_truth
+from equimus_ctrl.proof.drawing import ATTEMPTS, CaseSource, Kind, Reality, findings
+from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.outside import acts_on
-from equimus_ctrl.proof.realities import Kind, Reality, draw, findings
+from equimus_ctrl.proof.realities import Legs
 from equimus_ctrl.proof.seal import digest, opened, salted, seal
-from equimus_ctrl.proof.simulation import RATE, noise, recordings, simulate
-from equimus_ctrl.proof.strength import Excess
-from equimus_ctrl.proof.strength import excess as leg_excess
+from equimus_ctrl.proof.simulation import RATE
 from equimus_ctrl.recordings.checks import Limits
 from equimus_ctrl.recordings.folders import holds, read_text, write_folder, write_text
 from equimus_ctrl.recordings.sets import read_set
-from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
 SCHEMA = "equimus-ctrl/proof-truth/1"
@@ -67,32 +63,35 @@ class Request:
     def of_mjcf(cls, root: Path, seed: int, kind: Kind | None, experiment: Experiment) -> Request:
         """Of an MJCF robot; trials, their duration and the physics' rate follow from what is done with it."""
         times = [r.time for r in experiment.recordings]
-        robot = mjcf_of(experiment.model.robot)
         longest = max(float(t[-1] - t[0]) for t in times)
-        return cls(root, seed, kind, len(times), longest, FINER / robot.timestep, experiment)
+        return cls(root, seed, kind, len(times), longest, experiment.rate, experiment)
+
+    @property
+    def source(self) -> CaseSource:
+        """What cases are made from."""
+        return self.experiment or Legs(self.trials, self.duration, self.rate)
 
     @property
     def model(self) -> Model:
         """What a diagnosis takes the robot to be."""
-        return nominal_model() if self.experiment is None else self.experiment.model
+        return self.source.nominal
 
     @property
     def trial_names(self) -> list[str]:
         """Of every case."""
-        if self.experiment is None:
-            return [f"trial_{k:02d}" for k in range(self.trials)]
-        return [r.name for r in self.experiment.recordings]
+        return self.source.trial_names
 
     def reality(self, case: int) -> tuple[Reality, list[Array]]:
-        """A case's reality and, for each trial, what its sensors would show without noise."""
-        if self.experiment is None:
-            reality = draw(self.seed, case, kind=self.kind, trials=self.trials, duration=self.duration)
-            return reality, simulate(reality, self.rate)
+        """A case's ground truth and, for each trial, what its sensors would show without noise.
+
+        Raises:
+            ConfigError: where none of many robots in turn can be simulated.
+        """
         for attempt in range(ATTEMPTS):
             # What flies apart was no robot; another is drawn, from a stream of its own.
-            own = draw_mjcf(self.experiment, self.seed, case, self.kind, attempt)
+            found = self.source.draw(self.seed, case, self.kind, attempt)
             try:
-                return own, simulate_mjcf_truth(own)
+                return found, self.source.simulate(found)
             except SimulationDiverged:
                 continue
         raise ConfigError(f"case {case} of seed {self.seed}: {ATTEMPTS} robots in turn diverged on these commands")
@@ -133,20 +132,21 @@ class Made:
     seconds: float
 
 
-def truth_of(reality: Reality, clean: list[Any]) -> dict[str, Any]:
-    """All there is to know of a reality, as JSON.
+def truth_of(source: CaseSource, reality: Reality, clean: list[Array]) -> dict[str, Any]:
+    """All there is to know of a ground truth, as JSON.
 
     ``excess`` is what is left of data without noise when the default parameters have been fitted without any effect. In
     a pair ``alone`` says of each finding how much is left when only it is missing.
     """
     nothing = not reality.effects and not reality.outside
-    left = _excess(reality, clean, refit=not nothing)
+    left = source.excess(reality, clean, refit=not nothing)
     found = []
     for name, locations, parameters in findings(reality.effects):
         others = [e for e in reality.effects if e.name != name]
-        alone = _excess(reality, clean, others) if others else left
+        alone = source.excess(reality, clean, others) if others else left
         own = {"effect": name, "locations": locations, "parameters": parameters, "alone": alone.total}
-        found.append({**own, **_scales(reality, name)})
+        scales = {key: scale for (effect, key), scale in reality.scales.items() if effect == name}
+        found.append({**own, **({"scales": scales} if scales else {})})
     beyond = [
         {"effect": e.name, "locations": acts_on(e, reality.robot), "parameters": e.parameters()}
         for e in reality.outside
@@ -157,7 +157,7 @@ def truth_of(reality: Reality, clean: list[Any]) -> dict[str, Any]:
         "seed": reality.seed,
         "case": reality.case,
         "kind": reality.kind,
-        "parameters": {name: reality.robot.parameters()[name] for name in changed_names(reality)},
+        "parameters": {name: reality.robot.parameters()[name] for name in reality.drawn},
         "findings": found,
         "outside": beyond,
         "noise_rad": dict(zip(joints, reality.noise, strict=True)),
@@ -167,27 +167,6 @@ def truth_of(reality: Reality, clean: list[Any]) -> dict[str, Any]:
         "excess_joints": dict(zip(joints, left.joints, strict=True)),
         "refitted": left.parameters,
     }
-
-
-def _excess(reality: Reality, clean: list[Array], effects: Sequence[Effect] = (), refit: bool = True) -> Excess:
-    if isinstance(reality, MjcfTruth):
-        return mjcf_excess(reality, clean, effects)
-    return leg_excess(reality, clean, effects, refit)
-
-
-def _scales(reality: Reality, effect: str) -> dict[str, Any]:
-    """What errors of an effect's parameters are relative to, where no table says it for every robot."""
-    if not isinstance(reality, MjcfTruth):
-        return {}
-    return {"scales": {key: scale for (name, key), scale in reality.scales.items() if name == effect}}
-
-
-def changed_names(reality: Reality) -> list[str]:
-    """The robot's numbers that were drawn."""
-    if isinstance(reality, MjcfTruth):
-        return list(reality.drawn)
-    a = [f"{a.name}.{key}" for a in reality.leg.actuators for key in ("stiffness", "area", "rest_length", "damping")]
-    return a + [f"{j.name}.damping" for j in reality.leg.joints]
 
 
 def make_case(request: Request, case: int) -> Made:
@@ -201,12 +180,9 @@ def make_case(request: Request, case: int) -> Made:
         return Made(case, known.strip(), 0.0)
     began = time.perf_counter()
     reality, clean = request.reality(case)
-    if isinstance(reality, MjcfTruth):
-        seen = mjcf_recordings(reality, clean, noise(reality))
-    else:
-        seen = recordings(reality, clean)
+    seen = request.source.recorded(reality, clean)
     made = {"duration_s": request.duration, "physics_hz": request.rate, "recordings_sha256": digest(seen)}
-    line = salted({**truth_of(reality, clean), **made}, request.seed, case)
+    line = salted({**truth_of(request.source, reality, clean), **made}, request.seed, case)
     write_folder(request.recordings(case), seen)
     write_text(request.truth(case), line + "\n")
     write_text(request.seal(case), seal(line) + "\n")

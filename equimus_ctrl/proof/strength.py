@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -16,26 +15,11 @@ from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.proof.realities import Reality
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.proof.drawing import Excess, Reality, recordings_of
+from equimus_ctrl.types import Array
 
 SEARCH = FitSettings(tolerance=2e-2, steps=12)
 """The search begins at the truth, and a few per cent of the excess are no matter."""
-
-
-@dataclass(frozen=True)
-class Excess:
-    """Mean squared residual over the noise's variance, of data without noise, to six digits.
-
-    Attributes:
-        total: over both joints.
-        joints: of each.
-        parameters: fitted values by name.
-    """
-
-    total: float
-    joints: tuple[float, ...]
-    parameters: dict[str, float]
 
 
 def excess(reality: Reality, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True) -> Excess:
@@ -52,13 +36,7 @@ def excess(reality: Reality, clean: Sequence[Array], effects: Sequence[Effect] =
 
 
 def _excess(reality: Reality, clean: Sequence[Array], model: Model, refit: bool) -> Excess:
-    measured = [
-        Recording(
-            t.name, t.time, t.command, q, model.morphology.actuator_names, model.morphology.joint_names, None, None,
-            t.command[0],
-        )
-        for t, q in zip(reality.trials, clean, strict=True)
-    ]  # fmt: skip
+    measured = recordings_of(reality, clean)
     segments = cut(model, measured)
     simulator = reduced_simulator(threads=1)
     noise = np.array(reality.noise)

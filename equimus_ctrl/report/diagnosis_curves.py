@@ -241,9 +241,9 @@ def _area_panel(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) 
 
 def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:
     """What another robot's weight, springs and stops do to the joints at rest, and which numbers it has."""
-    m = scene.model.robot
-    if not isinstance(m, Morphology):  # whose weight, springs and stops are known joint by joint
+    if not scene.model.robot.traits.held_in_place:  # so no pose is one at rest
         return [Panel("numbers of the effect", rows=_numbers_of(scene.model, best[0]))]
+    m = scene.model.morphology
 
     def robot(effects: Sequence[Effect]) -> Morphology:
         return changed_bodies((*scene.model.effects, *effects), m)

@@ -192,6 +192,10 @@ class Robot(ABC):
         """
 
     @abstractmethod
+    def driven_joints(self, actuator: str) -> frozenset[str]:
+        """The joints that an actuator's force acts on in some pose."""
+
+    @abstractmethod
     def command_unit(self, actuator: str) -> str:
         """Of an actuator's command."""
 

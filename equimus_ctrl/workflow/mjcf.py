@@ -19,7 +19,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import Limits, read_set
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.export import exported
-from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
 
 FORMAT = "equimus-ctrl/parameters/1"
@@ -153,7 +153,6 @@ def write_corrected(path: Path, model: Model, source: Path | None = None) -> tup
     Raises:
         ConfigError: where the model is of no MJCF robot.
     """
-    mjcf_of(model.robot)
     xml, left = corrected_xml(model, "" if source is None else presets.relative(source, path.parent))
     presets.write_text(path, xml)
     return left

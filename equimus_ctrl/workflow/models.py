@@ -8,8 +8,6 @@ from pathlib import Path
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
-from equimus_ctrl.robots.elastic.morphology import Morphology
-from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.workflow.mjcf import load_mjcf, write_corrected
 
 
@@ -36,7 +34,7 @@ def load_elastic(path: Path | str | None = None) -> Model:
         ConfigError, ModelError: see ``load_model``; also for an MJCF robot.
     """
     model = load_model(path)
-    if not isinstance(model.robot, Morphology):
+    if model.robot.traits.catalogue != "elastic":
         raise ConfigError(
             f"{path}: is an MJCF robot, which this is not for; identify, diagnose, prove, score, "
             "sensitivity, list parameters and recordings check take it"
@@ -60,14 +58,12 @@ def save_model(path: Path | str, model: Model, near: Path | None = None) -> list
     Returns:
         The files written.
     """
-    path = Path(path)
-    robot = model.robot
-    if not isinstance(robot, MjcfRobot):
-        presets.write_text(path, presets.toml_text(model_to_dict(model)))
+    path, data = Path(path), model_to_dict(model)
+    if "mjcf" not in data:
+        presets.write_text(path, presets.toml_text(data))
         return [path]
-    data = model_to_dict(model)
     if near is not None:
-        found = near if near.suffix.lower() in presets.MJCF else near.parent / robot.source
+        found = near if near.suffix.lower() in presets.MJCF else near.parent / data["mjcf"]
         data["mjcf"] = presets.relative(found, path.parent)
     whole = path.with_suffix(".xml")
     if (near is not None and whole.resolve() == found.resolve()) or (whole.exists() and not path.exists()):

@@ -16,13 +16,12 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.apart import each_apart
 from equimus_ctrl.proof.designs import DURATION, TRIALS
+from equimus_ctrl.proof.drawing import Kind
 from equimus_ctrl.proof.mjcf import Experiment
-from equimus_ctrl.proof.realities import Kind
 from equimus_ctrl.proof.scoring import Score, score
-from equimus_ctrl.proof.seal import digest, seal_of_all
+from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.store import Request, make_cases, open_truth
 from equimus_ctrl.recordings.folders import read_text
-from equimus_ctrl.robots.mjcf.robot import mjcf_of
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many cases are done, and how many there are."""
@@ -150,7 +149,7 @@ def _check(cases: int, seed: int, trials: int, duration: float, workers: int | N
 def _claim(request: Request) -> None:
     """Note in the folder what it is for, or raise ConfigError where it is for something else."""
     path = request.root / "request.json"
-    wanted = {
+    wanted: dict[str, Any] = {
         "seed": request.seed,
         "kind": request.kind,
         "trials": request.trials,
@@ -158,9 +157,7 @@ def _claim(request: Request) -> None:
         "physics_hz": request.rate,
         "robot": request.model.name,
     }
-    if request.experiment is not None:
-        robot = mjcf_of(request.experiment.model.robot)
-        wanted |= {"recordings_sha256": digest(request.experiment.recordings), "model_sha256": robot.digest}
+    wanted |= request.source.hashes()
     text = read_text(path)
     if text is None:
         presets.write_text(path, presets.json_text(wanted))

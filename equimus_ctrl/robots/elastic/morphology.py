@@ -173,16 +173,23 @@ class Morphology(Robot):
                 "move that end off the joint",
             )
 
-    def _lies_on_pivot(self, point: Point, other: Point) -> bool:
-        """Whether ``point`` sits on the one joint that separates its body from the other point's."""
-        here, there = self.chain(point.body), self.chain(other.body)
-        between = [joint for joint in (*here, *there) if (joint in here) != (joint in there)]
-        if len(between) != 1:
+    def _between(self, body: str, other: str) -> list[Joint]:
+        """The joints that move one body against the other."""
+        here, there = self.chain(body), self.chain(other)
+        return [joint for joint in (*here, *there) if (joint in here) != (joint in there)]
+
+    def _on_pivot(self, point: Point, joint: Joint) -> bool:
+        """Whether ``point`` sits where ``joint`` turns, on either of its bodies."""
+        if point.body not in (joint.parent, joint.child):
             return False
-        joint = between[0]
         x, y = point.xy
         at = self.joint_point(joint).xy if point.body == joint.parent else (0.0, 0.0)
         return math.hypot(x - at[0], y - at[1]) < 1e-9
+
+    def _lies_on_pivot(self, point: Point, other: Point) -> bool:
+        """Whether ``point`` sits on the one joint that separates its body from the other point's."""
+        between = self._between(point.body, other.body)
+        return len(between) == 1 and self._on_pivot(point, between[0])
 
     @property
     def joint_range(self) -> tuple[Array, Array]:
@@ -329,6 +336,13 @@ class Morphology(Robot):
         """The unit of something at a joint or actuator, see ``Robot.place_unit``."""
         joint, _, actuator = unit.partition(" | ")
         return joint if place in self.joint_names or not actuator else actuator
+
+    def driven_joints(self, actuator: str) -> frozenset[str]:
+        """The joints between an actuator's ends; on one on whose pivot an end sits it has no lever arm."""
+        own = self.actuators[self.actuator_names.index(actuator)]
+        ends = own.origin, own.insertion
+        between = self._between(ends[0].body, ends[1].body)
+        return frozenset(joint.name for joint in between if not any(self._on_pivot(end, joint) for end in ends))
 
     def command_unit(self, actuator: str) -> str:
         """Of an actuator's command: a pressure."""

@@ -223,6 +223,10 @@ class MjcfRobot(Robot):
         joint = drive.joint if drive else place
         return SLIDING.get(hinge, hinge) if joint in self.joint_names and self.slides(joint) else hinge
 
+    def driven_joints(self, actuator: str) -> frozenset[str]:
+        """The joint that a drive is at, or drives most."""
+        return frozenset({next(drive.joint for drive in self.actuators if drive.name == actuator)})
+
     def command_unit(self, actuator: str) -> str:
         """Of an actuator's command."""
         return self.place_unit("command", actuator)
