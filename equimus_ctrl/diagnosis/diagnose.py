@@ -126,7 +126,8 @@ def _diagnose(
 ) -> Diagnosis:
     free, given = data.free, data
     progress("refitting the model", 0.02, "")
-    base = data.base()
+    near = _near_base(data, split)
+    base = data.base(near)
     pool = candidates(free.model, split.train)
     stages = iter(np.linspace(0.15, 0.8, 12))
 
@@ -135,8 +136,8 @@ def _diagnose(
 
     search = Search(data, pool, data.policy.applied(settings.search), notify)
     found = search.run(base)
-    if split.near and data.excessive(found.best):
-        search, found = _from_near(search, found, split)
+    if near is not None and data.excessive(found.best):
+        search, found = _from_near(search, found, split, near)
     progress("trials left out", 0.82, found.best.label)
     found = confirmed(search, found, split)
     progress("what is left", 0.86, found.best.label)
@@ -240,7 +241,17 @@ def _trials(segments: Sequence[Segment]) -> list[str]:
     return list(names.values())
 
 
-def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, Searched]:
+def _near_base(data: Data, split: Split) -> Fitted | None:
+    """The model fitted to short windows; None where there are none, or where it diverges in them."""
+    if not split.near:
+        return None
+    try:
+        return replace(data, segments=split.near).base()
+    except SimulationDiverged:  # so short windows tell nothing
+        return None
+
+
+def _from_near(search: Search, found: Searched, split: Split, base: Fitted) -> tuple[Search, Searched]:
     """The search's end, or where one that begins with what short windows tell ends, if that fits better.
 
     Errors do not grow in short windows: what a small change does there tells what a larger one does.
@@ -248,7 +259,7 @@ def _from_near(search: Search, found: Searched, split: Split) -> tuple[Search, S
     data, settings, notify = search.data, search.settings, search.notify
     near = Search(replace(data, segments=split.near), search.pool, settings, notify)
     try:
-        best = near.run(near.data.base()).best
+        best = near.run(base).best
     except SimulationDiverged:  # so short windows tell nothing
         return search, found
     labels = [sorted(part.candidate.label for part in fitted.hypothesis) for fitted in (best, found.best)]

@@ -14,6 +14,7 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
 from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, rough_noise, white_noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.weighing import weigh
@@ -32,6 +33,8 @@ APART = 1e-5 * 3.0 ** np.arange(11)
 WORSE = 3.84
 """Gain of 2 log L at which it does not, with a chance of 5 %."""
 NO_STEP = FitSettings(1e-5, 0)
+FROM_NEAR = FitSettings(1e-6, 60)
+"""Of a search that begins where short windows led: its valley may be narrow and curved."""
 SETTLED = 0.5
 """Gain of 2 log L at which they are taken to have settled."""
 
@@ -216,8 +219,12 @@ class Data:
         values = found.theta[len(self.free.free) :]
         return Fitted(refined(hypothesis, values), found, noise, deviance)
 
-    def base(self) -> Fitted:
+    def base(self, near: Fitted | None = None) -> Fitted:
         """The model without any hypothesis, refitted.
+
+        Args:
+            near: the same fitted to windows so short that errors do not grow in them; from its parameters another
+                search begins, with starts that follow what was measured ever farther. The better end counts.
 
         Raises:
             SimulationDiverged: where it diverges on every trial.
@@ -227,7 +234,15 @@ class Data:
         again = self._fit((), [(point.theta, point.starts)], white_noise(point.residuals), FitSettings(1e-4, 20))
         if not np.all(np.isfinite(np.concatenate(again.residuals))):
             raise SimulationDiverged(f"{self.free.model.name}: the refitted model diverges")
-        return self.settle(self._judged((), again))
+        found = self.settle(self._judged((), again))
+        if near is None:
+            return found
+        starts, _ = followed(near.fit.model, self.segments, self.simulator)
+        try:
+            other = self.settle(self._judged((), self._fit((), [(near.fit.theta, starts)], near.noise, FROM_NEAR)))
+        except SimulationDiverged:  # so short windows led nowhere
+            return found
+        return min(found, other, key=lambda f: f.deviance)
 
     def as_it_came(self) -> Fitted:
         """The model without any hypothesis and with the numbers it has."""

@@ -18,6 +18,7 @@ from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.types import Array
 
@@ -131,7 +132,8 @@ def not_borne_out(data: Data, best: Fitted, heldout: Sequence[Segment], residual
     if not heldout or not _far_off(data, residuals, best.noise):
         return Remainder((), ())
     whole = replace(data, segments=[*data.segments, *heldout])
-    begin = (best.fit.theta, [*best.fit.starts, *(s.start for s in heldout)])
+    starts, _ = followed(best.fit.model, heldout, data.simulator)
+    begin = (best.fit.theta, [*best.fit.starts, *starts])
     try:
         refitted = whole.rough(best.hypothesis, [begin], best.noise, REFIT, 1e-5)
     except SimulationDiverged:

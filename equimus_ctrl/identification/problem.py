@@ -9,13 +9,10 @@ import numpy as np
 
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
-from equimus_ctrl.identification.residuals import FARTHEST, START_DIFFERENCE, residual_of
+from equimus_ctrl.identification.residuals import FARTHEST, difference, residual_of
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.types import Array
-
-DIFFERENCE = 1e-5
-"""Step of the finite differences, in units of each parameter's scale."""
 
 Derivatives = tuple[list[Array], list[Array]]
 """For each segment (m, nj, p) ∂prediction/∂θ and (m, nj, s) ∂prediction/∂start."""
@@ -200,7 +197,8 @@ class Problem:
         """Forward differences about a point, by every parameter and free number of a start."""
         scale = self.parameters.scale
         # Steps lead away from the upper bound.
-        steps = DIFFERENCE * scale * np.where(point.theta + DIFFERENCE * scale <= self.parameters.high, 1.0, -1.0)
+        by = difference(self.parameters.model, self.coarse or self.simulator)
+        steps = by * scale * np.where(point.theta + by * scale <= self.parameters.high, 1.0, -1.0)
         p, most = len(scale), max(s.free_start for s in self.segments)
         base = self.parameters.model_at(point.theta)
         moved = [self.parameters.model_at(point.theta + steps * unit) for unit in np.eye(p)]
@@ -211,7 +209,7 @@ class Problem:
         for segment, start in zip(self.segments, point.starts, strict=True):
             rows = np.tile(start, (len(models), 1))
             for k in range(segment.free_start):
-                rows[first + p + k, k] += START_DIFFERENCE
+                rows[first + p + k, k] += by
             starts.append(rows)
         self.evaluations += len(models)
         by_theta, by_start = [], []
@@ -227,7 +225,7 @@ class Problem:
             elif not first:
                 change[:, np.any(np.abs(residual) >= FARTHEST, axis=1)] = 0.0
             by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
-            by_start.append(np.moveaxis(change[p : p + segment.free_start] / START_DIFFERENCE, 0, -1))
+            by_start.append(np.moveaxis(change[p : p + segment.free_start] / by, 0, -1))
         return by_theta, by_start
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from equimus_ctrl.engines.batch import Predicted
-from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.identification.segments import LEAST_SAMPLES, Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
@@ -16,15 +17,28 @@ DIVERGED = 3.0
 """Residual of a sample that a diverging simulation could not give [rad]: worse than any real one, yet finite."""
 FARTHEST = float(np.nextafter(DIVERGED, 0.0))
 """Of samples that a simulation did give, for one that is farther off: what turns over may be turns away [rad]."""
-START_DIFFERENCE = 1e-5
-"""Step of the finite differences for angles [rad] and velocities [rad/s] at a start."""
+DIFFERENCE, SMALL_DIFFERENCE = 1e-5, 1e-7
+"""Step of the finite differences: of parameters in units of their scales, of angles [rad] and velocities [rad/s] at a
+start. The small one is for what grows along a segment, see ``difference``."""
 STARTS = 3
 """So often the start of a trial that begins in motion is improved where a model is judged."""
+PARTS = (0.125, 0.25, 0.5)
+"""Of a segment, over which its start is improved before all of it counts."""
 
 
 def joint_rmse(residuals: Sequence[Array]) -> Array:
     """(nj,) root mean square of all segments' residuals [rad]."""
     return np.asarray(np.sqrt((np.concatenate(residuals) ** 2).mean(axis=0)))
+
+
+def difference(model: Model, simulator: Simulator) -> float:
+    """Step of the finite differences.
+
+    Where nothing holds a robot in place, a change grows a thousandfold and more along a segment: one of 1e-5 tells no
+    slope at its end. A smaller one asks for an engine without a solver's tolerance.
+    """
+    grows = not model.robot.traits.held_in_place
+    return SMALL_DIFFERENCE if grows and simulator.engine.batched else DIFFERENCE
 
 
 def residual_of(segment: Segment, found: Predicted, index: int) -> Array:
@@ -38,41 +52,73 @@ def residual_of(segment: Segment, found: Predicted, index: int) -> Array:
 def residuals_of(
     model: Model, segments: Sequence[Segment], simulator: Simulator, improved: int = STARTS
 ) -> list[Array]:
-    """For each segment (m, nj) measured − predicted from its measured start [rad]; DIVERGED where there is none.
+    """For each segment (m, nj) measured − predicted [rad]; DIVERGED where there is none, see ``followed``."""
+    return followed(model, segments, simulator, improved)[1]
 
-    Of robots that need not start at rest, from the start that fits best.
+
+def followed(
+    model: Model, segments: Sequence[Segment], simulator: Simulator, improved: int = STARTS
+) -> tuple[list[Array], list[Array]]:
+    """For each segment its start (2 nj,) and (m, nj) measured − predicted from there [rad].
+
+    These are DIVERGED where nothing is predicted. Starts are measured ones. Those of robots that need not start at rest
+    are improved by Gauss and Newton's method over a growing part of the segment: where errors grow along it, a start as
+    it was measured may lie in another local minimum than the true one, and a short part has but one.
 
     Args:
         model: that predicts.
         segments: what was measured.
         simulator: the engine.
-        improved: so often such a start is improved.
+        improved: so often starts are improved over whole segments; from twice on over parts of them before.
     """
     if not segments:
-        return []
+        return [], []
     starts = [s.start for s in segments]
-    found = simulator([model], segments, [start[None, :] for start in starts])
-    residuals = [residual_of(s, f, 0) for s, f in zip(segments, found, strict=True)]
+    residuals = _from(model, segments, simulator, starts)
     if model.robot.traits.starts_at_rest:
-        return residuals
+        return starts, residuals
+    if improved > 1:
+        grown = starts
+        for share in PARTS:
+            parts = [_part(s, share) for s in segments]
+            grown = _better_starts(model, parts, simulator, grown, _from(model, parts, simulator, grown))[0]
+        tried = zip(starts, residuals, grown, _from(model, segments, simulator, grown), strict=True)
+        best = [(x, r) if _squares(r) <= _squares(q) else (y, q) for x, r, y, q in tried]
+        starts, residuals = [x for x, _ in best], [r for _, r in best]
     for _ in range(improved):
         starts, residuals = _better_starts(model, segments, simulator, starts, residuals)
-    return residuals
+    return starts, residuals
+
+
+def _from(model: Model, segments: Sequence[Segment], simulator: Simulator, starts: Sequence[Array]) -> list[Array]:
+    found = simulator([model], segments, [start[None, :] for start in starts])
+    return [residual_of(s, f, 0) for s, f in zip(segments, found, strict=True)]
+
+
+def _part(segment: Segment, share: float) -> Segment:
+    """The first share of a segment."""
+    count = min(max(round(share * len(segment.measured)), LEAST_SAMPLES), len(segment.measured))
+    trial = replace(segment.trial, sample_times=segment.trial.sample_times[:count])
+    return replace(segment, trial=trial, measured=segment.measured[:count])
+
+
+def _squares(residual: Array) -> float:
+    return float((residual**2).sum())
 
 
 def _better_starts(
     model: Model, segments: Sequence[Segment], simulator: Simulator, starts: list[Array], residuals: list[Array]
 ) -> tuple[list[Array], list[Array]]:
     """One step of Gauss and Newton for each segment's start, where it helps."""
-    n = len(starts[0])
-    rows = [np.vstack([start, start + START_DIFFERENCE * np.eye(n)]) for start in starts]
+    n, by = len(starts[0]), difference(model, simulator)
+    rows = [np.vstack([start, start + by * np.eye(n)]) for start in starts]
     found = simulator([model] * (n + 1), segments, rows)
     tried = []
     for start, residual, f in zip(starts, residuals, found, strict=True):
         slopes: Array = np.zeros((*residual.shape, n))
         reached = int(f.reached.min())  # numbers after a divergence mean nothing
         with np.errstate(invalid="ignore", over="ignore"):
-            slopes[:reached] = np.moveaxis(f.position[1:, :reached] - f.position[0, :reached], 0, -1) / START_DIFFERENCE
+            slopes[:reached] = np.moveaxis(f.position[1:, :reached] - f.position[0, :reached], 0, -1) / by
             step: Array = np.zeros(n)
             if np.all(np.isfinite(slopes)):
                 step[:] = np.linalg.lstsq(slopes.reshape(residual.size, n), residual.ravel(), rcond=1e-9)[0]
@@ -83,7 +129,7 @@ def _better_starts(
     moved, left = [], []
     for segment, start, residual, rows_tried, f in zip(segments, starts, residuals, tried, found, strict=True):
         choices = [(residual, start), *((residual_of(segment, f, k), rows_tried[k]) for k in range(2))]
-        best = min(choices, key=lambda choice: float((choice[0] ** 2).sum()))
+        best = min(choices, key=lambda choice: _squares(choice[0]))
         left.append(best[0])
         moved.append(best[1])
     return moved, left
