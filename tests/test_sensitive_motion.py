@@ -84,8 +84,9 @@ def test_the_model_alone_is_fitted_to_the_noise_from_where_short_windows_lead(
     free = uncertain(nominal)
     whole, short = (cut(nominal, trials, shoot=length, fit_start=True) for length in (None, 0.5))
     data = Data(free, whole, simulator, policy=SearchPolicy.of(nominal.robot.traits, simulator.engine))
-    assert data.base().fit.rmse.max() > 100 * NOISE
-    found = data.base(replace(data, segments=short).base())
+    alone = data.base()
+    assert alone.fit.rmse.max() > 100 * NOISE
+    found = data.base_from(replace(data, segments=short).base(), alone)
     assert np.all(found.fit.rmse < 1.1 * NOISE)
     true = np.array([real.parameters()[name] for name in free.names])
     assert np.all(np.abs(found.fit.theta / true - 1) < 0.02)

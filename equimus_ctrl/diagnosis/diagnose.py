@@ -126,8 +126,9 @@ def _diagnose(
 ) -> Diagnosis:
     free, given = data.free, data
     progress("refitting the model", 0.02, "")
-    near = _near_base(data, split)
-    base = data.base(near)
+    base = data.base()
+    near = _near_base(data, split) if data.excessive(base) else None
+    base = base if near is None else data.base_from(near, base)
     pool = candidates(free.model, split.train)
     stages = iter(np.linspace(0.15, 0.8, 12))
 

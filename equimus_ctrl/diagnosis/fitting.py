@@ -219,12 +219,8 @@ class Data:
         values = found.theta[len(self.free.free) :]
         return Fitted(refined(hypothesis, values), found, noise, deviance)
 
-    def base(self, near: Fitted | None = None) -> Fitted:
+    def base(self) -> Fitted:
         """The model without any hypothesis, refitted.
-
-        Args:
-            near: the same fitted to windows so short that errors do not grow in them; from its parameters another
-                search begins, with starts that follow what was measured ever farther. The better end counts.
 
         Raises:
             SimulationDiverged: where it diverges on every trial.
@@ -234,9 +230,16 @@ class Data:
         again = self._fit((), [(point.theta, point.starts)], white_noise(point.residuals), FitSettings(1e-4, 20))
         if not np.all(np.isfinite(np.concatenate(again.residuals))):
             raise SimulationDiverged(f"{self.free.model.name}: the refitted model diverges")
-        found = self.settle(self._judged((), again))
-        if near is None:
-            return found
+        return self.settle(self._judged((), again))
+
+    def base_from(self, near: Fitted, found: Fitted) -> Fitted:
+        """The model without any hypothesis, refitted from where short windows led, if that fits better.
+
+        Args:
+            near: the same fitted to windows so short that errors do not grow in them; starts then follow what was
+                measured ever farther.
+            found: the fit so far.
+        """
         starts, _ = followed(near.fit.model, self.segments, self.simulator)
         try:
             other = self.settle(self._judged((), self._fit((), [(near.fit.theta, starts)], near.noise, FROM_NEAR)))

@@ -16,7 +16,7 @@ def _half_turns(x: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _rest(x: float, k: float) -> float:
-    """x − k·π, the first part of π with so few digits that its product with k is exact (Cody & Waite, 1980)."""
+    """What is left of x without k·π, whose first part times k is exact (Cody & Waite, 1980)."""
     return (x - k * 3.1415926534682512) - k * 1.2154201013012384e-10
 
 
@@ -30,13 +30,15 @@ def _sign(k: float) -> float:
 def lane_sin(x: float) -> float:
     """Sine of x to 4e-16 for |x| below 1e5 rad: reduced to |r| ≤ π/2, a polynomial through Chebyshev's nodes.
 
-    No branch, not even a choice between two numbers; the polynomial in pairs (Estrin), so that little waits for another.
+    No branch, not even a choice between two numbers; polynomials in pairs (Estrin), so that little waits for another.
     """
     k = _half_turns(x)
     r = _rest(x, k)
     s = r * r
     s2 = s * s
-    low = (-0.16666666666666666 + s * 0.008333333333333316) + s2 * (-0.00019841269841254974 + s * 2.7557319219163183e-06)
+    low = (-0.16666666666666666 + s * 0.008333333333333316) + s2 * (
+        -0.00019841269841254974 + s * 2.7557319219163183e-06
+    )
     high = (-2.5052107616990068e-08 + s * 1.60589773120677e-10) + s2 * (
         -7.643970284142959e-13 + s * 2.7314446091851363e-15
     )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
-from equimus_ctrl.identification.residuals import FARTHEST, difference, residual_of
+from equimus_ctrl.identification.residuals import FARTHEST, all_residuals_of, difference
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.types import Array
@@ -20,30 +20,33 @@ Derivatives = tuple[list[Array], list[Array]]
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """A segment's start, eliminated from its residuals and their derivatives [N | J, r].
+    """Starts of w segments of one shape, eliminated from their residuals and their derivatives [N | J, r].
 
     With N D⁻¹ = U diag(s) Vᵀ and D the norms of N's columns, a start that is damped by λ‖D δ‖² goes by
     δ = D⁻¹ V diag(s/(s² + λ)) Uᵀ(r − J δθ), and leaves of the residuals what no start can take and √(λ/(s² + λ)) of the
     rest.
 
     Attributes:
-        turned: (s, p + 1) Uᵀ[J, r].
-        sizes: (s,) singular values.
-        back: (s, s) D⁻¹ V.
+        segments: (w) which they are.
+        turned: (w, s, p + 1) Uᵀ[J, r].
+        sizes: (w, s) singular values.
+        back: (w, s, s) D⁻¹ V.
     """
 
+    segments: list[int]
     turned: Array
     sizes: Array
     back: Array
 
     def left(self, damping: float) -> Array:
-        """(s, p + 1) rows that are left where the start is damped."""
-        return np.sqrt(damping / (self.sizes**2 + damping))[:, None] * self.turned
+        """(w·s, p + 1) rows that are left where the starts are damped."""
+        rows = np.sqrt(damping / (self.sizes**2 + damping))[:, :, None] * self.turned
+        return np.asarray(rows.reshape(-1, self.turned.shape[2]))
 
-    def step(self, change: Array, damping: float) -> Array:
-        """(s,) of the start, with a change (p,) of θ in units of its scale."""
-        target = self.turned[:, -1] - self.turned[:, :-1] @ change
-        return np.asarray(self.back @ (self.sizes / (self.sizes**2 + damping) * target))
+    def steps(self, change: Array, damping: float) -> Array:
+        """(w, s) of the starts, with a change (p,) of θ in units of its scale."""
+        target = self.turned[:, :, -1] - self.turned[:, :, :-1] @ change  # (w, s)
+        return np.asarray((self.back @ (self.sizes / (self.sizes**2 + damping) * target)[:, :, None])[:, :, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +56,12 @@ class Slopes:
     Attributes:
         derivatives: by θ and by the starts.
         whole: (p + 1, p + 1) triangle of [R, c], the columns of R in units of the parameters' scale.
-        starts: for each segment, see ``Elimination``; None where its start is not free.
+        starts: of the segments whose starts are free, see ``Elimination``.
     """
 
     derivatives: Derivatives
     whole: Array
-    starts: list[Elimination | None]
+    starts: list[Elimination]
 
     @property
     def factor(self) -> Array:
@@ -67,7 +70,7 @@ class Slopes:
 
     def damped(self, damping: float) -> tuple[Array, Array]:
         """(p, p) R and (p,) c where the starts are damped, see ``Elimination``."""
-        rows = [own.left(damping) for own in self.starts if own is not None]
+        rows = [own.left(damping) for own in self.starts]
         found = _triangle(np.vstack([self.whole, *rows])) if rows else self.whole
         return found[:-1, :-1], found[:-1, -1]
 
@@ -108,6 +111,7 @@ class Problem:
         self.simulator = simulator
         self.noise = noise
         self.evaluations = 0
+        self._start_weights = [self._weights_of(segment) for segment in self.segments]
 
     def whitened(self, segment: Segment, values: Array) -> Array:
         """Residuals or derivatives (m, nj, ...) of a segment as they count."""
@@ -125,47 +129,62 @@ class Problem:
         self.evaluations += len(spread)
         rows = [np.array([choice[k] for _, choice in spread]) for k in range(len(self.segments))]
         found = self.simulator([models[i] for i, _ in spread], self.segments, rows)
-        points = [Point(theta, [], [], 0.0, []) for theta in thetas]
-        for segment, row, predicted in zip(self.segments, rows, found, strict=True):
-            best: dict[int, tuple[float, Array, Array, Array]] = {}
-            residuals = np.stack([residual_of(segment, predicted, place) for place in range(len(spread))], axis=-1)
+        ends = np.cumsum([len(choices) for choices in starts])
+        choices_of = [slice(end - len(choices), end) for end, choices in zip(ends, starts, strict=True)]
+        taken: list[list[tuple[Array, Array, Array]]] = [[] for _ in thetas]
+        costs = np.zeros(len(thetas))
+        for segment, weights, row, predicted in zip(self.segments, self._start_weights, rows, found, strict=True):
+            residuals = all_residuals_of(segment, predicted)  # (m, nj, k)
             squares = (self.whitened(segment, residuals) ** 2).sum(axis=(0, 1))
-            for place, (i, _) in enumerate(spread):
-                cost = float(squares[place] + (self._start_residual(segment, row[place]) ** 2).sum())
-                if i not in best or cost < best[i][0]:
-                    best[i] = cost, row[place], residuals[:, :, place], predicted.position[place]
-            for i, (cost, start, residual, position) in best.items():
-                points[i].predicted.append(position)
-                points[i].starts.append(start)
-                points[i].residuals.append(residual)
-                points[i] = replace(points[i], cost=points[i].cost + cost)
-        return points
+            squares += ((weights * (segment.start[: len(weights)] - row[:, : len(weights)])) ** 2).sum(axis=1)
+            for i, own in enumerate(choices_of):
+                best = own.start + int(np.argmin(squares[own]))
+                costs[i] += squares[best]
+                # A view would keep all others alive.
+                taken[i].append((row[best], residuals[:, :, best].copy(), predicted.position[best].copy()))
+        return [
+            Point(theta, [start for start, *_ in own], [r for _, r, _ in own], float(cost), [q for *_, q in own])
+            for theta, own, cost in zip(thetas, taken, costs, strict=True)
+        ]
 
     def slopes(self, point: Point, known: Derivatives | None = None) -> Slopes:
         """Forward differences about a point, or what is known of them."""
         by_theta, by_start = known or self.derivatives(point)
         scale = self.parameters.scale
         p = len(scale)
+        shapes: dict[tuple[int, ...], list[int]] = {}
+        columns: list[Array] = []
+        for k, (segment, j, n, r) in enumerate(zip(self.segments, by_theta, by_start, point.residuals, strict=True)):
+            whole = self.whitened(segment, np.concatenate([j * scale, r[:, :, None], n], axis=2))
+            columns.append(whole.reshape(-1, whole.shape[2]))
+            shapes.setdefault(columns[k].shape, []).append(k)
         rows: list[Array] = []
-        starts: list[Elimination | None] = []
-        for segment, j, n, r, x in zip(self.segments, by_theta, by_start, point.residuals, point.starts, strict=True):
-            count, s = j.shape[0] * j.shape[1], segment.free_start
-            columns = self.whitened(segment, np.concatenate([j * scale, r[:, :, None], n], axis=2)).reshape(count, -1)
-            system = columns[:, : p + 1]
-            if s:
-                whole = np.vstack([columns[:, p + 1 :], np.diag(self._start_weights(segment))])
-                own = np.zeros((s, p + 1))
-                own[:, p] = self._start_residual(segment, x)
-                system = np.vstack([system, own])
-                norms = np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
-                basis, sizes, turn = np.linalg.svd(whole / norms, full_matrices=False)
-                turned = basis.T @ system
-                starts.append(Elimination(turned, sizes, turn.T / norms[:, None]))
-                system = system - basis @ turned
-            else:
-                starts.append(None)
-            rows.append(_triangle(system))
+        starts: list[Elimination] = []
+        for members in shapes.values():
+            stacked = np.stack([columns[k] for k in members])  # (w, m·nj, p + 1 + s)
+            system = stacked[:, :, : p + 1]
+            if stacked.shape[2] > p + 1:
+                own, system = self._eliminated(members, stacked[:, :, p + 1 :], system, point)
+                starts.append(own)
+            rows += list(_triangle(system))
         return Slopes((by_theta, by_start), _triangle(np.vstack(rows)), starts)
+
+    def _eliminated(
+        self, members: list[int], by_start: Array, system: Array, point: Point
+    ) -> tuple[Elimination, Array]:
+        """The starts of segments of one shape, and (w, m·nj + s, p + 1) what of [J, r] no start can do."""
+        w, _, s = by_start.shape
+        weights = np.array([self._start_weights[k] for k in members])  # (w, s)
+        own = np.zeros((w, s, system.shape[2]))
+        for row, weight, k in zip(own, weights, members, strict=True):
+            row[:, -1] = weight * (self.segments[k].start[:s] - point.starts[k][:s])
+        whole = np.concatenate([by_start, weights[:, :, None] * np.eye(s)], axis=1)
+        system = np.concatenate([system, own], axis=1)
+        norms = np.maximum(np.linalg.norm(whole, axis=1), 1e-300)  # (w, s)
+        basis, sizes, turn = np.linalg.svd(whole / norms[:, None], full_matrices=False)
+        turned = basis.swapaxes(1, 2) @ system
+        back = turn.swapaxes(1, 2) / norms[:, :, None]
+        return Elimination(members, turned, sizes, back), system - basis @ turned
 
     def moved_starts(self, point: Point, slopes: Slopes, change: Array, damping: float) -> list[list[Array]]:
         """Starts that go with a change (p,) of θ in units of its scale: the best to first order, a tenth of the way.
@@ -173,25 +192,21 @@ class Problem:
         The latter is for where the motion depends on its start with a kink, as on a joint's stop. Where it hardly
         depends on it, as where dry friction stops a joint at once, damping alone keeps the start near.
         """
-        moved = []
-        for start, own in zip(point.starts, slopes.starts, strict=True):
-            moved.append(start.copy())
-            if own is not None:
-                moved[-1][: len(own.sizes)] += own.step(change, damping)
+        moved = [start.copy() for start in point.starts]
+        for own in slopes.starts:
+            for k, step in zip(own.segments, own.steps(change, damping), strict=True):
+                moved[k][: len(step)] += step
         if not any(segment.free_start for segment in self.segments):
             return [moved]
         return [moved, [old + 0.1 * (new - old) for old, new in zip(point.starts, moved, strict=True)]]
 
-    def _start_weights(self, segment: Segment) -> Array:
+    def _weights_of(self, segment: Segment) -> Array:
+        """(free_start,) what a start's distance from the measured one weighs."""
         if self.noise is None or not segment.free_start:
             return segment.start_weights
         nj = segment.measured.shape[1]
         sigma = np.array([self.noise[k % nj].sigma for k in range(segment.free_start)])
         return np.asarray(segment.start_weights / sigma)
-
-    def _start_residual(self, segment: Segment, start: Array) -> Array:
-        s = segment.free_start
-        return np.asarray(self._start_weights(segment) * (segment.start[:s] - start[:s]))
 
     def derivatives(self, point: Point) -> Derivatives:
         """Forward differences about a point, by every parameter and free number of a start."""
@@ -230,5 +245,5 @@ class Problem:
 
 
 def _triangle(matrix: Array) -> Array:
-    """R of the QR factorisation."""
+    """R of the QR factorisation, of each of a stack."""
     return np.asarray(np.linalg.qr(matrix, mode="r"), dtype=np.float64)

@@ -43,10 +43,18 @@ def difference(model: Model, simulator: Simulator) -> float:
 
 def residual_of(segment: Segment, found: Predicted, index: int) -> Array:
     """(m, nj) of one of a segment's predictions; DIVERGED from where it diverged on."""
-    reached = found.reached[index]
-    residual = np.full(segment.measured.shape, DIVERGED)
-    residual[:reached] = np.clip(segment.measured[:reached] - found.position[index, :reached], -FARTHEST, FARTHEST)
-    return residual
+    one = Predicted(found.position[index : index + 1], found.reached[index : index + 1])
+    return np.asarray(all_residuals_of(segment, one)[:, :, 0])
+
+
+def all_residuals_of(segment: Segment, found: Predicted) -> Array:
+    """(m, nj, k) of all of a segment's predictions, see ``residual_of``."""
+    position = np.moveaxis(found.position, 0, -1)
+    lost = np.arange(len(position))[:, None] >= found.reached  # (m, k)
+    with np.errstate(invalid="ignore", over="ignore"):  # numbers after a divergence mean nothing
+        residual = np.clip(segment.measured[:, :, None] - position, -FARTHEST, FARTHEST)
+    residual[np.broadcast_to(lost[:, None], residual.shape)] = DIVERGED
+    return np.asarray(residual)
 
 
 def residuals_of(

@@ -222,10 +222,7 @@ class _Step:
         if not self.link.slides:
             six = _turned(six, self.c, self.s, "z")
         turn = self.link.turn
-        if self.about_x:
-            six = _turned(six, turn[1, 1], turn[2, 1], "x")
-        else:
-            six = _six(turn @ symmetric(six) @ turn.T)
+        six = _turned(six, turn[1, 1], turn[2, 1], "x") if self.about_x else _six(turn @ symmetric(six) @ turn.T)
         moved = self.up(first)
         return moved + mass * self.way, six + _of_shift(self.way, moved, mass)
 

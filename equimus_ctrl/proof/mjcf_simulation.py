@@ -38,8 +38,11 @@ from equimus_ctrl.robots.mjcf.parts import harden
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
-FINER = 8
-"""Physics steps for each of the nominal model's; half as many are simulated too, and what both tell of none is real."""
+FINER, FINEST = 8, 256
+"""Physics steps for each of the nominal model's, at first and at most; half as many are simulated too, and what both
+tell of an infinitely short one is the ground truth."""
+EXACT = 0.05
+"""By so much of the noise's standard deviation the ground truth may be off, as the next finer steps tell."""
 SEARCH = FitSettings(tolerance=1e-3, steps=30)
 """Of the refit that says how strong a case is; it begins at the truth."""
 
@@ -48,15 +51,30 @@ def simulate_mjcf_truth(truth: Reality) -> list[Array]:
     """For each trial (n, nj) what the sensors would show without noise [rad or m].
 
     Raises:
-        SimulationDiverged: where the robot's parameters are none.
+        SimulationDiverged: where the robot's parameters are none, or its motion is too sensitive to be simulated.
     """
     bodies = Model(truth.robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
     push = _push(truth)
-    found = []
-    for trial in trials_of(truth):
-        fine, coarse = (_measured(truth, bodies, trial, push, steps) for steps in (FINER, FINER // 2))
-        found.append(2.0 * fine - coarse)  # the error of a step is of first order (Richardson, 1911)
-    return found
+    return [_without_step(truth, bodies, trial, push) for trial in trials_of(truth)]
+
+
+def _without_step(truth: Reality, bodies: Model, trial: Trial, push: _Push | None) -> Array:
+    """(n, nj) as of an infinitely short step, steps halved until that changes no more.
+
+    Where errors grow along a trial, two motions that came apart tell nothing of a third.
+    """
+    steps, before = FINER, None
+    coarse = _measured(truth, bodies, trial, push, steps // 2)
+    while steps <= FINEST:
+        fine = _measured(truth, bodies, trial, push, steps)
+        found = 2.0 * fine - coarse  # the error of a step is of first order (Richardson, 1911)
+        # What is left is of second order: a quarter at half the step.
+        if before is not None and np.all(np.abs(found - before) / 3.0 < EXACT * np.array(truth.noise)):
+            return found
+        steps, coarse, before = 2 * steps, fine, found
+    raise SimulationDiverged(
+        f"case {truth.case} of seed {truth.seed}: {trial.name} is so sensitive that no step of MuJoCo tells its motion"
+    )
 
 
 def _measured(truth: Reality, bodies: Model, trial: Trial, push: _Push | None, steps: int) -> Array:

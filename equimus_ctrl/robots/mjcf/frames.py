@@ -61,9 +61,7 @@ def shortened(links: Sequence[LinkForm], frames: Sequence[Frame]) -> tuple[tuple
         turn = axes @ _about_z(straight)
         reference = link.reference if link.slides else link.reference + _wrapped(straight - spin)
         moved.append(_Moved(shift, _about_z(spin)))
-        found.append(
-            replace(link, place=snapped(place + axes @ shift), turn=snapped(turn), reference=reference)
-        )
+        found.append(replace(link, place=snapped(place + axes @ shift), turn=snapped(turn), reference=reference))
     bodies = [
         (link, place, turn)
         if link < 0
