@@ -327,8 +327,8 @@ def _simulated(
                 _Block(arrays, np.array(chosen[first : first + LANES]), slice(first, first + LANES), histories)
                 for first in range(0, len(chosen), LANES)
             ]
+            size = max(math.ceil(len(own_trials) * len(blocks) / (PARTS * count)), 1)
             for together in _shared(trials, own_trials):
-                size = max(math.ceil(len(together) * len(blocks) / (PARTS * count)), 1)
                 parts = [together[first : first + size] for first in range(0, len(together), size)]
                 tasks += [(block, part) for part in parts for block in blocks]
 
@@ -444,7 +444,10 @@ class _Block:
             row = trial.position if starts is None else starts[t][self.models]
             q0[t], speed = row[..., :nj], row[..., nj:]
             v0[t] = speed if speed.size else 0.0 if trial.velocity is None else trial.velocity
-        first = np.array([first_activations(self.coded, self.rows, own, q) for own, q in zip(trials, q0, strict=True)])
+        follow = self.follow[:, :, 0]
+        first = np.zeros((len(trials), *follow.shape))
+        if follow.any():
+            first[:] = [first_activations(self.coded, self.rows, own, q) for own, q in zip(trials, q0, strict=True)]
         commands, before = self.commands(trials[0])
         times = [trial.sample_times for trial in trials]
         place = np.concatenate([[0], np.cumsum([len(own) for own in times])])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from equimus_ctrl.effects.command import followed_history
 from equimus_ctrl.effects.sensors import sample
@@ -145,6 +146,20 @@ def prepared(parameters: Array) -> Array:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def neighbours(commands: Array, before: Array, valve: Array, follow: Array) -> NDArray[np.bool_]:
+    """(k,) whether what reaches a lane's valves, and what they make of it, is as in the lane before it."""
+    alike = np.zeros(len(commands), dtype=np.bool_)
+    for l in range(1, len(commands)):  # noqa: E741
+        alike[l] = (
+            np.array_equal(valve[l], valve[l - 1])
+            and np.array_equal(follow[l], follow[l - 1])
+            and np.array_equal(before[l], before[l - 1])
+            and np.array_equal(commands[l], commands[l - 1])
+        )
+    return alike
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def begin(
     w: Array,
     drive: Array,
@@ -158,10 +173,11 @@ def begin(
     v0: Array,
     start: float,
     dt: float,
+    alike: NDArray[np.bool_],
 ) -> None:
     """Put the lanes of the work array w at a start, and the pressures into drive (steps, 2, na·LANES).
 
-    The other arguments are those of ``run_trials``, for one trial.
+    The other arguments are those of ``run_trials``, for one trial, and what ``alike`` says of the lanes.
     """
     k, steps = len(q0), len(drive)
     for i in range(ROW_CONSTANTS * LANES):
@@ -178,7 +194,7 @@ def begin(
         followed_history(times, commands[l], before[l], valve[l], follow[l], first[l], start, dt, history)
         # Neighbours with the same pressures get them at once, and lanes to spare those of the last.
         end = l + 1
-        while end < k and _same(commands, before, valve, follow, first, end):
+        while end < k and alike[end] and np.array_equal(first[end], first[end - 1]):
             end += 1
         last = end if end < k else LANES
         for s in range(steps):
@@ -237,7 +253,7 @@ def run_trials(
             could not be had.
     """
     k, most = len(parameters), steps.max()
-    w = prepared(parameters)
+    w, alike = prepared(parameters), neighbours(commands, before, valve, follow)
     drive = np.empty((most, 2, N_ACTUATORS * LANES))
     grid = np.empty((most + 1, 2 * N_JOINTS * LANES))
     q, v = np.empty(most + 1), np.empty(most + 1)
@@ -245,9 +261,8 @@ def run_trials(
         n, low, high = steps[trial], place[trial], place[trial + 1]
         sampled = out_times[low:high]
         own = drive[:n]
-        begin(
-            w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], start[trial], dt
-        )  # fmt: skip
+        at = start[trial]
+        begin(w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, alike)
         run_lanes(w, own, dt, rubbing, grid[: n + 1])
         for l in range(k):  # noqa: E741
             reached[trial, l] = high - low
@@ -261,9 +276,9 @@ def run_trials(
                         sound = s
                         break
                 early = v[0] if moving else 0.0
-                sample(q[: n + 1], v[: n + 1], start[trial], dt, sensor[l, j], sampled, out[l, low:high, j], early)
+                sample(q[: n + 1], v[: n + 1], at, dt, sensor[l, j], sampled, out[l, low:high, j], early)
                 if sound <= n:
-                    lost = start[trial] + (sound - 1) * dt + sensor[l, j, 2]
+                    lost = at + (sound - 1) * dt + sensor[l, j, 2]
                     reached[trial, l] = min(reached[trial, l], np.searchsorted(sampled, lost, side="right"))
 
 
@@ -304,7 +319,8 @@ def run_inner(
     """
     w = prepared(parameters)
     drive = np.empty((len(pressures), 2, N_ACTUATORS * LANES))
-    begin(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt)
+    alike = neighbours(commands, before, valve, follow)
+    begin(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, alike)
     grid = np.empty((len(states), N_STATE * LANES))
     run_lanes(w, drive, dt, rubbing, grid)
     for s in range(len(states)):
@@ -314,18 +330,6 @@ def run_inner(
         for i in range(N_ACTUATORS):
             pressures[s, 0, i] = drive[s, 0, i * LANES]
             pressures[s, 1, i] = drive[s, 1, i * LANES]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _same(commands: Array, before: Array, valve: Array, follow: Array, first: Array, l: int) -> bool:  # noqa: E741
-    """Whether a lane has the pressures of the one before it."""
-    return bool(
-        np.array_equal(valve[l], valve[l - 1])
-        and np.array_equal(follow[l], follow[l - 1])
-        and np.array_equal(first[l], first[l - 1])
-        and np.array_equal(before[l], before[l - 1])
-        and np.array_equal(commands[l], commands[l - 1])
-    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
