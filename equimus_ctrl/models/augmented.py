@@ -289,17 +289,27 @@ def _quickness(m: SymbolicModel, acceleration: ca.SX, pressed: ca.SX) -> ca.SX:
 
 
 def law_parameters(
-    slots: Sequence[Slot], effects: Sequence[Effect], joints: Sequence[str], actuators: Sequence[str]
+    slots: tuple[Slot, ...], effects: Sequence[Effect], joints: Sequence[str], actuators: Sequence[str]
 ) -> list[float]:
     """The slots' parameters for the effects that a model has; slots without an effect do nothing."""
-    names = {"joint": joints, "actuator": actuators}
-    attached = {(type(e), e.location): e for e in effects}
-    values: list[float] = []
-    for slot in slots:
-        effect = attached.get((slot.law, names[slot.kind][slot.index]))
-        info = slot.law.parameter_info()
-        if effect is not None:
-            values += effect.parameters().values()
-        else:
-            values += [slot.law.neutral.get(key, meta["high"]) for key, meta in info.items()]
+    idle, places = _idle(slots)
+    values = list(idle)
+    for effect in effects:
+        for kind, names in (("joint", joints), ("actuator", actuators)):
+            if effect.location in names:
+                own = places.get((type(effect), kind, list(names).index(effect.location)))
+                if own is not None:
+                    values[own] = effect.parameters().values()
     return values
+
+
+@lru_cache(maxsize=32)
+def _idle(slots: tuple[Slot, ...]) -> tuple[list[float], dict[tuple[type[Effect], str, int], slice]]:
+    """Parameters with which no slot does anything, and (law, kind, index) → where a slot's own stand among them."""
+    values: list[float] = []
+    places: dict[tuple[type[Effect], str, int], slice] = {}
+    for slot in slots:
+        info = slot.law.parameter_info()
+        places[slot.law, slot.kind, slot.index] = slice(len(values), len(values) + len(info))
+        values += [slot.law.neutral.get(key, meta["high"]) for key, meta in info.items()]
+    return values, places
