@@ -14,7 +14,7 @@ mass and relative to the file's own values, with the size apart. Any values give
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -26,23 +26,26 @@ SHAPE = "inertia_d1", "inertia_d2", "inertia_s12", "inertia_s13", "inertia_s23"
 """Kinds of the numbers of a body that say how its mass is spread about its centre; 0 as in the file."""
 
 
-def reshape_inertia(model: Any, body: str, shape: Sequence[float]) -> None:
-    """Spread a body's mass otherwise about its centre in an ``mujoco.MjModel``.
+def reshape_inertias(model: Any, shapes: Mapping[str, Sequence[float]]) -> None:
+    """Spread masses otherwise about their centres in an ``mujoco.MjModel``.
 
     Args:
         model: is changed.
-        body: its name.
-        shape: (5,) in the order of ``SHAPE``.
+        shapes: body → (5,) in the order of ``SHAPE``.
     """
-    b = model.body(body).id
-    moments = np.array(model.body_inertia[b])
-    second = np.maximum(moments.sum() / 2 - moments, 0.0)
-    d1, d2, s12, s13, s23 = shape
-    upper = np.array([[np.exp(d1), s12, s13], [0.0, np.exp(d2), s23], [0.0, 0.0, np.exp(-d1 - d2)]])
-    root = np.sqrt(second)[:, None] * upper
-    spread = root @ root.T
-    turn = _turn(model, b)
-    _put(model, b, turn @ (np.trace(spread) * np.eye(3) - spread) @ turn.T)
+    if not shapes:
+        return
+    bodies = [int(model.body(name).id) for name in shapes]
+    moments = model.body_inertia[bodies]
+    second = np.maximum(moments.sum(axis=1, keepdims=True) / 2 - moments, 0.0)
+    d1, d2, s12, s13, s23 = np.array(list(shapes.values())).T
+    none = np.zeros(len(bodies))
+    rows = [[np.exp(d1), s12, s13], [none, np.exp(d2), s23], [none, none, np.exp(-d1 - d2)]]
+    root = np.sqrt(second)[:, :, None] * np.moveaxis(np.array(rows), -1, 0)
+    spread = root @ root.swapaxes(1, 2)
+    turn = np.array([_turn(model, b) for b in bodies])
+    whole = np.trace(spread, axis1=1, axis2=2)[:, None, None] * np.eye(3) - spread
+    _put(model, bodies, turn @ whole @ turn.swapaxes(1, 2))
 
 
 def add_mass(model: Any, place: str, mass: float) -> None:
@@ -61,7 +64,7 @@ def add_mass(model: Any, place: str, mass: float) -> None:
     whole = turn @ np.diag(model.body_inertia[b]) @ turn.T
     for m, arm in ((own, com - middle), (mass, at - middle)):
         whole += m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    _put(model, b, whole)
+    _put(model, [b], whole[None])
     model.body_mass[b], model.body_ipos[b] = own + mass, middle
 
 
@@ -71,10 +74,10 @@ def _turn(model: Any, b: int) -> Array:
     return flat.reshape(3, 3)
 
 
-def _put(model: Any, b: int, central: Array) -> None:
-    """Give a body a central inertia (3, 3) in its own axes."""
+def _put(model: Any, bodies: Sequence[int], central: Array) -> None:
+    """Give bodies central inertias (n, 3, 3) in their own axes."""
     moments, axes = np.linalg.eigh(central)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
-    mujoco.mju_mat2Quat(model.body_iquat[b], axes.ravel())
-    model.body_inertia[b] = moments
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    for b, own in zip(bodies, axes, strict=True):
+        mujoco.mju_mat2Quat(model.body_iquat[b], own.ravel())
+    model.body_inertia[bodies] = moments

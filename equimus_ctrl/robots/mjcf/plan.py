@@ -213,7 +213,7 @@ def _body_numbers(base: Any, bodies: Sequence[str]) -> list[Number]:
 
 
 def _together(model: Any, value: float) -> None:
-    """Numbers that say only together what they change, see ``inertia.reshape_inertia``."""
+    """Numbers that say only together what they change, see ``inertia.reshape_inertias``."""
 
 
 def _joint_numbers(base: Any, joints: Sequence[Axis]) -> list[Number]:

@@ -24,7 +24,7 @@ from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.robots.mjcf.actuators import OWN
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
 from equimus_ctrl.robots.mjcf.independent import independent
-from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertia
+from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
 from equimus_ctrl.robots.mjcf.parts import HARD, rotor_of, with_rotors
@@ -347,8 +347,7 @@ class MjcfRobot(Robot):
         """Put all that is not as in the file into a copy of its model, drives that turn by themselves left out."""
         for name, value in self.values.items():
             self.plan.numbers[name].write(model, value)
-        for body, shape in self._shapes().items():
-            reshape_inertia(model, body, shape)
+        reshape_inertias(model, self._shapes())
         for place, mass in self.payloads:
             add_mass(model, place, mass)
         for name, factor in self.gains:
