@@ -10,8 +10,6 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from morphologies import STRUCTURES, integrate, newton_acceleration, random_morphology, random_poses
 
 from equimus_ctrl.effects import (
@@ -40,7 +38,6 @@ from equimus_ctrl.effects.force import Parameters, force_laws
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import Predicted, Trial, encode, simulate
 from equimus_ctrl.engines.lane_functions import LANES
-from equimus_ctrl.engines.lane_math import lane_cos, lane_sin
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.augmented import law_parameters, slots_of
 from equimus_ctrl.models.kinematics import Kinematics
@@ -100,25 +97,6 @@ def same(a: Sequence[Predicted], b: Sequence[Predicted]) -> bool:
         np.array_equal(x.position, y.position) and np.array_equal(x.reached, y.reached)
         for x, y in zip(a, b, strict=True)
     )
-
-
-# --- elementary functions ---------------------------------------------------------------------------------------
-
-
-@settings(deadline=None, max_examples=500, derandomize=True)
-@given(st.floats(-1e5, 1e5))
-def test_sine_and_cosine_of_a_lane_are_the_libraries(x: float) -> None:
-    assert abs(lane_sin(x) - math.sin(x)) < 4e-16
-    assert abs(lane_cos(x) - math.cos(x)) < 4e-16
-
-
-def test_they_are_right_around_every_quadrant() -> None:
-    for k in range(-12, 13):
-        for off in (0.0, 1e-18, -1e-18, 1e-9, -1e-9, 1e-3, -1e-3, 0.7853981633974483, -0.7853981633974483):
-            x = k * math.pi / 2 + off
-            assert abs(lane_sin(x) - math.sin(x)) < 4e-16 and abs(lane_cos(x) - math.cos(x)) < 4e-16
-    assert lane_sin(0.0) == 0.0 and lane_cos(0.0) == 1.0
-    assert math.isnan(lane_sin(math.nan)) and math.isnan(lane_cos(math.inf))
 
 
 # --- against the oracle -----------------------------------------------------------------------------------------

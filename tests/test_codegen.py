@@ -5,12 +5,14 @@ from __future__ import annotations
 import ctypes
 import math
 import operator
+import uuid
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,10 +20,12 @@ from hypothesis import strategies as st
 from morphologies import STRUCTURES, random_morphology, random_poses
 
 from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines.lane_objects import load
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models import codegen
-from equimus_ctrl.models.codegen import LaneRoutine, Routine, generate, generate_lanes
+from equimus_ctrl.models.codegen import Routine, generate
 from equimus_ctrl.models.kinematics import Kinematics
+from equimus_ctrl.models.lane_code import LaneRoutine, generate_lanes
 from equimus_ctrl.models.symbolic import symbolic_model
 from equimus_ctrl.models.symbolic_model import pseudo_solve
 from equimus_ctrl.robots.elastic.leg import ideal_leg, nominal_leg
@@ -192,39 +196,37 @@ def test_a_constant_that_is_no_number_is_refused(value: float) -> None:
 WIDTH = 3
 
 
-OPTIONS = "nogil=True"
+def run_lanes(routines: list[LaneRoutine], p: ca.SX, first: int, folder: Path) -> tuple[dict[str, Any], int]:
+    """The functions as an engine loads them, and how many rows they need."""
+    prefix = f"test_{uuid.uuid4().hex}"
+    made = generate_lanes(routines, p, WIDTH, prefix, first)
+    (folder / "lanes.o").write_bytes(made.code)
+    load(folder / "lanes.o", prefix, ("prepare", *made.names))
+    pointer = ctypes.POINTER(ctypes.c_double)
 
+    def function(name: str, *kinds: Any) -> Any:
+        return ctypes.CFUNCTYPE(None, *kinds)(llvm.address_of_symbol(f"{prefix}_{name}"))
 
-def run_lanes(source: str) -> dict[str, Any]:
-    """As plain Python: what is a C function in an engine is called as it is."""
-    known: dict[str, Any] = {}
+    def at(values: Any) -> Any:
+        return values.ctypes.data_as(pointer)
 
-    def cfunc(*signature: Any, **options: Any) -> Any:
-        return lambda function: type("C", (), {"address": staticmethod(function)})()
-
-    def carray(pointer: Any, length: int) -> Any:
-        return np.ctypeslib.as_array(pointer.data_as(ctypes.POINTER(ctypes.c_double)), (length,))
-
-    names: dict[str, Any] = {
-        "math": math, "LANES": WIDTH, "lane_sin": math.sin, "lane_cos": math.cos, "cfunc": cfunc, "carray": carray,
-        "njit": lambda **options: lambda function: function, "add_symbol": known.__setitem__,
-        "ExternalFunction": lambda symbol, signature: lambda *values: known[symbol](*values),
-        "void": lambda *kinds: None, "CPointer": lambda kind: None, "float64": None, "intp": None,
-    }  # fmt: skip
-    exec(source, names)
-    return names
+    prepare = function("prepare", pointer, pointer, ctypes.c_int64)
+    names: dict[str, Any] = {"prepare_lane": lambda numbers, w, lane: prepare(at(numbers), at(w), lane)}
+    for name in made.names:
+        own = function(name, pointer)
+        names[name] = lambda w, own=own: own(at(w))
+    return names, made.rows
 
 
 @pytest.mark.parametrize("sides", ["xx", "xp", "pp"])
 @pytest.mark.parametrize("op", OPERATIONS)
-def test_an_operation_gives_what_casadi_gives_in_every_lane(op: int, sides: str) -> None:
+def test_an_operation_gives_what_casadi_gives_in_every_lane(op: int, sides: str, tmp_path: Path) -> None:
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
     a, b = (x[i] if side == "x" else p[i] for i, side in enumerate(sides))
     value = OPERATIONS[op](a, b)
     output = ca.vertcat(value, 3 - value * x[0])
     routine = LaneRoutine("routine", {"x": x}, output, {"x": 1}, 4)
-    source, rows = generate_lanes([routine], p, OPTIONS, "test", 6)
-    names = run_lanes(source)
+    names, rows = run_lanes([routine], p, 6, tmp_path)
     exact = ca.Function("exact", [x, p], [output])
     for numbers in ([[1.3, -0.7, 2.0], [-2.1, 0.4, 2.0]], [[0.5, 3.0, -1.0], [0.5, -3.0, 4.0]]):
         parameters = np.array([[0.3, -1.2], [2.0, 0.7], [-0.4, -0.4]])
@@ -235,24 +237,20 @@ def test_an_operation_gives_what_casadi_gives_in_every_lane(op: int, sides: str)
         names["routine"](w)
         for lane in range(WIDTH):
             expected = np.array(exact(np.array(numbers)[:, lane], parameters[lane])).ravel()
-            np.testing.assert_allclose(w.reshape(rows, WIDTH)[4:6, lane], expected, rtol=1e-13)
+            np.testing.assert_allclose(w.reshape(rows, WIDTH)[4:6, lane], expected, rtol=1e-13, atol=1e-15)
         np.testing.assert_array_equal(w.reshape(rows, WIDTH)[[0, 3]], 9.0)  # nobody's rows
         np.testing.assert_array_equal(w.reshape(rows, WIDTH)[1:3], numbers)
 
 
-def test_lane_routines_share_rows_of_constants_made_once() -> None:
+def test_lane_routines_share_rows_of_constants_made_once(tmp_path: Path) -> None:
     x, p = ca.SX.sym("x"), ca.SX.sym("p", 2)
     routines = [
         LaneRoutine("first", {"x": x}, ca.cos(p[0]) * ca.sin(x), {"x": 0}, 1),
         LaneRoutine("second", {"x": x}, ca.vertcat(ca.exp(p[1]) + x, p[0]), {"x": 1}, 2),
         LaneRoutine("nothing", {"x": x}, ca.SX(0, 1), {"x": 0}, 3),
     ]
-    source, rows = generate_lanes(routines, p, OPTIONS, "test", 4)
+    names, rows = run_lanes(routines, p, 4, tmp_path)
     assert rows == 4 + 3  # cos(p0), exp(p1) and p0
-    assert "lane_sin" in source and "math.sin" not in source
-    prepare, _, rest = source.partition("def _first")
-    assert "math.cos" in prepare and "math.exp" in prepare and "math." not in rest
-    names = run_lanes(source)
     w = np.zeros(rows * WIDTH)
     w[:WIDTH] = [0.1, 0.2, 0.3]
     for lane in range(WIDTH):
@@ -263,6 +261,39 @@ def test_lane_routines_share_rows_of_constants_made_once() -> None:
     np.testing.assert_allclose(found[1], np.cos([0, 1, 2]) * np.sin([0.1, 0.2, 0.3]), rtol=1e-15)
     np.testing.assert_allclose(found[2], math.exp(0.5) + found[1], rtol=1e-15)
     np.testing.assert_array_equal(found[3], [0, 1, 2])
+
+
+@pytest.fixture(scope="module")
+def waves(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Sines and cosines (n,) of x (n,)."""
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    routine = LaneRoutine("waves", {"x": x}, ca.vertcat(ca.sin(x), ca.cos(x)), {"x": 0}, 1)
+    names, rows = run_lanes([routine], p, 3, tmp_path_factory.mktemp("waves"))
+
+    def both(values: Any) -> Any:
+        w, found = np.zeros((rows, WIDTH)), []
+        for value in np.atleast_1d(values):
+            w[0] = value
+            names["waves"](w)
+            found.append(w[1:3, 0].copy())
+        return np.array(found).T
+
+    return both
+
+
+@settings(deadline=None, max_examples=500, derandomize=True)
+@given(x=st.floats(-1e5, 1e5))
+def test_sines_and_cosines_are_right_to_rounding(waves: Any, x: float) -> None:
+    np.testing.assert_allclose(waves(x)[:, 0], [math.sin(x), math.cos(x)], rtol=0, atol=4e-16)
+
+
+def test_they_are_right_around_every_quadrant(waves: Any) -> None:
+    x = np.concatenate(
+        [k * math.pi / 4 + np.array([-1e-3, -1e-9, -1e-18, 0, 1e-18, 1e-9, 1e-3]) for k in range(-24, 25)]
+    )
+    np.testing.assert_allclose(waves(x), [np.sin(x), np.cos(x)], rtol=0, atol=4e-16)
+    np.testing.assert_array_equal(waves(0.0)[:, 0], [0.0, 1.0])
+    assert np.isnan(waves(math.nan)).all() and np.isnan(waves(math.inf)).all()
 
 
 def model_routines(m: Morphology, phase: Phase) -> tuple[dict[str, Any], ca.Function]:

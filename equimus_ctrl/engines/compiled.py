@@ -25,7 +25,7 @@ import platformdirs
 from equimus_ctrl.engines import (
     lane_functions,
     lane_kernel,
-    lane_math,
+    lane_objects,
     lane_steps,
     mjcf_functions,
     mjcf_kernel,
@@ -36,6 +36,7 @@ from equimus_ctrl.models import (
     augmented,
     codegen,
     elastic_equations,
+    lane_code,
     mjcf_equations,
     parts,
     symbolic,
@@ -51,7 +52,6 @@ from equimus_ctrl.robots.mjcf import numbers as mjcf_numbers
 from equimus_ctrl.types import Array
 
 DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")'
-_LANE_OPTIONS = 'cache=True, nogil=True, error_model="numpy", fastmath={"contract"}'
 _STUB = "equimus_ctrl.engines.model_functions"
 _LANE_STUB = "equimus_ctrl.engines.lane_functions"
 
@@ -171,16 +171,21 @@ def _model(form: Structure, phase: Phase) -> ModuleType:
 def _lane_model(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
     """The functions of ``engines.lane_functions`` for one structure and set of laws."""
     # Laws may call upon anything: what they say enters as expressions, which are short, not as sources.
-    key = _digest([repr((form, phase)), *_sources(), *(expressions(law) for law in laws)])
+    said = [expressions(law) for law in laws]
+    key = _digest([repr((form, phase)), lane_code.computer(), *_sources(), *said])
     path = cache_folder() / f"equimus_lanes_{key}.py"
-    return _written(path, path.read_text(encoding="utf-8") if path.exists() else _lane_source(form, phase, laws, key))
+    if path.exists() and path.with_suffix(".o").exists():
+        return _written(path, path.read_text(encoding="utf-8"))
+    code, text = _lane_source(form, phase, laws, f"equimus_{key}")
+    _put(path.with_suffix(".o"), code)
+    return _written(path, text)
 
 
 @lru_cache(maxsize=1)
 def _sources() -> list[str]:
     """All that generated lanes are made by, without the laws."""
     modules = (
-        augmented, codegen, elastic_equations, elastic_form, lane_functions, lane_math, mjcf_equations, mjcf_form,
+        augmented, codegen, elastic_equations, elastic_form, lane_code, lane_functions, mjcf_equations, mjcf_form,
         mjcf_numbers, actuator_laws, parts, symbolic, symbolic_model, tree, sys.modules[__name__],
     )  # fmt: skip
     return [inspect.getsource(module) for module in modules]
@@ -198,15 +203,20 @@ def _digest(parts: list[str]) -> str:
 def _written(path: Path, text: str) -> ModuleType:
     """Put a module into the cache folder, whole or not at all, and import it."""
     if not path.exists():
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as out:
-            out.write(text)
-        os.replace(out.name, path)
+        _put(path, text.encode())
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)
     return module
+
+
+def _put(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as out:
+        out.write(content)
+    os.replace(out.name, path)
 
 
 def _imported(kernel: ModuleType) -> list[ModuleType]:
@@ -267,7 +277,8 @@ def _whole_step(m: augmented.AugmentedModel, symbols: dict[str, ca.SX]) -> ca.SX
     return reached * (ca.fabs(reached) >= NOTHING)
 
 
-def _lane_source(form: Structure, phase: Phase, laws: Laws, key: str) -> str:
+def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tuple[bytes, str]:
+    """Machine code of the lanes' functions, and the module by which numba's functions call it."""
     m = augmented.augmented_model(form, phase, laws)
     nj, na, nz, nr = m.q.numel(), m.pressure.numel(), m.z.numel(), m.phi.numel()
     nl = m.pressed.numel()
@@ -288,28 +299,28 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, key: str) -> str:
     moving_rows = state | {name: rows[name.upper()] for name in ("pressure", "phi", "grip", "pull")}
     reached_rows = {"q": x, "v": x + nj, "a": rows["RATE"] + nj}
     routines = [
-        codegen.LaneRoutine(
+        lane_code.LaneRoutine(
             "lane_motion", moving, ca.vertcat(m.gripped_acceleration, m.z_rate), moving_rows, rows["RATE"] + nj
         ),
-        codegen.LaneRoutine(
+        lane_code.LaneRoutine(
             "lane_grips",
             {"q": m.q, "v": m.v, "pressed": m.pressed},
             m.grips,
             {"q": x, "v": x + nj, "pressed": rows["PRESSED"]},
             rows["GRIP"],
         ),
-        codegen.LaneRoutine("lane_depths", {"q": m.q}, m.depths, {"q": x}, rows["DEPTHS"]),
-        codegen.LaneRoutine("lane_gaps", {"q": m.q, "v": m.v, "a": m.a}, m.gaps, reached_rows, rows["GAPS"]),
-        codegen.LaneRoutine(
+        lane_code.LaneRoutine("lane_depths", {"q": m.q}, m.depths, {"q": x}, rows["DEPTHS"]),
+        lane_code.LaneRoutine("lane_gaps", {"q": m.q, "v": m.v, "a": m.a}, m.gaps, reached_rows, rows["GAPS"]),
+        lane_code.LaneRoutine(
             "lane_quickness",
             {"q": m.q, "v": m.v, "z": m.z, "pressed": m.pressed},
             m.quickness,
             {**state, "pressed": rows["PRESSED"]},
             rows["QUICK"],
         ),
-        codegen.LaneRoutine("lane_keep", {"z": m.z}, m.kept, {"z": state["z"]}, state["z"]),
-        codegen.LaneRoutine("lane_rest", {"q": m.q, "v": m.v}, m.rest_state, {"q": x, "v": x + nj}, x + 2 * nj),
-        codegen.LaneRoutine(
+        lane_code.LaneRoutine("lane_keep", {"z": m.z}, m.kept, {"z": state["z"]}, state["z"]),
+        lane_code.LaneRoutine("lane_rest", {"q": m.q, "v": m.v}, m.rest_state, {"q": x, "v": x + nj}, x + 2 * nj),
+        lane_code.LaneRoutine(
             "lane_friction",
             {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "grip": m.grip, "v0": m.v0},
             ca.vertcat(ca.vec(m.push), ca.vec(m.delassus), m.rows, m.bound, m.rows_before),
@@ -324,29 +335,35 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, key: str) -> str:
     begins |= {"slope": rows["SLOPE"], "begin": rows["FROM"], "part": rows["PART"], "dt": rows["DT"]}
     step = _whole_step(m, symbols) if short else ca.SX(0, 1)
     inputs = {"q": m.q, "v": m.v, "z": m.z, "phi": m.phi} | symbols
-    routines.append(codegen.LaneRoutine("lane_whole_step", inputs, step, begins, x))
-    functions, work_rows = codegen.generate_lanes(routines, m.p, _LANE_OPTIONS, f"equimus_{key}", row)
+    routines.append(lane_code.LaneRoutine("lane_whole_step", inputs, step, begins, x))
+    made = lane_code.generate_lanes(routines, m.p, lane_functions.LANES, prefix, row)
     counts = {"JOINTS": nj, "ACTUATORS": na, "STATES": nz, "ROWS": nr, "LIMITS": nl}
     header = [
         "# Generated; safe to delete.",
         "from __future__ import annotations\n",
-        "import math\n",
-        "from llvmlite.binding import add_symbol",
-        "from numba import carray, cfunc, njit",
+        "from pathlib import Path\n",
+        "from numba import njit",
         "from numba.core.types import CPointer, ExternalFunction, float64, intp, void\n",
-        f"from {lane_math.__name__} import lane_cos, lane_sin\n",
+        f"from {lane_objects.__name__} import load\n",
         f"LANES = {lane_functions.LANES}",
         *[f"N_{name} = {count}" for name, count in counts.items()],
-        f"WORK_ROWS = {work_rows}",
+        f"WORK_ROWS = {made.rows}",
         f"BOUNDED = {form.n_inside > 0}",
         f"SHORT = {short}",
         f"QUICK_INSIDE = {not symbolic.build(form, phase).inside.quickness.is_zero()}",
         f"SOFT_LIMITS = {any(limit.push is None for limit in symbolic.build(form, phase).limits)}",
         *[f"ROW_{name} = {first}" for name, first in rows.items()],
-        f"ROW_CONSTANTS = {row}",
-        "",
+        f"ROW_CONSTANTS = {row}\n",
+        f"load(Path(__file__).with_suffix('.o'), '{prefix}', {('prepare', *made.names)})\n\n",
+        f"_prepare = ExternalFunction('{prefix}_prepare', void(CPointer(float64), CPointer(float64), intp))\n\n",
+        f"{DECORATOR}\ndef prepare_lane(p, w, l):\n    _prepare(p.ctypes, w.ctypes, l)\n",
     ]
-    return "\n".join([*header, "", functions])
+    for name in made.names:
+        header.append(
+            f"\n_{name} = ExternalFunction('{prefix}_{name}', void(CPointer(float64)))\n\n\n"
+            f"{DECORATOR}\ndef {name}(w):\n    _{name}(w.ctypes)\n"
+        )
+    return made.code, "\n".join(header)
 
 
 def _mjcf_source(laws: Laws) -> str:

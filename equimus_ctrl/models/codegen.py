@@ -6,7 +6,7 @@ constants that every other generated function takes as its last argument.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -71,11 +71,80 @@ class Routine:
     inputs: Mapping[str, ca.SX]
     output: ca.SX
 
+    def function(self, parameters: ca.SX) -> ca.Function:
+        """CasADi's function of the inputs, then the parameters."""
+        return ca.Function(self.name, [*self.inputs.values(), parameters], [ca.densify(ca.cse(self.output))])
 
-def _literal(value: float) -> str:
+
+def literal(value: float) -> str:
+    """A number as source.
+
+    Raises:
+        ValueError: where it is none.
+    """
     if value != value or value in (float("inf"), float("-inf")):
         raise ValueError(f"a generated expression holds the constant {value}")
     return repr(float(value))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One instruction of a CasADi function, each value of which is assigned once.
+
+    Attributes:
+        operation: CasADi's number of it.
+        arguments: the steps whose values it takes.
+        place: (argument, entry) of an input, (0, entry) of an output.
+        value: of a constant.
+    """
+
+    operation: int
+    arguments: tuple[int, ...] = ()
+    place: tuple[int, int] = (0, 0)
+    value: float = 0.0
+
+
+def steps_of(function: ca.Function) -> list[Step]:
+    """The instructions of an SX function."""
+    current: dict[int, int] = {}
+    steps: list[Step] = []
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        ins, outs = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_CONST:
+            steps.append(Step(operation, value=function.instruction_constant(k)))
+        elif operation == ca.OP_INPUT:
+            steps.append(Step(operation, place=(ins[0], ins[1])))
+        elif operation == ca.OP_OUTPUT:
+            steps.append(Step(operation, (current[ins[0]],), (outs[0], outs[1])))
+            continue
+        else:
+            steps.append(Step(operation, tuple(current[i] for i in ins)))
+        current[outs[0]] = k
+    return steps
+
+
+def parameters_alone(steps: Sequence[Step], argument: int) -> list[bool]:
+    """Whether each step's value depends on constants and one argument alone; of outputs it says nothing."""
+    found: list[bool] = []
+    for step in steps:
+        if step.operation == ca.OP_INPUT:
+            found.append(step.place[0] == argument)
+        else:
+            found.append(step.operation != ca.OP_OUTPUT and all(found[a] for a in step.arguments))
+    return found
+
+
+def inverted(steps: Sequence[Step], constant: Sequence[bool]) -> set[int]:
+    """Divisions to be products with an inverse: a division takes as long as ten products.
+
+    Those that share their denominator with others, and those of which it is constant.
+    """
+    below: dict[int, list[int]] = {}
+    for k, step in enumerate(steps):
+        if step.operation == ca.OP_DIV and not constant[k]:
+            below.setdefault(step.arguments[1], []).append(k)
+    return {k for by, divisions in below.items() if len(divisions) > 1 or constant[by] for k in divisions}
 
 
 def _unpack(names: Sequence[str], source: str) -> str:
@@ -111,183 +180,50 @@ def generate(routines: Sequence[Routine], parameters: ca.SX, decorator: str) -> 
     return "\n\n".join([prepare, *bodies])
 
 
-@dataclass(frozen=True)
-class LaneRoutine(Routine):
-    """One function to generate that works on many parameter sets side by side.
-
-    Attributes:
-        rows: input name → the row of the work array where its first entry stands.
-        result: the row where the output's first entry goes.
-    """
-
-    rows: Mapping[str, int]
-    result: int
-
-
-def generate_lanes(
-    routines: Sequence[LaneRoutine], parameters: ca.SX, options: str, prefix: str, constants_row: int
-) -> tuple[str, int]:
-    """Source text of ``prepare_lane(p, w, l)`` and of a function ``name(w)`` for each routine; (text, rows in all).
-
-    The work array w is flat: entry l of row r stands at r·LANES + l, and each function runs over all lanes l in one
-    loop without branches, which the compiler turns into vector instructions. Sines and cosines are those of
-    ``lane_sin`` and ``lane_cos``.
-
-    Each is a C function, called by its symbol: as a callee of compiled functions numba would optimise its long body
-    again in every one of them.
-
-    Args:
-        routines: what to generate.
-        parameters: the SX symbol vector p.
-        options: of numba's ``cfunc``, after its signature.
-        prefix: of the symbols.
-        constants_row: the first row that the constants may take.
-    """
-    count = 0
-    prepare_lines: list[str] = []
-    stores: list[str] = []
-    bodies: list[str] = []
-    for routine in routines:
-        written = _write(
-            routine, parameters, count, lambda index: f"w[{constants_row + index} * LANES + l]", _LANE_FUNCTIONS
-        )
-        prepare_lines += written.prepare
-        stores += [f"    w[{constants_row + count + i} * LANES + l] = {n}\n" for i, n in enumerate(written.constants)]
-        count += len(written.constants)
-        loads = [
-            f"    {name}{i} = w[{routine.rows[name] + i} * LANES + l]\n"
-            for name, symbol in routine.inputs.items()
-            for i in range(symbol.numel())
-        ]
-        saves = [f"    w[{routine.result + i} * LANES + l] = {value}\n" for i, value in enumerate(written.outputs)]
-        loop = "".join(f"    {line}" for line in [*loads, *written.body, *saves]) or "        pass\n"
-        bodies.append(f"    for l in range(LANES):\n{loop}")
-    rows = constants_row + count
-    unpack = "".join(f"    p{i} = p[{i}]\n" for i in range(parameters.numel()))
-    parts = [
-        f'@cfunc("void(CPointer(float64), CPointer(float64), intp)", {options})\n'
-        f"def _prepare(numbers, work, l):\n    p = carray(numbers, {max(parameters.numel(), 1)})\n"
-        f"    w = carray(work, {rows} * LANES)\n{unpack}{''.join(prepare_lines)}{''.join(stores)}\n"
-        f'add_symbol("{prefix}_prepare", _prepare.address)\n'
-        f'_C_prepare = ExternalFunction("{prefix}_prepare", void(CPointer(float64), CPointer(float64), intp))\n\n\n'
-        f"@njit({options})\ndef prepare_lane(p, w, l):\n    _C_prepare(p.ctypes, w.ctypes, l)\n"
-    ]
-    for routine, body in zip(routines, bodies, strict=True):
-        name, symbol = routine.name, f"{prefix}_{routine.name}"
-        parts.append(
-            f'@cfunc("void(CPointer(float64))", {options})\ndef _{name}(work):\n'
-            f"    w = carray(work, {rows} * LANES)\n{body}\n"
-            f'add_symbol("{symbol}", _{name}.address)\n'
-            f'_C_{name} = ExternalFunction("{symbol}", void(CPointer(float64)))\n\n\n'
-            f"@njit({options})\ndef {name}(w):\n    _C_{name}(w.ctypes)\n"
-        )
-    return "\n\n".join(parts), rows
-
-
-_LANE_FUNCTIONS = {ca.OP_SIN: "lane_sin({0})", ca.OP_COS: "lane_cos({0})"}
-
-
-@dataclass(frozen=True)
-class _Written:
-    """Source lines of one routine.
-
-    Attributes:
-        prepare: what depends on the parameters alone.
-        constants: names that ``prepare`` makes and the body needs.
-        body: the rest.
-        outputs: what the output's entries are called.
-    """
-
-    prepare: list[str]
-    constants: list[str]
-    body: list[str]
-    outputs: list[str]
-
-
 def _generate_one(routine: Routine, parameters: ca.SX, offset: int) -> tuple[str, list[str], list[str]]:
-    """(source, lines for prepare, names of the prepared values needed) of one routine."""
-    written = _write(routine, parameters, offset, lambda index: f"c[{index}]", {})
-    header = f"def {routine.name}({', '.join([*routine.inputs, 'c'])}):\n"
-    unpack = "".join(
-        _unpack([f"{name}{i}" for i in range(symbol.numel())], name) for name, symbol in routine.inputs.items()
-    )
-    source = f"{header}{unpack}{''.join(written.body)}    return ({', '.join(written.outputs)},)\n"
-    return source, written.prepare, written.constants
-
-
-def _write(
-    routine: Routine, parameters: ca.SX, offset: int, constant_at: Callable[[int], str], functions: Mapping[int, str]
-) -> _Written:
-    """A routine as lines of source.
+    """(source, lines for ``prepare``, names of the prepared values needed) of one routine.
 
     Args:
         routine: what is written.
         parameters: the SX symbol vector p.
         offset: how many constants other routines have taken already.
-        constant_at: how the constant of an index is read in the body.
-        functions: operation → source form in the body, in place of the usual one.
     """
-    symbols = list(routine.inputs.values())
-    dense = ca.densify(ca.cse(routine.output))
-    function = ca.Function(routine.name, [*symbols, parameters], [dense])
-    tag = f"{routine.name}_"
-    # Values are (name, is_constant); the work vector is reassigned, so names are made fresh at each assignment.
-    work: dict[int, tuple[str, bool]] = {}
+    steps = steps_of(routine.function(parameters))
+    constant = parameters_alone(steps, len(routine.inputs))
+    inputs = list(routine.inputs)
+    names: list[str] = []
     prepare: list[str] = []
     body: list[str] = []
     needed: dict[str, int] = {}
     outputs: dict[int, str] = {}
 
-    def use(value: tuple[str, bool], constant_target: bool) -> str:
-        name, constant = value
-        if constant and not constant_target and name[0] not in "-0123456789":
-            return constant_at(needed.setdefault(name, offset + len(needed)))
+    def use(k: int, alone: bool = False) -> str:
+        name = names[k]
+        if constant[k] and not alone and name[0] not in "-0123456789":
+            return f"c[{needed.setdefault(name, offset + len(needed))}]"
         return name
 
-    inverses = _inverses(function)
-    inverted: dict[str, str] = {}
-    for k in range(function.n_instructions()):
-        op = function.instruction_id(k)
-        ins, outs = function.instruction_input(k), function.instruction_output(k)
-        if op == ca.OP_CONST:
-            work[outs[0]] = (_literal(function.instruction_constant(k)), True)
-        elif op == ca.OP_INPUT:
-            argument, entry = ins
-            if argument == len(symbols):
-                work[outs[0]] = (f"p{entry}", True)
-            else:
-                work[outs[0]] = (f"{list(routine.inputs)[argument]}{entry}", False)
-        elif op == ca.OP_OUTPUT:
-            outputs[outs[1]] = use(work[ins[0]], False)
+    for k, step in enumerate(steps):
+        if step.operation == ca.OP_CONST:
+            names.append(literal(step.value))
+        elif step.operation == ca.OP_INPUT:
+            argument, entry = step.place
+            names.append(f"p{entry}" if argument == len(inputs) else f"{inputs[argument]}{entry}")
+        elif step.operation == ca.OP_OUTPUT:
+            outputs[step.place[1]] = use(step.arguments[0])
+            names.append("")
         else:
-            if op not in _BINARY:
-                raise ModelError(f"{routine.name}: CasADi operation {op} has no source form in the compiled engine")
-            values = [work[i] for i in ins]
-            constant = all(value[1] for value in values)
-            arguments = [use(value, constant) for value in values]
-            name = f"{tag}{k}" if constant else f"w{k}"
-            form = _BINARY[op] if constant else functions.get(op, _BINARY[op])
-            if k in inverses and not constant:
-                # A division takes as long as ten products.
-                below, known = values[1]
-                if below not in inverted:
-                    inverted[below] = f"{tag}{k}i" if known else f"w{k}i"
-                    (prepare if known else body).append(f"    {inverted[below]} = 1.0 / {below}\n")
-                form, arguments[1] = _BINARY[ca.OP_MUL], use((inverted[below], known), False)
-            line = f"    {name} = {form.format(*[f'({a})' if a[0] == '-' else a for a in arguments])}\n"
-            (prepare if constant else body).append(line)
-            work[outs[0]] = (name, constant)
-    return _Written(prepare, list(needed), body, [outputs[i] for i in range(dense.numel())])
-
-
-def _inverses(function: ca.Function) -> set[int]:
-    """Divisions, as instructions, that share their denominator with others."""
-    current: dict[int, int] = {}
-    below: dict[int, list[int]] = {}
-    for k in range(function.n_instructions()):
-        op, ins = function.instruction_id(k), function.instruction_input(k)
-        if op == ca.OP_DIV:
-            below.setdefault(current[ins[1]], []).append(k)
-        if op != ca.OP_OUTPUT:
-            current[function.instruction_output(k)[0]] = k
-    return {k for divisions in below.values() if len(divisions) > 1 for k in divisions}
+            if step.operation not in _BINARY:
+                raise ModelError(
+                    f"{routine.name}: CasADi operation {step.operation} has no source form in the compiled engine"
+                )
+            given = [use(a, constant[k]) for a in step.arguments]
+            names.append(f"{routine.name}_{k}" if constant[k] else f"w{k}")
+            form = _BINARY[step.operation].format(*[f"({a})" if a[0] == "-" else a for a in given])
+            (prepare if constant[k] else body).append(f"    {names[k]} = {form}\n")
+    header = f"def {routine.name}({', '.join([*routine.inputs, 'c'])}):\n"
+    unpack = "".join(
+        _unpack([f"{name}{i}" for i in range(symbol.numel())], name) for name, symbol in routine.inputs.items()
+    )
+    values = ", ".join(outputs[i] for i in range(routine.output.numel()))
+    return f"{header}{unpack}{''.join(body)}    return ({values},)\n", prepare, list(needed)

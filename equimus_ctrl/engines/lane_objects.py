@@ -1,0 +1,32 @@
+"""Machine code of lanes, loaded from object files so that numba's functions can call it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm  # type: ignore[import-untyped, unused-ignore]
+
+from equimus_ctrl.models.lane_code import target_machine
+
+_loaded: dict[str, Any] = {}
+"""Prefix → what holds the code; it lives as long as the process."""
+
+
+def load(path: Path, prefix: str, names: Sequence[str]) -> None:
+    """Make the functions of an object file known by their symbols ``prefix_name``.
+
+    Args:
+        path: of the object file.
+        prefix: of its symbols.
+        names: of its functions.
+    """
+    if prefix in _loaded:
+        return
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
+    engine.add_object_file(llvm.object_file.ObjectFileRef.from_path(str(path)))
+    engine.finalize_object()
+    for name in names:
+        llvm.add_symbol(f"{prefix}_{name}", engine.get_function_address(f"{prefix}_{name}"))
+    _loaded[prefix] = engine
