@@ -12,15 +12,24 @@ import pytest
 
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.candidates import seen_places
+from equimus_ctrl.effects import GravityTilt
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mjcf import simulate_mjcf
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.designs import TrialDesign
 from equimus_ctrl.proof.drawing import Reality, noise
 from equimus_ctrl.proof.mjcf import Experiment
-from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, mjcf_recordings, simulate_mjcf_truth, trials_of
+from equimus_ctrl.proof.mjcf_simulation import (
+    EXACT,
+    FINER,
+    Stepped,
+    mjcf_excess,
+    mjcf_recordings,
+    simulate_mjcf_truth,
+    trials_of,
+)
 from equimus_ctrl.proof.mjcf_sizes import mjcf_sizes
 from equimus_ctrl.proof.outside import OUTSIDE
 from equimus_ctrl.types import Array, Recording
@@ -99,11 +108,31 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
         except ConfigError:
             continue
     reality = _reality(model, two_joints.recordings, real.effects)
-    ours = simulate_mjcf_truth(reality)
+    stepped = Stepped(reality)
+    # Steps that both can take: how far errors of steps grow along these trials is another matter.
+    ours = [2 * stepped.measured(t, FINER) - stepped.measured(t, FINER // 2) for t in trials_of(reality)]
     theirs, plain = (without_steps(m, trials_of(reality)) for m in (real, model))
     for own, other, without in zip(ours, theirs, plain, strict=True):
         apart, does = np.abs(own - other).max(), np.abs(own - without).max()
         assert apart < max(ALIKE, 0.05 * does), (effect, apart, does)
+
+
+def test_a_ground_truth_is_what_finer_steps_tell_too(pendulum: Experiment) -> None:
+    drawn = pendulum.draw(3, 1)
+    reality = replace(drawn, trials=drawn.trials[:1])
+    stepped, trial = Stepped(reality), trials_of(reality)[0]
+    finer = 2 * stepped.measured(trial, 8 * FINER) - stepped.measured(trial, 4 * FINER)
+    assert np.abs(simulate_mjcf_truth(reality)[0] - finer).max() < 2 * EXACT * reality.noise[0]
+
+
+def test_a_motion_that_no_step_tells_is_no_ground_truth(
+    two_joints: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of an arm that swings for long from upright; with a bound on the steps that a test has time for."""
+    monkeypatch.setattr("equimus_ctrl.proof.mjcf_simulation.FINEST", 4 * FINER)
+    reality = _reality(two_joints.model, two_joints.recordings, (GravityTilt("base", 0.05),))
+    with pytest.raises(SimulationDiverged, match=r"case 0 of seed 0: run_\d is so sensitive that no step"):
+        simulate_mjcf_truth(reality)
 
 
 def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:

@@ -175,7 +175,7 @@ def test_what_diverges_over_whole_trials_is_not_what_short_windows_tell(monkeypa
     monkeypatch.setattr(diagnose, "replace", lambda data, **changed: data)
     monkeypatch.setattr(diagnose, "Search", lambda *a: OnPaper(known))
     search.data.rough, search.data.segments = diverged, ()  # type: ignore[attr-defined, method-assign, misc]
-    assert diagnose._from_near(search, found, judged(monkeypatch, [])) == (search, found)
+    assert diagnose._from_near(search, found, judged(monkeypatch, []), found.base) == (search, found)
 
 
 def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_came_with() -> None:

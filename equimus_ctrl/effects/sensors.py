@@ -180,10 +180,10 @@ def sample(
         out: (m,) written [rad].
         before: rate of the joint before the grid [rad/s]; by default it stood still.
     """
-    n, play, inverse = len(q), sensor[3], 1.0 / dt
+    n, play = len(q), sensor[3]
     held, reached = q[0], 0
     for k in range(len(times)):
-        place = (times[k] - sensor[2] - start) * inverse
+        place = (times[k] - sensor[2] - start) / dt
         if place <= 0.0:
             angle = q[0] + before * place * dt
         else:

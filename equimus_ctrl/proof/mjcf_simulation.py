@@ -53,20 +53,19 @@ def simulate_mjcf_truth(truth: Reality) -> list[Array]:
     Raises:
         SimulationDiverged: where the robot's parameters are none, or its motion is too sensitive to be simulated.
     """
-    bodies = Model(truth.robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
-    push = _push(truth)
-    return [_without_step(truth, bodies, trial, push) for trial in trials_of(truth)]
+    stepped = Stepped(truth)
+    return [_without_step(stepped, trial) for trial in trials_of(truth)]
 
 
-def _without_step(truth: Reality, bodies: Model, trial: Trial, push: _Push | None) -> Array:
+def _without_step(stepped: Stepped, trial: Trial) -> Array:
     """(n, nj) as of an infinitely short step, steps halved until that changes no more.
 
     Where errors grow along a trial, two motions that came apart tell nothing of a third.
     """
-    steps, before = FINER, None
-    coarse = _measured(truth, bodies, trial, push, steps // 2)
+    truth, steps, before = stepped.truth, FINER, None
+    coarse = stepped.measured(trial, steps // 2)
     while steps <= FINEST:
-        fine = _measured(truth, bodies, trial, push, steps)
+        fine = stepped.measured(trial, steps)
         found = 2.0 * fine - coarse  # the error of a step is of first order (Richardson, 1911)
         # What is left is of second order: a quarter at half the step.
         if before is not None and np.all(np.abs(found - before) / 3.0 < EXACT * np.array(truth.noise)):
@@ -77,13 +76,26 @@ def _without_step(truth: Reality, bodies: Model, trial: Trial, push: _Push | Non
     )
 
 
-def _measured(truth: Reality, bodies: Model, trial: Trial, push: _Push | None, steps: int) -> Array:
-    own = realise(bodies, trial, mjcf_of(truth.robot).timestep / steps)
-    with quietly():
-        course = _follow(own, trial, push)
-    if course.sound < len(course.q):
-        raise SimulationDiverged(f"case {truth.case} of seed {truth.seed}: the simulation diverged")
-    return measured_of(own, course, trial.sample_times)[0]
+class Stepped:
+    """A ground truth in MuJoCo, generalised forces that it has no field for put before each of its steps."""
+
+    def __init__(self, truth: Reality) -> None:
+        self.truth = truth
+        self._bodies = Model(truth.robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
+        self._push = _push(truth)
+
+    def measured(self, trial: Trial, steps: int) -> Array:
+        """(n, nj) what the sensors show without noise, with so many steps for each of the XML's [rad or m].
+
+        Raises:
+            SimulationDiverged: where it diverges.
+        """
+        own = realise(self._bodies, trial, mjcf_of(self.truth.robot).timestep / steps)
+        with quietly():
+            course = _follow(own, trial, self._push)
+        if course.sound < len(course.q):
+            raise SimulationDiverged(f"case {self.truth.case} of seed {self.truth.seed}: the simulation diverged")
+        return measured_of(own, course, trial.sample_times)[0]
 
 
 def trials_of(truth: Reality) -> list[Trial]:
