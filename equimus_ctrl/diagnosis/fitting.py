@@ -34,7 +34,7 @@ WORSE = 3.84
 """Gain of 2 log L at which it does not, with a chance of 5 %."""
 NO_STEP = FitSettings(1e-5, 0)
 FROM_NEAR = FitSettings(1e-6, 60)
-"""Of a search that begins where short windows led: its valley may be narrow and curved."""
+"""Of a search that begins where short windows led, along a narrow and curved way to its minimum."""
 SETTLED = 0.5
 """Gain of 2 log L at which they are taken to have settled."""
 
