@@ -30,7 +30,7 @@ from equimus_ctrl.engines import (
     mjcf_functions,
     mjcf_kernel,
 )
-from equimus_ctrl.engines.limits import NOTHING
+from equimus_ctrl.engines.limits import NOTHING, SLIDING
 from equimus_ctrl.models import (
     actuator_laws,
     augmented,
@@ -39,6 +39,7 @@ from equimus_ctrl.models import (
     lane_code,
     mjcf_equations,
     parts,
+    sticking,
     symbolic,
     symbolic_model,
     tree,
@@ -186,7 +187,7 @@ def _sources() -> list[str]:
     """All that generated lanes are made by, without the laws."""
     modules = (
         augmented, codegen, elastic_equations, elastic_form, lane_code, lane_functions, mjcf_equations, mjcf_form,
-        mjcf_numbers, actuator_laws, parts, symbolic, symbolic_model, tree, sys.modules[__name__],
+        mjcf_numbers, actuator_laws, parts, sticking, symbolic, symbolic_model, tree, sys.modules[__name__],
     )  # fmt: skip
     return [inspect.getsource(module) for module in modules]
 
@@ -277,6 +278,44 @@ def _whole_step(m: augmented.AugmentedModel, symbols: dict[str, ca.SX]) -> ca.SX
     return reached * (ca.fabs(reached) >= NOTHING)
 
 
+def _friction_routines(
+    m: augmented.AugmentedModel, rows: dict[str, int], state: dict[str, int]
+) -> list[lane_code.LaneRoutine]:
+    """What finds dry friction at a step's end, and what it changes."""
+    nj, nr = m.q.numel(), m.phi.numel()
+    dt, earlier = ca.SX.sym("dt"), ca.SX.sym("earlier", nr)
+    # What changes with a turn does so from then on; with nothing that turns, from the start of the step.
+    turns = (m.rows_before * m.rows < 0) * (ca.fabs(m.rows_before) > SLIDING)
+    span = ca.if_else(turns, dt * m.rows / (m.rows - m.rows_before), dt)
+    s = sticking.sticking(nr)
+    push = ca.SX.sym("push", nj, nr)
+    impulse = (s.phi - earlier) * s.span
+    moved = ca.vertcat(m.q + push @ (0.5 * s.span * impulse), m.v + push @ impulse)
+    at = {name: rows[name.upper()] for name in ("side", "sought", "phi", "slip", "bound", "span", "push")}
+    at |= {"mobility": rows["DELASSUS"], "earlier": rows["SUM"], "dt": rows["DT"], "v0": rows["START"] + nj}
+    at |= {"pressure": rows["PRESSURE"], "grip": rows["GRIP"], **state}
+    known = {"mobility": s.mobility, "bound": s.bound, "span": s.span, "slip": s.slip, "phi": s.phi, "side": s.side}
+    known |= {"sought": s.sought}
+    return [
+        lane_code.LaneRoutine(
+            "lane_friction",
+            {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "grip": m.grip, "v0": m.v0, "dt": dt},
+            ca.vertcat(ca.vec(m.push), ca.vec(m.delassus), m.bound, span, m.rows),
+            at,
+            at["push"],
+        ),
+        lane_code.LaneRoutine("lane_sides", known, ca.vertcat(s.sides, s.still_sought), at, at["side"]),
+        lane_code.LaneRoutine("lane_hold", known, s.found, at, at["slip"]),
+        lane_code.LaneRoutine(
+            "lane_rub",
+            {"q": m.q, "v": m.v, "push": push, "phi": s.phi, "span": s.span, "earlier": earlier},
+            moved,
+            at,
+            at["q"],
+        ),
+    ]
+
+
 def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tuple[bytes, str]:
     """Machine code of the lanes' functions, and the module by which numba's functions call it."""
     m = augmented.augmented_model(form, phase, laws)
@@ -284,8 +323,9 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
     nl = m.pressed.numel()
     nx = 2 * nj + nz
     sizes = {
-        "X": nx, "RATE": nx, "SUM": max(nx, nr), "START": nx, "PRESSURE": na, "PHI": nr,
-        "PUSH": nj * nr, "DELASSUS": nr * nr, "SLIP": nr, "BOUND": nr, "SPAN": nr,
+        "X": nx, "RATE": nx, "SUM": max(nx, nr), "START": nx, "PRESSURE": na,
+        "PUSH": nj * nr, "DELASSUS": nr * nr, "BOUND": nr, "SPAN": nr, "SLIP": nr, "PHI": nr,
+        "SIDE": nr, "SOUGHT": 1, "WORST": 1,
         "PRESSED": nl, "GRIP": nl, "PULL": nl, "GAPS": nl, "DEPTHS": nl, "QUICK": 1,
         "MEAN": na, "SLOPE": na, "DT": 1, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx,
     }  # fmt: skip
@@ -320,13 +360,7 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
         ),
         lane_code.LaneRoutine("lane_keep", {"z": m.z}, m.kept, {"z": state["z"]}, state["z"]),
         lane_code.LaneRoutine("lane_rest", {"q": m.q, "v": m.v}, m.rest_state, {"q": x, "v": x + nj}, x + 2 * nj),
-        lane_code.LaneRoutine(
-            "lane_friction",
-            {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "grip": m.grip, "v0": m.v0},
-            ca.vertcat(ca.vec(m.push), ca.vec(m.delassus), m.rows, m.bound, m.rows_before),
-            {**state, "pressure": rows["PRESSURE"], "grip": rows["GRIP"], "v0": at_start + nj},
-            rows["PUSH"],
-        ),
+        *_friction_routines(m, rows, state),
     ]
     short = m.z.numel() == 0 and _operations(m) <= SHORT
     symbols = {"mean": ca.SX.sym("mean", na), "slope": ca.SX.sym("slope", na)}

@@ -108,10 +108,10 @@ class Field:
     def rub(self, s: States) -> Rub:
         """What dry friction does, whatever ``side`` says."""
         n, nv, nr = len(s.q), self.kernel.N_JOINTS, self.kernel.N_ROWS
-        out = np.empty((n, nr * (nv + nr + 2)))
+        out = np.empty((n, nr * (nv + nr + 3)))
         if nr:
             self.kernel.rubbing_field(self.parameters, s.q, s.v, s.z, s.pressure, s.pressed, out)
-        push, delassus, rate, bound = np.split(out, np.cumsum([nv * nr, nr * nr, nr]), axis=1)
+        push, delassus, bound, _, rate = np.split(out, np.cumsum([nv * nr, nr * nr, nr, nr]), axis=1)
         columns = push.reshape(n, nr, nv).transpose(0, 2, 1)
         return Rub(columns, delassus.reshape(n, nr, nr).transpose(0, 2, 1), rate, bound)
 

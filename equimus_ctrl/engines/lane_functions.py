@@ -33,12 +33,15 @@ ROW_RATE = 0
 ROW_SUM = 0
 ROW_START = 0
 ROW_PRESSURE = 0
-ROW_PHI = 0
 ROW_PUSH = 0
 ROW_DELASSUS = 0
-ROW_SLIP = 0
 ROW_BOUND = 0
 ROW_SPAN = 0
+ROW_SLIP = 0
+ROW_PHI = 0
+ROW_SIDE = 0
+ROW_SOUGHT = 0
+ROW_WORST = 0
 ROW_PRESSED = 0
 ROW_GRIP = 0
 ROW_PULL = 0
@@ -86,7 +89,22 @@ def lane_keep(w: Array) -> None:
 
 
 def lane_friction(w: Array) -> None:
-    """From state, pressure, ROW_GRIP and the start's v: ROW_PUSH to ROW_BOUND and, in ROW_SPAN, the rates then."""
+    """From state, pressure, ROW_GRIP, ROW_DT and the start's v: ROW_PUSH to ROW_SLIP."""
+    raise NotImplementedError
+
+
+def lane_sides(w: Array) -> None:
+    """From ROW_DELASSUS to ROW_SOUGHT: ROW_SIDE, at which bound friction is or 0, and ROW_SOUGHT, where it changed."""
+    raise NotImplementedError
+
+
+def lane_hold(w: Array) -> None:
+    """From ROW_DELASSUS to ROW_SOUGHT: ROW_SLIP and ROW_PHI with what sticks held, where friction is sought."""
+    raise NotImplementedError
+
+
+def lane_rub(w: Array) -> None:
+    """From ROW_PUSH, ROW_SPAN, ROW_PHI and what was there before, in ROW_SUM: the rows of q and v with what is new."""
     raise NotImplementedError
 
 

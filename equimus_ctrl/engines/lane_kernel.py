@@ -2,7 +2,7 @@
 
 The classical Runge–Kutta method of order four on a fixed grid. Dry friction is held over each step and corrected at its
 end by the impulses that velocity-level Coulomb friction asks for: a box-constrained complementarity problem, solved by
-projected Gauss–Seidel from the last step's friction. While something slides the held friction is exact and the method
+active sets from the last step's friction, and by projected Gauss–Seidel where these do not settle. While something slides the held friction is exact and the method
 keeps its order; where it sticks, velocities are zero to the solver's residual and angles do not drift. Where it turns
 within a step, the correction counts from the instant of the turn, so that a turn costs an error of the step squared.
 """
@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from equimus_ctrl.effects.command import followed_history
-from equimus_ctrl.effects.sensors import sample
+from equimus_ctrl.effects.sensors import LATE, PLAY, hermite, read, sample
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ACTUATORS,
@@ -26,91 +26,122 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_CONSTANTS,
     ROW_DELASSUS,
     ROW_DEPTHS,
+    ROW_DT,
     ROW_GAPS,
     ROW_PHI,
     ROW_PRESSED,
     ROW_PRESSURE,
     ROW_PUSH,
     ROW_RATE,
+    ROW_SIDE,
     ROW_SLIP,
+    ROW_SOUGHT,
     ROW_SPAN,
     ROW_START,
     ROW_SUM,
+    ROW_WORST,
     ROW_X,
     WORK_ROWS,
     lane_depths,
     lane_friction,
+    lane_hold,
     lane_motion,
     lane_rest,
+    lane_rub,
+    lane_sides,
     prepare_lane,
 )
-from equimus_ctrl.engines.lane_steps import N_STATE, grip_limits, lane_stops, press_as_asked, step
+from equimus_ctrl.engines.lane_steps import N_STATE, anything_pressed, grip_limits, lane_stops, press_as_asked, step
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.types import Array
 
-MOST_SWEEPS = 100
+MOST_SWEEPS, MOST_SOLUTIONS = 100, 8
 RESIDUAL = 1e-9
 """Rate [rad/s or m/s] below which friction is taken as found."""
-SLIDING = 1e-6
-"""Rate [rad/s or m/s] above which something slides, and may turn."""
+NO_SIDE = 2.0
+"""In ROW_SIDE before it is known."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sweep(w: Array, rubbing: Array) -> None:
+    """Find the friction of one row after another, in lanes where it is sought still (projected Gauss–Seidel).
+
+    Args:
+        w: work array.
+        rubbing: rows where any lane has dry friction.
+    """
+    for l in range(LANES):  # noqa: E741
+        w[ROW_WORST * LANES + l] = 0.0
+    for r in rubbing:
+        own = (ROW_DELASSUS + r * (N_ROWS + 1)) * LANES
+        for l in range(LANES):  # noqa: E741
+            bound = w[(ROW_BOUND + r) * LANES + l]
+            old = w[(ROW_PHI + r) * LANES + l]
+            # An actuator without a lever arm cannot rub.
+            span = w[(ROW_SPAN + r) * LANES + l]
+            push = w[(ROW_SLIP + r) * LANES + l] / (w[own + l] * span) if w[own + l] > 0.0 else 0.0
+            new = min(max(old - push, -bound), bound) if w[ROW_SOUGHT * LANES + l] > 0.0 else old
+            w[(ROW_PHI + r) * LANES + l] = new
+            w[ROW_RATE * LANES + l] = (new - old) * span
+            w[ROW_WORST * LANES + l] = max(w[ROW_WORST * LANES + l], abs(new - old) * span * w[own + l])
+        for s in rubbing:
+            for l in range(LANES):  # noqa: E741
+                w[(ROW_SLIP + s) * LANES + l] += (
+                    w[(ROW_DELASSUS + s + r * N_ROWS) * LANES + l] * w[ROW_RATE * LANES + l]
+                )
+    for l in range(LANES):  # noqa: E741
+        w[ROW_SOUGHT * LANES + l] = 1.0 if w[ROW_WORST * LANES + l] > RESIDUAL else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sought_in_any(w: Array) -> bool:
+    """Whether friction is sought in any lane."""
+    left = 0.0
+    for l in range(LANES):  # noqa: E741
+        left += w[ROW_SOUGHT * LANES + l]
+    return left > 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_at_once(w: Array) -> bool:
+    """Find the friction of all rows at once, see ``models.sticking``; what goes on changing is left to ``sweep``.
+
+    Returns:
+        Whether it is found in all lanes.
+    """
+    for i in range(N_ROWS * LANES):
+        w[ROW_SIDE * LANES + i] = NO_SIDE
+    for _ in range(MOST_SOLUTIONS):
+        lane_sides(w)
+        if not sought_in_any(w):
+            return True
+        lane_hold(w)
+    return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def correct_friction(w: Array, dt: float, rubbing: Array) -> None:
     """Find the friction that the step's end asks for, and change angles and velocities by what is new in it.
 
+    Each lane stops when its own friction is found, whatever the others do.
+
     Args:
         w: work array.
         dt: [s].
         rubbing: rows where any lane has dry friction.
     """
+    for l in range(LANES):  # noqa: E741
+        w[ROW_DT * LANES + l] = dt
+        w[ROW_SOUGHT * LANES + l] = 1.0
     lane_friction(w)
     for i in range(N_ROWS * LANES):
         w[ROW_SUM * LANES + i] = w[ROW_PHI * LANES + i]
-    # What changes with a turn does so from then on; with nothing that turns, from the start of the step.
-    for r in rubbing:
-        for l in range(LANES):  # noqa: E741
-            before, after = w[(ROW_SPAN + r) * LANES + l], w[(ROW_SLIP + r) * LANES + l]
-            turns = before * after < 0.0 and abs(before) > SLIDING
-            w[(ROW_SPAN + r) * LANES + l] = dt * after / (after - before) if turns else dt
-    # Each lane stops when its own friction is found, whatever the others do; the rows of the start are free by now.
-    sought, worst = ROW_START * LANES, (ROW_START + 1) * LANES
-    for l in range(LANES):  # noqa: E741
-        w[sought + l] = 1.0
-    for _ in range(MOST_SWEEPS):
-        for l in range(LANES):  # noqa: E741
-            w[worst + l] = 0.0
-        for r in rubbing:
-            own = (ROW_DELASSUS + r * (N_ROWS + 1)) * LANES
-            for l in range(LANES):  # noqa: E741
-                bound = w[(ROW_BOUND + r) * LANES + l]
-                old = w[(ROW_PHI + r) * LANES + l]
-                # An actuator without a lever arm cannot rub.
-                span = w[(ROW_SPAN + r) * LANES + l]
-                push = w[(ROW_SLIP + r) * LANES + l] / (w[own + l] * span) if w[own + l] > 0.0 else 0.0
-                new = min(max(old - push, -bound), bound) if w[sought + l] > 0.0 else old
-                w[(ROW_PHI + r) * LANES + l] = new
-                w[ROW_RATE * LANES + l] = (new - old) * span
-                w[worst + l] = max(w[worst + l], abs(new - old) * span * w[own + l])
-            for s in rubbing:
-                for l in range(LANES):  # noqa: E741
-                    w[(ROW_SLIP + s) * LANES + l] += (
-                        w[(ROW_DELASSUS + s + r * N_ROWS) * LANES + l] * w[ROW_RATE * LANES + l]
-                    )
-        left = 0.0
-        for l in range(LANES):  # noqa: E741
-            w[sought + l] = 1.0 if w[worst + l] > RESIDUAL else 0.0
-            left += w[sought + l]
-        if left == 0.0:
-            break
-    for r in rubbing:
-        for j in range(N_JOINTS):
-            for l in range(LANES):  # noqa: E741
-                span = w[(ROW_SPAN + r) * LANES + l]
-                more = (w[(ROW_PHI + r) * LANES + l] - w[(ROW_SUM + r) * LANES + l]) * span
-                change = w[(ROW_PUSH + j + r * N_JOINTS) * LANES + l] * more
-                w[(ROW_X + j) * LANES + l] += 0.5 * span * change
-                w[(ROW_X + N_JOINTS + j) * LANES + l] += change
+    if not find_at_once(w):
+        for _ in range(MOST_SWEEPS):
+            sweep(w, rubbing)
+            if not sought_in_any(w):
+                break
+    lane_rub(w)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -207,6 +238,66 @@ def begin(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def measure(
+    grid: Array, start: float, dt: float, sensor: Array, moving: bool, times: Array, out: Array, reached: Array
+) -> None:
+    """What the sensors of k lanes say of motions on a grid.
+
+    Args:
+        grid: (n, 2 nj·LANES) angles and velocities.
+        start: of the grid [s].
+        dt: of the grid [s].
+        sensor: (k, nj, 4), see ``effects.sensors``.
+        moving: whether joints moved before the start as they do there; else they stood still.
+        times: (m,) ascending [s].
+        out: (k, m, nj) written: measured angles [rad].
+        reached: (k,) written: m where all is well, else the index of the first sample that could not be had.
+    """
+    k, n = len(sensor), len(grid)
+    q, v = np.empty(n), np.empty(n)
+    reached[:] = len(times)
+    for j in range(N_JOINTS):
+        place, speeds = j * LANES, (N_JOINTS + j) * LANES
+        alike = True
+        for l in range(k):  # noqa: E741
+            alike = alike and sensor[l, j, PLAY] == 0.0 and sensor[l, j, LATE] == sensor[0, j, LATE]
+        if alike:
+            measure_alike(grid, j, start, dt, sensor, moving, times, out)
+        for l in range(k):  # noqa: E741
+            sound = 0
+            while sound < n and abs(grid[sound, speeds + l]) < MAX_SPEED:
+                sound += 1
+            if not alike:
+                for s in range(n):
+                    q[s], v[s] = grid[s, place + l], grid[s, speeds + l]
+                sample(q, v, start, dt, sensor[l, j], times, out[l, :, j], v[0] if moving else 0.0)
+            if sound < n:
+                lost = start + (sound - 1) * dt + sensor[l, j, LATE]
+                reached[l] = min(reached[l], np.searchsorted(times, lost, side="right"))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure_alike(
+    grid: Array, j: int, start: float, dt: float, sensor: Array, moving: bool, times: Array, out: Array
+) -> None:
+    """What ``effects.sensors.sample`` says of a joint in all lanes, whose sensors are equally late and have no play."""
+    k, n = len(sensor), len(grid)
+    place, speeds, late = j * LANES, (N_JOINTS + j) * LANES, sensor[0, j, LATE]
+    angles = np.empty(LANES)
+    for i in range(len(times)):
+        at = (times[i] - late - start) / dt
+        s = min(int(at), n - 2) if at > 0.0 else 0
+        for l in range(LANES):  # noqa: E741
+            q, v = grid[s, place + l], grid[s, speeds + l]
+            if at > 0.0:
+                angles[l] = hermite(q, v, grid[s + 1, place + l], grid[s + 1, speeds + l], dt, at - s)
+            else:
+                angles[l] = q + (v if moving else 0.0) * at * dt
+        for l in range(k):  # noqa: E741
+            out[l, i, j] = read(sensor[l, j], angles[l])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def run_trials(
     parameters: Array,
     times: Array,
@@ -252,11 +343,10 @@ def run_trials(
         reached: (trials, k) written: how many samples a trial has where all is well, else the index of the first that
             could not be had.
     """
-    k, most = len(parameters), steps.max()
+    most = steps.max()
     w, alike = prepared(parameters), neighbours(commands, before, valve, follow)
     drive = np.empty((most, 2, N_ACTUATORS * LANES))
     grid = np.empty((most + 1, 2 * N_JOINTS * LANES))
-    q, v = np.empty(most + 1), np.empty(most + 1)
     for trial in range(len(start)):
         n, low, high = steps[trial], place[trial], place[trial + 1]
         sampled = out_times[low:high]
@@ -264,22 +354,7 @@ def run_trials(
         at = start[trial]
         begin(w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, alike)
         run_lanes(w, own, dt, rubbing, grid[: n + 1])
-        for l in range(k):  # noqa: E741
-            reached[trial, l] = high - low
-            for j in range(N_JOINTS):
-                sound = n + 1
-                for s in range(n + 1):
-                    q[s] = grid[s, j * LANES + l]
-                    v[s] = grid[s, (N_JOINTS + j) * LANES + l]
-                for s in range(n + 1):
-                    if not abs(v[s]) < MAX_SPEED:
-                        sound = s
-                        break
-                early = v[0] if moving else 0.0
-                sample(q[: n + 1], v[: n + 1], at, dt, sensor[l, j], sampled, out[l, low:high, j], early)
-                if sound <= n:
-                    lost = at + (sound - 1) * dt + sensor[l, j, 2]
-                    reached[trial, l] = min(reached[trial, l], np.searchsorted(sampled, lost, side="right"))
+        measure(grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -352,7 +427,7 @@ def put_states(w: Array, begin: int, q: Array, v: Array, z: Array, pressure: Arr
             w[(ROW_PRESSURE + i) * LANES + l] = pressure[k, i]
         for i in range(N_LIMITS):
             w[(ROW_PRESSED + i) * LANES + l] = pressed[k, i]
-    grip_limits(w)
+    grip_limits(w, anything_pressed(w))
     return here
 
 

@@ -75,26 +75,25 @@ def beyond_limits(w: Array) -> bool:
     if N_LIMITS == 0:
         return False
     lane_depths(w)
-    deepest = -1.0
-    for i in range(N_LIMITS * LANES):
-        depth = w[ROW_DEPTHS * LANES + i]
-        deepest = depth if depth > deepest else deepest
-    return deepest > 0.0
+    for i in range(N_LIMITS * LANES):  # noqa: SIM110
+        if w[ROW_DEPTHS * LANES + i] > 0.0:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def anything_pressed(w: Array) -> bool:
     """Whether a limit is pressed in any lane."""
-    pressed = 0.0
-    for i in range(N_LIMITS * LANES):
-        pressed += w[ROW_PRESSED * LANES + i]
-    return pressed > 0.0
+    for i in range(N_LIMITS * LANES):  # noqa: SIM110
+        if w[ROW_PRESSED * LANES + i] > 0.0:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def grip_limits(w: Array) -> None:
-    """Write what the pressed limits do in the state in ROW_X."""
-    if anything_pressed(w):
+def grip_limits(w: Array, pressed: bool) -> None:
+    """Write what the limits do in the state in ROW_X, where any is pressed, else nothing."""
+    if pressed:
         lane_grips(w)
     else:
         for i in range(2 * N_LIMITS * LANES):
@@ -105,7 +104,7 @@ def grip_limits(w: Array) -> None:
 def lane_stops(w: Array) -> None:
     """From state, pressure, friction and pressed limits: ROW_GAPS, above 0 where a limit would be pressed."""
     if SOFT_LIMITS:
-        grip_limits(w)
+        grip_limits(w, anything_pressed(w))
         lane_motion(w)
     lane_gaps(w)
 
@@ -133,26 +132,28 @@ def advance_at_once(w: Array, drive: Array, dt: float) -> None:
             w[(ROW_PRESSURE + i) * LANES + l] = mean + end * slope
     for l in range(LANES):  # noqa: E741
         w[ROW_DT * LANES + l] = dt
-    grip_limits(w)
+    grip_limits(w, False)
     lane_whole_step(w)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def advance(w: Array, drive: Array, dt: float, follow: bool) -> None:
+def advance(w: Array, drive: Array, dt: float, pressed: bool, follow: bool = False) -> None:
     """One Runge–Kutta step from ROW_START over each lane's own part of the grid's step.
 
     Args:
         w: work array; ROW_FROM and ROW_PART say where the part begins and how long it is, as shares of the step.
         drive: (2, na·LANES) mean and slope of the pressures over the step [Pa].
         dt: the grid's step [s].
+        pressed: whether any limit is pressed.
         follow: whether stops follow the state within the step; those pressed are held else.
     """
-    if SHORT and not follow and not anything_pressed(w):
+    if SHORT and not follow and not pressed:
         advance_at_once(w, drive, dt)
         return
     copy_rows(w, ROW_START, ROW_X, N_STATE)
     for i in range(N_STATE * LANES):
         w[ROW_SUM * LANES + i] = 0.0
+    grip_limits(w, pressed)
     for stage in range(4):
         into = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
         for i in range(N_ACTUATORS):
@@ -161,8 +162,10 @@ def advance(w: Array, drive: Array, dt: float, follow: bool) -> None:
                 w[(ROW_PRESSURE + i) * LANES + l] = drive[0, i * LANES + l] + share * drive[1, i * LANES + l]
         if follow:
             press_as_asked(w)
+            grip_limits(w, anything_pressed(w))
+        elif pressed:
+            grip_limits(w, True)
         copy_rows(w, ROW_X + N_JOINTS, ROW_RATE, N_JOINTS)
-        grip_limits(w)
         lane_motion(w)
         weight = 1.0 if stage == 0 or stage == 3 else 2.0
         h = 0.5 * dt if stage < 2 else dt
@@ -179,9 +182,9 @@ def advance(w: Array, drive: Array, dt: float, follow: bool) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stops_change(w: Array) -> bool:
+def stops_change(w: Array, pressed: bool) -> bool:
     """Whether any lane's state asks for other limits to be pressed than those held; then it writes ROW_GAPS."""
-    if not (beyond_limits(w) or anything_pressed(w)):
+    if not (pressed or beyond_limits(w)):
         return False
     lane_stops(w)
     worst = 0.0
@@ -216,7 +219,9 @@ def limit_parts(w: Array, dt: float) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_changes(w: Array, drive: Array, dt: float, side: NDArray[np.int64], allowed: NDArray[np.bool_]) -> None:
+def find_changes(
+    w: Array, drive: Array, dt: float, pressed: bool, side: NDArray[np.int64], allowed: NDArray[np.bool_]
+) -> None:
     """Shorten the parts of lanes whose stops change within them to just behind the first change, and go there.
 
     The instants are found by regula falsi (Anderson and Björck) on the motion itself, so that the method keeps its
@@ -226,6 +231,7 @@ def find_changes(w: Array, drive: Array, dt: float, side: NDArray[np.int64], all
         w: work array; the parts' ends are in ROW_X and ROW_GAPS.
         drive: (2, na·LANES) [Pa].
         dt: the grid's step [s].
+        pressed: whether any limit is pressed.
         side: (LANES,) written: which stop changes there, −1 where none does.
         allowed: (LANES,) whether a lane's step may still be cut.
     """
@@ -263,7 +269,7 @@ def find_changes(w: Array, drive: Array, dt: float, side: NDArray[np.int64], all
                 tried = right[l] - at_right[l] * (right[l] - left[l]) / (at_right[l] - at_left[l])
                 tried += 0.5 * SHARPNESS * part[l]
                 w[ROW_PART * LANES + l] = tried if left[l] < tried < right[l] else 0.5 * (left[l] + right[l])
-        advance(w, drive, dt, False)
+        advance(w, drive, dt, pressed)
         lane_stops(w)
         sought = False
         for l in range(LANES):  # noqa: E741
@@ -285,7 +291,7 @@ def find_changes(w: Array, drive: Array, dt: float, side: NDArray[np.int64], all
             sought = sought or left[l] < right[l]
     for l in range(LANES):  # noqa: E741
         w[ROW_PART * LANES + l] = right[l]
-    advance(w, drive, dt, False)
+    advance(w, drive, dt, pressed)
     for l in range(LANES):  # noqa: E741
         if side[l] < 0:
             for i in range(N_STATE):
@@ -308,8 +314,9 @@ def finish_step(w: Array, drive: Array, dt: float) -> None:
     for part in range(MOST_PARTS):
         for l in range(LANES):  # noqa: E741
             side[l] = -1
-        if stops_change(w):
-            find_changes(w, drive, dt, side, cuts < MOST_CUTS)
+        pressed = anything_pressed(w)
+        if stops_change(w, pressed):
+            find_changes(w, drive, dt, pressed, side, cuts < MOST_CUTS)
         copy_rows(w, ROW_X, ROW_START, N_STATE)
         left = 0.0
         for l in range(LANES):  # noqa: E741
@@ -323,7 +330,7 @@ def finish_step(w: Array, drive: Array, dt: float) -> None:
             break
         # The last part takes all that is left: over no time nothing is too fast.
         limit_parts(w, dt if part < MOST_PARTS - 2 else 0.0)
-        advance(w, drive, dt, False)
+        advance(w, drive, dt, anything_pressed(w))
     copy_rows(w, ROW_BEGIN, ROW_START, N_STATE)
 
 
@@ -339,9 +346,10 @@ def step(w: Array, drive: Array, dt: float) -> None:
     copy_rows(w, ROW_X, ROW_START, N_STATE)
     for l in range(LANES):  # noqa: E741
         w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
-    limited = (QUICK_INSIDE or anything_pressed(w)) and limit_parts(w, dt)
-    advance(w, drive, dt, False)
-    if limited or stops_change(w):
+    pressed = anything_pressed(w)
+    limited = (QUICK_INSIDE or pressed) and limit_parts(w, dt)
+    advance(w, drive, dt, pressed)
+    if limited or stops_change(w, pressed):
         finish_step(w, drive, dt)
     if BOUNDED:
         lane_keep(w)

@@ -17,3 +17,6 @@ MOST_DIVISOR = 16
 NOTHING = 1e-100
 """Angles and rates smaller than this are none: processors are many times slower with the denormal numbers that speeds
 at rest decay into."""
+
+SLIDING = 1e-6
+"""Rate [rad/s or m/s] above which what has dry friction slides, and may turn."""

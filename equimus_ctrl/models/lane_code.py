@@ -124,10 +124,11 @@ def _write(
     function = routine.function(parameters)
     steps = steps_of(function)
     constant = parameters_alone(steps, len(routine.inputs))
-    inverses, rows = inverted(steps, constant), list(routine.rows.values())
+    inverses, rows = inverted(steps, constant), [routine.rows[name] for name in routine.inputs]
     work, numbers = own.builder.function.args[0], alone.builder.function.args[0]
     values: list[Any] = []
     read: dict[int, Any] = {}
+    results: list[tuple[Any, int]] = []
 
     def in_lanes(k: int) -> Any:
         """A step's value in all lanes."""
@@ -151,7 +152,7 @@ def _write(
             else:
                 values.append(own.load(work, (rows[argument] + entry) * own.width))
         elif step.operation == ca.OP_OUTPUT:
-            own.store(in_lanes(step.arguments[0]), work, (routine.result + step.place[1]) * own.width)
+            results.append((in_lanes(step.arguments[0]), (routine.result + step.place[1]) * own.width))
             values.append(None)
         elif constant[k]:
             given = [alone.number(v) if isinstance(v := values[a], float) else v for a in step.arguments]
@@ -167,6 +168,9 @@ def _write(
             values.append(own.operate(ca.OP_MUL, [in_lanes(step.arguments[0]), inverse], routine.name))
         else:
             values.append(own.operate(step.operation, [in_lanes(a) for a in step.arguments], routine.name))
+    # Results may take the place of inputs, so that all of these are read before.
+    for value, index in results:
+        own.store(value, work, index)
     own.builder.ret_void()
 
 

@@ -69,7 +69,7 @@ def step_lanes(w: Array, drive: Array, dt: float, rubbing: Array) -> None:
     copy_rows(w, ROW_X, ROW_START, N_STATE)
     for l in range(LANES):  # noqa: E741
         w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
-    advance(w, drive, dt, True)
+    advance(w, drive, dt, False, True)
     if N_ROWS > 0 and len(rubbing) > 0:
         correct_friction(w, dt, rubbing)
 
