@@ -22,7 +22,9 @@ import numpy as np
 from mujoco.batch import Batch
 from mujoco.rollout import Rollout
 
-from equimus_ctrl.engines.batch import Encoded, Trial, encode, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.encoding import Encoded, encode
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array

@@ -38,8 +38,10 @@ from _mjcf_chains import (
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl import workflow
-from equimus_ctrl.engines.batch import Trial, encode, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import place
 from equimus_ctrl.models.model import Model

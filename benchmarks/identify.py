@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.parameters import FreeParameters, free_parameters

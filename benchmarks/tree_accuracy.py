@@ -31,7 +31,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ModelError, SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot

@@ -37,8 +37,9 @@ from .effects import (
     parameter as parameter,
     register as register,
 )
-from .engines.batch import Trial as Trial, simulate as simulate
+from .engines.batch import simulate as simulate
 from .engines.mujoco_batch import MujocoBatch as MujocoBatch
+from .engines.trials import Trial as Trial
 from .engines.predict import measured_start as measured_start, predict as predict
 from .errors import (
     ConfigError as ConfigError,

@@ -25,7 +25,8 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.effects import REGISTRY
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import free_parameters, unit_of
 from equimus_ctrl.identification.residuals import residuals_of

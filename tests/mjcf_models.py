@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.effects import Effect
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Recording
 

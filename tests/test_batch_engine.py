@@ -36,8 +36,10 @@ from equimus_ctrl.effects import (
 from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.force import Parameters, force_laws
 from equimus_ctrl.engines import compiled
-from equimus_ctrl.engines.batch import Predicted, Trial, encode, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.engines.lane_functions import LANES
+from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.augmented import law_parameters, slots_of
 from equimus_ctrl.models.kinematics import Kinematics

@@ -10,7 +10,8 @@ from morphologies import integrate, newton_acceleration, pendulum, random_morpho
 
 from equimus_ctrl.effects import Effect, GravityTilt, ParallelSpring, PayloadMass
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant

@@ -21,8 +21,9 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.diagnosis.where import where_off
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, parse
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.rest import rest_pose
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.identification.simulators import reduced_simulator

@@ -8,7 +8,8 @@ from equimus_ctrl.diagnosis.candidates import Candidate, Part, uncertain
 from equimus_ctrl.diagnosis.fitting import WORSE, Data, Fitted
 from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.effects.valves import Cutoff
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.kinematics import Kinematics

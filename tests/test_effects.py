@@ -31,7 +31,9 @@ from equimus_ctrl.effects import (
 )
 from equimus_ctrl.effects.base import Side, check_locations
 from equimus_ctrl.effects.valves import DELAY, FILL, FLOW, POWER, RATE, VENT, shaped_commands, valve_settings
-from equimus_ctrl.engines.batch import KNOWN_KINDS, Trial, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.encoding import KNOWN_KINDS
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
 from equimus_ctrl.robots.elastic.leg import nominal_leg

@@ -13,12 +13,14 @@ import pytest
 from mjcf_models import CRANE, RIG, cart, pendulum, swinging
 
 from equimus_ctrl.effects import CoulombFriction, DriveCompliance, Effect, PayloadMass, ViscousFriction
-from equimus_ctrl.engines.batch import Trial, encode, simulate
+from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.choice import MujocoEngine, ReducedEngine, engine_for
+from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.engines.field import Field
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.motion import motion
 from equimus_ctrl.engines.step_choice import noise_of
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.parts import constrained, gaps, grips

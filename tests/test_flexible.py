@@ -25,8 +25,8 @@ from equimus_ctrl.diagnosis.flexible import (
 )
 from equimus_ctrl.diagnosis.response import Linearised, along_actuator, linearise
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.motion import Motion, motion
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.fit import Fit, fit
 from equimus_ctrl.identification.parameters import free_parameters

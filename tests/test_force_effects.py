@@ -27,7 +27,9 @@ from equimus_ctrl.effects import (
 )
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.engines import compiled
-from equimus_ctrl.engines.batch import Trial, encode, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.encoding import encode
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.leg import nominal_leg

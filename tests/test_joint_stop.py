@@ -14,9 +14,10 @@ from morphologies import pendulum
 
 from equimus_ctrl.effects import GravityTilt, ParallelSpring, PayloadMass, TransportDelay
 from equimus_ctrl.effects.bodies import JointStop, changed_bodies
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.parameters import default_bounds, free_parameters, unit_of
 from equimus_ctrl.identification.statics import fit_static, pressed, rest_poses

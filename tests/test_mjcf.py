@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from morphologies import STRUCTURES, integrate, newton_acceleration, pendulum, random_morphology, random_poses
 
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import SolverSettings, build_spec, close_elements, compile_model

@@ -29,8 +29,8 @@ from equimus_ctrl.effects import (
     TransportDelay,
     ViscousFriction,
 )
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.parameters import default_names, free_parameters
 from equimus_ctrl.models.model import FORMAT, Model, model_from_dict, model_to_dict
 from equimus_ctrl.robots.elastic.leg import nominal_leg

@@ -10,11 +10,11 @@ from mujoco_runs import rms, varied
 
 from equimus_ctrl.effects import ParallelSpring
 from equimus_ctrl.engines import mujoco_batch
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.limits import FOLLOWED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch, near_stop, stop_divisor
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.steps import rates_at
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.elastic.morphology import JointStop, Morphology, Phase

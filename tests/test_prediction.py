@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.effects import Effect, make
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.rest import rest_pose
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import Prediction, prediction

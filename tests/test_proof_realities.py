@@ -26,9 +26,9 @@ from equimus_ctrl.effects import (
     catalogue as catalogue_of,
 )
 from equimus_ctrl.effects.force import force_laws
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import outside, sizes

@@ -14,8 +14,8 @@ from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.effects import GravityTilt
 from equimus_ctrl.effects.base import REGISTRY, Effect
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.designs import TrialDesign

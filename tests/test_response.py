@@ -29,8 +29,9 @@ from equimus_ctrl.effects import (
     TransportDelay,
 )
 from equimus_ctrl.effects.force import force_laws
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.motion import Motion, motion
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.augmented import slots_of
 from equimus_ctrl.models.kinematics import Kinematics

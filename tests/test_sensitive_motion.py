@@ -10,9 +10,9 @@ import pytest
 from equimus_ctrl.diagnosis.candidates import uncertain
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.policy import SearchPolicy
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.choice import MujocoEngine, engine_for
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification import residuals
 from equimus_ctrl.identification.problem import Problem
 from equimus_ctrl.identification.residuals import DIFFERENCE, difference, followed, residuals_of

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from equimus_ctrl.effects import Backlash, Effect, FirstOrderLag, SensorDelay, SensorOffset, SensorScale
 from equimus_ctrl.effects.sensors import follow, hermite, sample, sensor_settings
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.predict import measured_start, predict
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.robots.elastic.leg import nominal_leg

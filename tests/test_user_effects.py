@@ -14,7 +14,8 @@ from morphologies import integrate
 from equimus_ctrl import presets
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.effects import REGISTRY, Effect, make, register
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model

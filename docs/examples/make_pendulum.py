@@ -9,8 +9,8 @@ import numpy as np
 
 from equimus_ctrl import workflow
 from equimus_ctrl.effects import CoulombFriction
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import write
 from equimus_ctrl.types import Recording

@@ -10,7 +10,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.moves import Searched
 from equimus_ctrl.diagnosis.results import Experiment, Finding, Named
-from equimus_ctrl.engines.batch import Trial
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise, whiten
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 from equimus_ctrl.diagnosis.response import linearise
 from equimus_ctrl.engines.base import Engine, ForceResponse
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.mjcf_motion import simulated_response
 from equimus_ctrl.engines.motion import motion
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.effects.sensors import LATE, SCALE
-from equimus_ctrl.engines.batch import Encoded
+from equimus_ctrl.engines.encoding import Encoded
 from equimus_ctrl.engines.field import Field, States
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.errors import ConfigError

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.motion import Motion
+from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 

@@ -3,261 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from types import ModuleType
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from equimus_ctrl.computer import processors
-from equimus_ctrl.effects.base import require_kinds
-from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
-from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import SCALE, SensorEffect, sensor_settings
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.sensors import SCALE
 from equimus_ctrl.effects.valves import (
-    DELAY,
-    FILL,
-    FLOW,
-    RATE,
-    VENT,
     ShapingEffect,
-    ValveEffect,
     shaped_commands,
-    valve_settings,
 )
-from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines.encoding import Encoded, grouped
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
+from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.augmented import law_parameters, rubbing_places, slots_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
-from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Mechanics, Structure
-from equimus_ctrl.robots.mjcf.form import FAR
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.robots.mechanics import INTEGRATED, Structure
+from equimus_ctrl.types import Array
 
 STEP = 1e-3
 """Default physics step [s]."""
 PARTS = 4
 """In so many parts for each thread work is divided, so that none waits long for the others."""
-
-Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
-KNOWN_KINDS = (BodyEffect, ForceEffect, SensorEffect, ShapingEffect, ValveEffect)
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A command history and the times at which the angles are wanted.
-
-    Attributes:
-        name: for messages.
-        times: (n,) ascending instants from which each command holds [s].
-        commands: (n, na) [Pa].
-        before: (na,) command in force before times[0] [Pa], the pressures settled under it.
-        start: when the motion starts [s].
-        position: (nj,) angles there [rad].
-        sample_times: (m,) ascending, none before ``start`` [s].
-        velocity: (nj,) joint velocities at the start [rad/s]; none by default.
-        settings: numbers of the model that are known to be others in this trial, by dotted name.
-        factors: the same, in units of what the model has.
-        activation: (na,) what integrators of commands begin with; by default where their actuators are.
-    """
-
-    name: str
-    times: Array
-    commands: Array
-    before: Array
-    start: float
-    position: Array
-    sample_times: Array
-    velocity: Array | None = None
-    settings: Mapping[str, float] = field(default_factory=dict)
-    factors: Mapping[str, float] = field(default_factory=dict)
-    activation: Array | None = None
-
-    @property
-    def condition(self) -> Condition:
-        """What tells apart trials in which a model has other numbers."""
-        return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))
-
-    @classmethod
-    def of(cls, recording: Recording, position: ArrayLike, window: tuple[float, float] | None = None) -> Trial:
-        """A recording's commands and times, the motion starting at its first row, or at the window's beginning.
-
-        Args:
-            recording: whose.
-            position: (nj,) angles at the start [rad].
-            window: (from, to) what is sampled and simulated [s]; the whole recording by default.
-        """
-        time = recording.time
-        inside = np.ones(len(time), dtype=bool)
-        if window is not None:
-            inside = (time >= window[0]) & (time <= window[1])
-        start = time[0] if window is None else max(window[0], time[0])
-        return cls(
-            recording.name,
-            np.array(time),
-            np.array(recording.command),
-            np.array(recording.command_before),
-            float(start),
-            np.array(position, dtype=np.float64),
-            np.array(time[inside]),
-        )
-
-    def starting_from(self, position: ArrayLike) -> Trial:
-        """The same from other angles (nj,) [rad]."""
-        return replace(self, position=np.array(position, dtype=np.float64))
-
-
-@dataclass(frozen=True, eq=False)
-class Predicted:
-    """What ``simulate`` found for one trial.
-
-    Attributes:
-        position: (k, m, nj) measured angles of each model [rad]; numbers after a divergence mean nothing.
-        reached: (k,) m where all is well, else the index of the first sample that could not be had.
-    """
-
-    position: Array
-    reached: NDArray[np.int64]
-
-    @property
-    def sound(self) -> NDArray[np.bool_]:
-        """(k,) which models went through without diverging."""
-        return np.asarray(self.reached == self.position.shape[1])
-
-
-@dataclass(frozen=True, eq=False)
-class Encoded:
-    """Models of one structure as the arrays that the kernels take.
-
-    Attributes:
-        models: (k) whose.
-        mechanics: (k) of their robots, with all effects on bodies.
-        parameters: (k, np).
-        valve: (k, na, 6).
-        follow: (k, na, 6).
-        between: (k, 2, na) lowest and highest command that gets to the valves.
-        sensor: (k, nj, 4).
-        rubbing: rows of dry friction in use.
-    """
-
-    models: Sequence[Model]
-    mechanics: Sequence[Mechanics]
-    parameters: Array
-    valve: Array
-    follow: Array
-    between: Array
-    sensor: Array
-    rubbing: NDArray[np.int64]
-
-    @property
-    def form(self) -> Structure:
-        """Of all of them."""
-        return self.mechanics[0].form
-
-    @property
-    def kernel(self) -> ModuleType:
-        """The compiled kernel of their form."""
-        return compiled.load_lanes(self.form, self.models[0].phase, force_laws(self.models[0].robot.traits.catalogue))
-
-
-def encode(models: Sequence[Model], trial: Trial | None = None) -> Encoded:
-    """The arrays of some models.
-
-    Args:
-        models: of one structure and phase.
-        trial: in which some numbers are known to be others.
-
-    Raises:
-        ConfigError: where there is none, they differ in structure or phase, or an effect is of no kind known here.
-    """
-    if not models:
-        raise ConfigError("no model was given to simulate")
-    return _encoded(models, [_mechanics(model, trial) for model in models])
-
-
-def _encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
-    first, form = models[0], mechanics[0].form
-    laws = force_laws(first.robot.traits.catalogue)
-    slots, places = slots_of(form, laws), rubbing_places(form, laws)
-    in_use: set[int] = set()
-    rows, valves, follows, between, sensors = [], [], [], [], []
-    for model, own in zip(models, mechanics, strict=True):
-        if model.phase != first.phase or own.form != form:
-            raise ConfigError(
-                f"{model.name} and {first.name} differ in structure or phase, so they cannot run together"
-            )
-        require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the reduced engine")
-        for effect in model.effects:
-            if isinstance(effect, ForceEffect) and (effect.rubs or effect.loads):
-                in_use |= {
-                    r for r, (kind, i) in enumerate(places) if own.law_places.get(kind, {i: ""})[i] == effect.location
-                }
-        in_use |= _own_friction(own, places)
-        rows.append(
-            np.concatenate(
-                [own.numbers, law_parameters(slots, model.effects, own.law_places["joint"], own.law_places["actuator"])]
-            )
-        )
-        valve, follow, counting = _channels(model, own)
-        valves.append(valve)
-        follows.append(follow)
-        between.append(counting)
-        sensors.append(sensor_settings(model.effects, model.robot.joint_names))
-    return Encoded(
-        models,
-        mechanics,
-        np.array(rows),
-        np.array(valves),
-        np.array(follows),
-        np.array(between),
-        np.array(sensors),
-        np.array(sorted(in_use), dtype=np.int64),
-    )
-
-
-def _mechanics(model: Model, trial: Trial | None) -> Mechanics:
-    robot = model.robot
-    if trial is not None and (trial.settings or trial.factors):
-        known = robot.parameters()
-        settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
-        robot = robot.with_parameters(settings)
-    return changed_bodies(model.effects, robot).mechanics()
-
-
-def _own_friction(own: Mechanics, places: Sequence[tuple[str, int]]) -> set[int]:
-    """Rows at which the robot itself has dry friction."""
-    found = own.friction()
-    return {r for r, place in enumerate(places) if found.get(place, 0.0) > 0}
-
-
-def _channels(model: Model, own: Mechanics) -> tuple[Array, Array, Array]:
-    """(na, 6) valves, (na, 6) what follows the commands behind them, and (2, na) between what commands get there."""
-    valve = valve_settings(model.effects, model.robot.actuator_names)
-    follow = np.zeros((len(own.channels), 6))
-    between = np.empty((2, len(own.channels)))
-    between[0], between[1] = -FAR, FAR
-    for i, channel in enumerate(own.channels):
-        valve[i, DELAY] += channel.delay
-        follow[i] = channel.kind, channel.number, channel.low, channel.high, channel.least, channel.most
-        if not (valve[i, FILL] == valve[i, VENT] == 0 and np.isinf(valve[i, [RATE, FLOW]]).all()):
-            continue
-        # Nothing is between the command and its bounds: they count by when a command changes within a step.
-        between[:, i] = channel.low, channel.high
-        if channel.kind == FILTERED and channel.least <= channel.low and channel.high <= channel.most:
-            valve[i, FILL] = valve[i, VENT] = channel.number
-            follow[i, 0] = DIRECT
-        if channel.kind == SLEWED:
-            valve[i, RATE] = channel.number
-            follow[i, 0] = DIRECT
-    return valve, follow, between
 
 
 def simulate(
@@ -321,7 +97,7 @@ def _simulated(
     count = threads or processors()
     for condition in dict.fromkeys(trial.condition for trial in trials):
         own_trials = [index for index, trial in enumerate(trials) if trial.condition == condition]
-        groups = _grouped(models, trials[own_trials[0]]) if coded is None else [(list(range(k)), coded)]
+        groups = grouped(models, trials[own_trials[0]]) if coded is None else [(list(range(k)), coded)]
         for chosen, arrays in groups:
             blocks = [
                 _Block(arrays, np.array(chosen[first : first + LANES]), slice(first, first + LANES), histories)
@@ -367,16 +143,6 @@ def _shared(trials: Sequence[Trial], chosen: Sequence[int]) -> list[list[int]]:
         # By which arrays they are: those live as long as the trials that are simulated.
         groups.setdefault((id(trial.times), id(trial.commands), trial.before.tobytes()), []).append(index)
     return list(groups.values())
-
-
-def _grouped(models: Sequence[Model], trial: Trial) -> list[tuple[list[int], Encoded]]:
-    """Models by their structure: which, and their arrays."""
-    groups: dict[tuple[Structure, str], list[int]] = {}
-    known = {id(model): _mechanics(model, trial) for model in {id(model): model for model in models}.values()}
-    mechanics = [known[id(model)] for model in models]
-    for i, (model, own) in enumerate(zip(models, mechanics, strict=True)):
-        groups.setdefault((own.form, model.phase), []).append(i)
-    return [(g, _encoded([models[i] for i in g], [mechanics[i] for i in g])) for g in groups.values()]
 
 
 class _Histories:

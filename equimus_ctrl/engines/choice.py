@@ -13,13 +13,14 @@ import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.engines.base import Discretisation, Engine, EngineName
-from equimus_ctrl.engines.batch import Predicted, Trial, simulate
+from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.contacts import touching
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
 from equimus_ctrl.engines.step_choice import followed_step, noise_of
 from equimus_ctrl.engines.steps import step_divisor
+from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-from equimus_ctrl.engines.batch import Encoded
+from equimus_ctrl.engines.encoding import Encoded
 from equimus_ctrl.types import Array
 
 STEP = 1e-5

@@ -2,9 +2,10 @@
 
 The classical Runge–Kutta method of order four on a fixed grid. Dry friction is held over each step and corrected at its
 end by the impulses that velocity-level Coulomb friction asks for: a box-constrained complementarity problem, solved by
-active sets from the last step's friction, and by projected Gauss–Seidel where these do not settle. While something slides the held friction is exact and the method
-keeps its order; where it sticks, velocities are zero to the solver's residual and angles do not drift. Where it turns
-within a step, the correction counts from the instant of the turn, so that a turn costs an error of the step squared.
+active sets from the last step's friction, and by projected Gauss–Seidel where these do not settle. While something
+slides the held friction is exact and the method keeps its order; where it sticks, velocities are zero to rounding and
+angles do not drift. Where it turns within a step, the correction counts from the instant of the turn, so that a turn
+costs an error of the step squared.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.sensors import LATE, sample, sensor_settings
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
-from equimus_ctrl.engines.batch import Condition, Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.trials import Condition, Predicted, Trial
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.computer import processors
-from equimus_ctrl.engines.batch import Condition, Trial
 from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, follow, measured_of, realise
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
+from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly

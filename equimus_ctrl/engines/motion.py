@@ -11,8 +11,10 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.effects.sensors import hermite
-from equimus_ctrl.engines.batch import STEP, Encoded, Trial, encode, first_activations, shaped_for
+from equimus_ctrl.engines.batch import STEP, first_activations, shaped_for
+from equimus_ctrl.engines.encoding import Encoded, encode
 from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build

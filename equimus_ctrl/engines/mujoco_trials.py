@@ -14,11 +14,11 @@ from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import SensorEffect, sample, sensor_settings
 from equimus_ctrl.effects.valves import ShapingEffect, ValveEffect, shaped_commands, valve_settings
-from equimus_ctrl.engines.batch import Predicted, Trial
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch, near_stop, stop_divisor
 from equimus_ctrl.engines.mujoco_forces import ForceStepper
 from equimus_ctrl.engines.steps import step_divisor, warn_if_coarse
+from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import SolverSettings, compile_model, place

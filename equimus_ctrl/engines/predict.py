@@ -11,9 +11,10 @@ import numpy as np
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.sensors import LATE, SCALE, behind, sensor_settings
 from equimus_ctrl.engines.base import EngineName
-from equimus_ctrl.engines.batch import STEP, Trial
+from equimus_ctrl.engines.batch import STEP
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.steps import step_divisor
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Recording

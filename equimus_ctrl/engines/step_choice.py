@@ -7,10 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from equimus_ctrl.engines.batch import Trial, encode, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.engines.field import Field
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import FEW, STABLE
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from equimus_ctrl.engines.batch import Predicted
+from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.identification.segments import LEAST_SAMPLES, Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model

@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.predict import (
     SET,
     SLOPE_SPAN,
@@ -23,6 +22,7 @@ from equimus_ctrl.engines.predict import (
     noted,
     slope_span,
 )
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Recording

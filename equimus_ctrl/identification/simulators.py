@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from equimus_ctrl.engines.base import Engine
-from equimus_ctrl.engines.batch import Predicted
 from equimus_ctrl.engines.choice import STEP, ReducedEngine, engine_for
 from equimus_ctrl.engines.predict import behind_all
+from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array

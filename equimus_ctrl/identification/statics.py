@@ -16,7 +16,7 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands
-from equimus_ctrl.engines.batch import KNOWN_KINDS, encode
+from equimus_ctrl.engines.encoding import KNOWN_KINDS, encode
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty

@@ -72,9 +72,9 @@ def _held(mobility: ca.SX, sticks: ca.SX, given: ca.SX, aim: ca.SX) -> ca.SX:
     n = sticks.numel()
     x = [ca.if_else(sticks[r], aim[r], given[r]) for r in range(n)]
     lower = [[ca.SX(0)] * n for _ in range(n)]
-    inverse = []
+    inverse: list[ca.SX] = []
     for r in range(n):
-        scaled = []
+        scaled: list[ca.SX] = []
         for s in range(r):
             entry = mobility[r, s] * (sticks[r] * sticks[s])
             for t in range(s):

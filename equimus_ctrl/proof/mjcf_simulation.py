@@ -19,11 +19,11 @@ from equimus_ctrl.diagnosis.candidates import uncertain
 from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.engines.batch import Trial
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, filled, measured_of, realise, steps_of
 from equimus_ctrl.engines.predict import SET, TIMES, noted
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.noise import JointNoise

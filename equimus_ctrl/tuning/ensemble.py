@@ -9,7 +9,7 @@ import numpy as np
 from equimus_ctrl.effects.base import Effect, require_kinds
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.valves import POWER, ValveEffect, valve_settings
-from equimus_ctrl.engines.batch import KNOWN_KINDS
+from equimus_ctrl.engines.encoding import KNOWN_KINDS
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.spread import OF_ACTUATORS, groups, latin_hypercube, strayed

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.engines.batch import STEP, Trial, simulate
+from equimus_ctrl.engines.batch import STEP, simulate
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array

@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from equimus_ctrl.engines.batch import Trial, simulate
+from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.mjcf import SolverSettings, build_spec, compile_with_stops
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.computer import processors
-from equimus_ctrl.engines.batch import Trial, encode, simulate
+from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.validation.engines import Progress, finer, mujoco_runs, reduced_runs, silent

@@ -1,0 +1,174 @@
+"""Models as the arrays that the reduced engine's kernels take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.effects.base import require_kinds
+from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
+from equimus_ctrl.effects.force import ForceEffect, force_laws
+from equimus_ctrl.effects.sensors import SensorEffect, sensor_settings
+from equimus_ctrl.effects.valves import (
+    DELAY,
+    FILL,
+    FLOW,
+    RATE,
+    VENT,
+    ShapingEffect,
+    ValveEffect,
+    valve_settings,
+)
+from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.augmented import law_parameters, rubbing_places, slots_of
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, SLEWED, Mechanics, Structure
+from equimus_ctrl.robots.mjcf.form import FAR
+from equimus_ctrl.types import Array
+
+KNOWN_KINDS = (BodyEffect, ForceEffect, SensorEffect, ShapingEffect, ValveEffect)
+
+
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    """Models of one structure as the arrays that the kernels take.
+
+    Attributes:
+        models: (k) whose.
+        mechanics: (k) of their robots, with all effects on bodies.
+        parameters: (k, np).
+        valve: (k, na, 6).
+        follow: (k, na, 6).
+        between: (k, 2, na) lowest and highest command that gets to the valves.
+        sensor: (k, nj, 4).
+        rubbing: rows of dry friction in use.
+    """
+
+    models: Sequence[Model]
+    mechanics: Sequence[Mechanics]
+    parameters: Array
+    valve: Array
+    follow: Array
+    between: Array
+    sensor: Array
+    rubbing: NDArray[np.int64]
+
+    @property
+    def form(self) -> Structure:
+        """Of all of them."""
+        return self.mechanics[0].form
+
+    @property
+    def kernel(self) -> ModuleType:
+        """The compiled kernel of their form."""
+        return compiled.load_lanes(self.form, self.models[0].phase, force_laws(self.models[0].robot.traits.catalogue))
+
+
+def encode(models: Sequence[Model], trial: Trial | None = None) -> Encoded:
+    """The arrays of some models.
+
+    Args:
+        models: of one structure and phase.
+        trial: in which some numbers are known to be others.
+
+    Raises:
+        ConfigError: where there is none, they differ in structure or phase, or an effect is of no kind known here.
+    """
+    if not models:
+        raise ConfigError("no model was given to simulate")
+    return encoded(models, [mechanics_of(model, trial) for model in models])
+
+
+def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
+    """``encode`` with the models' mechanics, from ``mechanics_of``."""
+    first, form = models[0], mechanics[0].form
+    laws = force_laws(first.robot.traits.catalogue)
+    slots, places = slots_of(form, laws), rubbing_places(form, laws)
+    in_use: set[int] = set()
+    rows, valves, follows, between, sensors = [], [], [], [], []
+    for model, own in zip(models, mechanics, strict=True):
+        if model.phase != first.phase or own.form != form:
+            raise ConfigError(
+                f"{model.name} and {first.name} differ in structure or phase, so they cannot run together"
+            )
+        require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the reduced engine")
+        for effect in model.effects:
+            if isinstance(effect, ForceEffect) and (effect.rubs or effect.loads):
+                in_use |= {
+                    r for r, (kind, i) in enumerate(places) if own.law_places.get(kind, {i: ""})[i] == effect.location
+                }
+        in_use |= _own_friction(own, places)
+        rows.append(
+            np.concatenate(
+                [own.numbers, law_parameters(slots, model.effects, own.law_places["joint"], own.law_places["actuator"])]
+            )
+        )
+        valve, follow, counting = _channels(model, own)
+        valves.append(valve)
+        follows.append(follow)
+        between.append(counting)
+        sensors.append(sensor_settings(model.effects, model.robot.joint_names))
+    return Encoded(
+        models,
+        mechanics,
+        np.array(rows),
+        np.array(valves),
+        np.array(follows),
+        np.array(between),
+        np.array(sensors),
+        np.array(sorted(in_use), dtype=np.int64),
+    )
+
+
+def mechanics_of(model: Model, trial: Trial | None) -> Mechanics:
+    """Of a model's robot with all effects on bodies, and what is known to be another number in a trial."""
+    robot = model.robot
+    if trial is not None and (trial.settings or trial.factors):
+        known = robot.parameters()
+        settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
+        robot = robot.with_parameters(settings)
+    return changed_bodies(model.effects, robot).mechanics()
+
+
+def _own_friction(own: Mechanics, places: Sequence[tuple[str, int]]) -> set[int]:
+    """Rows at which the robot itself has dry friction."""
+    found = own.friction()
+    return {r for r, place in enumerate(places) if found.get(place, 0.0) > 0}
+
+
+def _channels(model: Model, own: Mechanics) -> tuple[Array, Array, Array]:
+    """(na, 6) valves, (na, 6) what follows the commands behind them, and (2, na) between what commands get there."""
+    valve = valve_settings(model.effects, model.robot.actuator_names)
+    follow = np.zeros((len(own.channels), 6))
+    between = np.empty((2, len(own.channels)))
+    between[0], between[1] = -FAR, FAR
+    for i, channel in enumerate(own.channels):
+        valve[i, DELAY] += channel.delay
+        follow[i] = channel.kind, channel.number, channel.low, channel.high, channel.least, channel.most
+        if not (valve[i, FILL] == valve[i, VENT] == 0 and np.isinf(valve[i, [RATE, FLOW]]).all()):
+            continue
+        # Nothing is between the command and its bounds: they count by when a command changes within a step.
+        between[:, i] = channel.low, channel.high
+        if channel.kind == FILTERED and channel.least <= channel.low and channel.high <= channel.most:
+            valve[i, FILL] = valve[i, VENT] = channel.number
+            follow[i, 0] = DIRECT
+        if channel.kind == SLEWED:
+            valve[i, RATE] = channel.number
+            follow[i, 0] = DIRECT
+    return valve, follow, between
+
+
+def grouped(models: Sequence[Model], trial: Trial) -> list[tuple[list[int], Encoded]]:
+    """Models by their structure: which, and their arrays."""
+    groups: dict[tuple[Structure, str], list[int]] = {}
+    known = {id(model): mechanics_of(model, trial) for model in {id(model): model for model in models}.values()}
+    mechanics = [known[id(model)] for model in models]
+    for i, (model, own) in enumerate(zip(models, mechanics, strict=True)):
+        groups.setdefault((own.form, model.phase), []).append(i)
+    return [(g, encoded([models[i] for i in g], [mechanics[i] for i in g])) for g in groups.values()]

@@ -1,0 +1,95 @@
+"""What is simulated, and what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from equimus_ctrl.types import Array, Recording
+
+Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A command history and the times at which the angles are wanted.
+
+    Attributes:
+        name: for messages.
+        times: (n,) ascending instants from which each command holds [s].
+        commands: (n, na) [Pa].
+        before: (na,) command in force before times[0] [Pa], the pressures settled under it.
+        start: when the motion starts [s].
+        position: (nj,) angles there [rad].
+        sample_times: (m,) ascending, none before ``start`` [s].
+        velocity: (nj,) joint velocities at the start [rad/s]; none by default.
+        settings: numbers of the model that are known to be others in this trial, by dotted name.
+        factors: the same, in units of what the model has.
+        activation: (na,) what integrators of commands begin with; by default where their actuators are.
+    """
+
+    name: str
+    times: Array
+    commands: Array
+    before: Array
+    start: float
+    position: Array
+    sample_times: Array
+    velocity: Array | None = None
+    settings: Mapping[str, float] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
+    activation: Array | None = None
+
+    @property
+    def condition(self) -> Condition:
+        """What tells apart trials in which a model has other numbers."""
+        return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))
+
+    @classmethod
+    def of(cls, recording: Recording, position: ArrayLike, window: tuple[float, float] | None = None) -> Trial:
+        """A recording's commands and times, the motion starting at its first row, or at the window's beginning.
+
+        Args:
+            recording: whose.
+            position: (nj,) angles at the start [rad].
+            window: (from, to) what is sampled and simulated [s]; the whole recording by default.
+        """
+        time = recording.time
+        inside = np.ones(len(time), dtype=bool)
+        if window is not None:
+            inside = (time >= window[0]) & (time <= window[1])
+        start = time[0] if window is None else max(window[0], time[0])
+        return cls(
+            recording.name,
+            np.array(time),
+            np.array(recording.command),
+            np.array(recording.command_before),
+            float(start),
+            np.array(position, dtype=np.float64),
+            np.array(time[inside]),
+        )
+
+    def starting_from(self, position: ArrayLike) -> Trial:
+        """The same from other angles (nj,) [rad]."""
+        return replace(self, position=np.array(position, dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """What ``simulate`` found for one trial.
+
+    Attributes:
+        position: (k, m, nj) measured angles of each model [rad]; numbers after a divergence mean nothing.
+        reached: (k,) m where all is well, else the index of the first sample that could not be had.
+    """
+
+    position: Array
+    reached: NDArray[np.int64]
+
+    @property
+    def sound(self) -> NDArray[np.bool_]:
+        """(k,) which models went through without diverging."""
+        return np.asarray(self.reached == self.position.shape[1])
