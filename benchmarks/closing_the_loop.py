@@ -1,10 +1,10 @@
-"""Does a controller tuned on the corrected model track better on a concealed reality?
+"""Does a controller tuned on the corrected model track better on a blinded ground truth?
 
-Realities with one or two effects left out are drawn and recorded as `equimus-ctrl prove` does. Those whose effects
-leave too little in the recordings are passed over, the others diagnosed. The PID is tuned with one study on the
-nominal, the refitted and the corrected model, computes with the model it was tuned on, and drives the reality: round
-the triangle that the study tunes for, and along a sweep of pressures that it has not seen. Both references are poses at
-which the reality rests under pressures, so that it can follow them. Scored are true joint angles against the reference
+Legs with one or two effects that the model lacks are drawn and recorded as `equimus-ctrl prove` does. Those whose
+effects leave too little in the recordings are passed over, the others diagnosed. The PID is tuned with one study on the
+nominal, the refitted and the corrected model, computes with the model it was tuned on, and drives the leg: round the
+triangle that the study tunes for, and along a sweep of pressures that it has not seen. Both references are poses at
+which the leg rests under pressures, so that it can follow them. Scored are true joint angles against the reference
 after the first second, which brings the leg to the path; what a sensor conceals counts.
 
     python benchmarks/closing_the_loop.py [--cases 12] [--seed 31] [--budget 320] [--output FOLDER] [--static]
@@ -30,15 +30,15 @@ from equimus_ctrl import presets
 from equimus_ctrl.controllers.pid import PidController, PidSettings
 from equimus_ctrl.diagnosis.candidates import uncertain
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
+from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.results import STATES
-from equimus_ctrl.diagnosis.split import split
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import EquimusError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
-from equimus_ctrl.proof.drawing import Reality, findings
-from equimus_ctrl.proof.realities import draw
+from equimus_ctrl.proof.drawing import GroundTruth, findings
+from equimus_ctrl.proof.legs import draw
 from equimus_ctrl.proof.store import Request, make_case, open_truth
 from equimus_ctrl.recordings.sets import read_set
 from equimus_ctrl.report import style
@@ -49,7 +49,7 @@ from equimus_ctrl.workflow import load_model, save_model, tune_pid
 
 ROOT = Path(__file__).resolve().parents[1]
 KINDS = ("single", "pair")
-"""Of the realities, in turn."""
+"""Of the ground truths, in turn."""
 LEAST_EXCESS = 0.3
 """Of what is left in the recordings when the ten default parameters have been fitted, over the noise's variance."""
 DURATION, SCORED_FROM = 14.0, 1.0
@@ -60,26 +60,26 @@ GOAL = 0.7
 """Corrected over refitted that the median is to reach."""
 FOUND = ("explained", "partly_explained")
 STREAM = 77
-"""Of the noise while driving, apart from the streams that drew the reality."""
+"""Of the noise while driving, apart from the streams that drew the ground truth."""
 
 
 class Watched:
-    """A reality as a plant: its own noise on what is measured; its true angles are kept."""
+    """A ground truth as a plant: its own noise on what is measured; its true angles are kept."""
 
-    def __init__(self, reality: Reality, known: Model, which: int) -> None:
-        self._plant = MujocoPlant(reality.model, nominal=known)
+    def __init__(self, ground_truth: GroundTruth, known: Model, which: int) -> None:
+        self._plant = MujocoPlant(ground_truth.model, nominal=known)
         self.spec, self.close = self._plant.spec, self._plant.close
-        self._reality, self._which = reality, which
+        self._ground_truth, self._which = ground_truth, which
         self.position: list[Array] = []
 
     def reset(self, start: Start | None = None, seed: int | None = None) -> Observation:
         self.position.clear()
-        self._rng = np.random.default_rng([self._reality.seed, self._reality.case, STREAM, self._which])
+        self._rng = np.random.default_rng([self._ground_truth.seed, self._ground_truth.case, STREAM, self._which])
         self._noise = self._rng.standard_normal(len(self.spec.joints))
         return self._seen(self._plant.reset(start, seed))
 
     def step(self, command: Any) -> Observation:
-        late, dt = self._reality.correlation, self.spec.control_dt
+        late, dt = self._ground_truth.correlation, self.spec.control_dt
         kept = math.exp(-dt / late) if late > 0 else 0.0
         fresh = self._rng.standard_normal(len(self.spec.joints))
         self._noise = kept * self._noise + math.sqrt(1 - kept**2) * fresh
@@ -87,11 +87,11 @@ class Watched:
 
     def _seen(self, observation: Observation) -> Observation:
         self.position.append(self._plant.position)
-        return replace(observation, position=observation.position + self._noise * np.array(self._reality.noise))
+        return replace(observation, position=observation.position + self._noise * np.array(self._ground_truth.noise))
 
 
 def references(model: Model) -> dict[str, Reference]:
-    """What a reality is to follow, by name: true angles."""
+    """What a ground truth is to follow, by name: true angles."""
     corners = 1e3 * np.array(presets.load_script(ROOT / "scenarios" / "triangle.py").CORNERS_KPA)
     times = np.arange(0.0, DURATION, 1 / SWEEP["rate"])
     rate = math.log(SWEEP["high"] / SWEEP["low"]) / DURATION
@@ -104,11 +104,13 @@ def references(model: Model) -> dict[str, Reference]:
     }
 
 
-def driven(reality: Reality, known: Model, settings: PidSettings, wanted: Mapping[str, Reference]) -> dict[str, Any]:
+def driven(
+    ground_truth: GroundTruth, known: Model, settings: PidSettings, wanted: Mapping[str, Reference]
+) -> dict[str, Any]:
     """For each reference the root mean square error of all joints [rad] and the share of commands at a limit."""
     found = {}
     for k, (name, reference) in enumerate(wanted.items()):
-        plant = Watched(reality, known, k)
+        plant = Watched(ground_truth, known, k)
         try:
             done = run(plant, PidController(settings), reference, DURATION)
         except SimulationDiverged:
@@ -149,9 +151,9 @@ def diagnosed(recordings: Path, folder: Path) -> dict[str, Any]:
     return said
 
 
-def concealed(reality: Reality) -> str:
-    """What a reality leaves out of the nominal leg, for people."""
-    return " + ".join(f"{name.replace('_', ' ')} ({', '.join(at)})" for name, at, _ in findings(reality.effects))
+def concealed(ground_truth: GroundTruth) -> str:
+    """What a ground truth leaves out of the nominal leg, for people."""
+    return " + ".join(f"{name.replace('_', ' ')} ({', '.join(at)})" for name, at, _ in findings(ground_truth.effects))
 
 
 def one(case: int, request: Request, options: argparse.Namespace) -> dict[str, Any]:
@@ -161,13 +163,13 @@ def one(case: int, request: Request, options: argparse.Namespace) -> dict[str, A
     if path.exists():
         known: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return known
-    reality = draw(request.seed, case, kind=request.kind)
+    ground_truth = draw(request.seed, case, kind=request.kind)
     said = diagnosed(request.recordings(case), folder)
     named = [f"{f['effect'].replace('_', ' ')} ({', '.join(f['locations'])})" for f in said["findings"]]
     result = {
         "case": case,
         "kind": request.kind,
-        "concealed": concealed(reality),
+        "concealed": concealed(ground_truth),
         "excess": open_truth(request, case)["excess"],
         "verdict": said["verdict"],
         "named": " + ".join(named),
@@ -175,12 +177,12 @@ def one(case: int, request: Request, options: argparse.Namespace) -> dict[str, A
         "failed": {},
     }
     if said["verdict"] in FOUND:
-        wanted = references(reality.model)
+        wanted = references(ground_truth.model)
         for state in STATES:
             model = nominal_model() if state == "nominal" else load_model(folder / f"{state}.toml")
             try:
                 settings = tuned(model, options.output if state == "nominal" else folder, state, options)
-                result["tracking"][state] = driven(reality, model, settings, wanted)
+                result["tracking"][state] = driven(ground_truth, model, settings, wanted)
             except EquimusError as error:
                 result["failed"][state] = str(error)
     presets.write_text(path, presets.json_text(result))
@@ -278,8 +280,8 @@ def figure(results: Sequence[Mapping[str, Any]], names: Sequence[str], path: Pat
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", type=int, default=12, help="realities that leave enough in their recordings")
-    parser.add_argument("--seed", type=int, default=31, help="of the realities")
+    parser.add_argument("--cases", type=int, default=12, help="ground truths that leave enough in their recordings")
+    parser.add_argument("--seed", type=int, default=31, help="of the ground truths")
     parser.add_argument("--budget", type=int, default=320, help="sets of gains tried on each model")
     parser.add_argument("--output", type=Path, default=Path("results/closing_the_loop"))
     parser.add_argument("--workers", type=int, help="threads of the tuning; all cores by default")

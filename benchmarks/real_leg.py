@@ -81,7 +81,7 @@ def tell(found: Diagnosis, rows: dict[str, dict[str, list[float]]]) -> None:
             print(f"    {key} {number.value:.4g} ({number.low:.4g} to {number.high:.4g}) {number.unit}")
         if finding.equivalent:
             print("    or", ", ".join(map(str, finding.equivalent)))
-    for left in found.leftover:
+    for left in found.unexplained:
         print(f"  unexplained at {left.location}: goes with {left.depends_on or 'nothing that was looked for'}")
     for named in found.doubtful:
         print(f"  doubtful: {named}")

@@ -10,6 +10,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.localization import excess_of
 from equimus_ctrl.diagnosis.results import (
     Detectable,
     Diagnosis,
@@ -17,13 +18,12 @@ from equimus_ctrl.diagnosis.results import (
     Evidence,
     Experiment,
     Finding,
-    Leftover,
     Named,
     Ranked,
     Residuals,
+    Unexplained,
     Where,
 )
-from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.trials import Trial
@@ -154,7 +154,7 @@ def assembled(
         (other,),
     )
     x = np.linspace(0.9, 1.7, 61)
-    left = Leftover(
+    left = Unexplained(
         "hip", 0.7, "pos.hip·vel.hip", ("hip",), 88.0, 43.2, "N·m·s/rad", "pos.hip", "rad", x, 0.02 * np.sin(9 * x),
         np.full(61, 4e-3),
     )  # fmt: skip
@@ -181,7 +181,7 @@ def assembled(
             Where("hip", 0.17, "nowhere in particular", "nowhere in particular"),
         ),
         findings=(found,),
-        leftover=(left,),
+        unexplained=(left,),
         doubtful=(Named("creep", ("maa",)),),
         ranking=tuple(ranking),
         detectable=(),
@@ -193,7 +193,7 @@ def assembled(
 
 
 def explained(d: Diagnosis) -> Diagnosis:
-    return replace(d, verdict="explained", leftover=(), doubtful=(), notes=())
+    return replace(d, verdict="explained", unexplained=(), doubtful=(), notes=())
 
 
 def unexplained(d: Diagnosis) -> Diagnosis:
@@ -208,7 +208,14 @@ def consistent(d: Diagnosis) -> Diagnosis:
         Detectable(Named("saturation", ("baa",)), "level", math.nan, "Pa"),
     )
     return replace(
-        d, verdict="consistent", findings=(), leftover=(), doubtful=(), experiment=None, notes=(), detectable=smallest
+        d,
+        verdict="consistent",
+        findings=(),
+        unexplained=(),
+        doubtful=(),
+        experiment=None,
+        notes=(),
+        detectable=smallest,
     )
 
 

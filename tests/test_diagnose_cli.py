@@ -1,4 +1,4 @@
-"""``equimus-ctrl diagnose``: from a concealed reality to its name, and what it refuses."""
+"""``equimus-ctrl diagnose``: from a blinded ground truth to its name, and what it refuses."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return call
 
 
-def test_a_concealed_reality_is_recorded_and_found(ran: Any, tmp_path: Path) -> None:
+def test_a_concealed_ground_truth_is_recorded_and_found(ran: Any, tmp_path: Path) -> None:
     code, _, _ = ran(
         "run", "chirp", "--effect", "dead_zone:baa:threshold=4000", "--noise", 0.002, "--record", "concealed",
         "--set", "duration=10", "--no-figures",

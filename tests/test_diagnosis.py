@@ -1,4 +1,4 @@
-"""Diagnosis on small concealed realities: what is there is found, what is not there is not."""
+"""Diagnosis on small blinded ground truths: what is there is found, what is not there is not."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from equimus_ctrl.diagnosis.candidates import Part, candidates, model_of, parame
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.moves import Searched
-from equimus_ctrl.diagnosis.remainder import Remainder
+from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched
+from equimus_ctrl.diagnosis.localization import where_off
 from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.split import split
-from equimus_ctrl.diagnosis.where import where_off
+from equimus_ctrl.diagnosis.unexplained import Remainder
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, parse
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.rest import rest_pose
@@ -73,7 +73,7 @@ def found_in(effects: tuple[Effect, ...], **options: object) -> Diagnosis:
 def test_wrong_numbers_and_noise_alone_are_consistent() -> None:
     found = found_in(())
     assert found.verdict == "consistent"
-    assert not found.findings and not found.leftover
+    assert not found.findings and not found.unexplained
     assert found.excess["nominal"] > 1 and found.excess["corrected"] < 0.01
     smallest = {str(d.named): d for d in found.detectable}
     assert 0 < smallest["dead_zone at baa"].size < 500
@@ -128,16 +128,16 @@ def test_alike_in_several_places_is_one_finding() -> None:
 def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     from equimus_ctrl.proof.outside import Cogging
 
-    # The reality knows an effect that the diagnosis does not.
+    # The ground truth knows an effect that the diagnosis does not.
     monkeypatch.setitem(REGISTRY, "cogging", Cogging)
     trials = recordings((Cogging("knee", size=0.03, pitch=0.3),))
     monkeypatch.delitem(REGISTRY, "cogging")
     model = nominal_model()
     found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
     assert found.verdict == "unexplained"
-    assert found.leftover[0].location == "knee"
-    assert found.leftover[0].depends_on == "pos.knee"
-    left = found.leftover[0]
+    assert found.unexplained[0].location == "knee"
+    assert found.unexplained[0].depends_on == "pos.knee"
+    left = found.unexplained[0]
     assert left.unit == "N·m" and len(left.x) == len(left.push) == len(left.band) > 10
     inside = (left.x > np.quantile(left.x, 0.2)) & (left.x < np.quantile(left.x, 0.8))
     true = 0.03 * np.sin(2 * np.pi * left.x / 0.3)
@@ -146,16 +146,16 @@ def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: py
 
 def test_a_name_that_explains_nothing_beside_one_push_is_withdrawn() -> None:
     # A leak between the actuators looks like a wrong scale of a sensor once the leg's numbers have moved along.
-    from equimus_ctrl.proof import outside, realities, simulation
+    from equimus_ctrl.proof import leg_simulation, legs, outside
 
-    drawn = realities.draw(20, 4, kind="none", trials=8, duration=6.0)
-    reality = replace(drawn, outside=(outside.Leak("maa", share=0.05),))
-    trials = simulation.recordings(reality, simulation.simulate(reality, 480.0))
+    drawn = legs.draw(20, 4, kind="none", trials=8, duration=6.0)
+    ground_truth = replace(drawn, outside=(outside.Leak("maa", share=0.05),))
+    trials = leg_simulation.recordings(ground_truth, leg_simulation.simulate(ground_truth, 480.0))
     model = nominal_model()
     found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
     assert found.verdict == "unexplained"
     assert "sensor_scale at knee" in {str(named) for named in found.doubtful}
-    assert found.leftover[0].depends_on == "cmd.maa−cmd.baa"
+    assert found.unexplained[0].depends_on == "cmd.maa−cmd.baa"
 
 
 def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +186,7 @@ def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_une
     parts = split(model, trials, heldout=["loaded"])
     found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
     assert found.verdict == "unexplained" and not found.findings
-    assert found.leftover and all(left.heldout and left.gain > 3 for left in found.leftover)
+    assert found.unexplained and all(left.heldout and left.gain > 3 for left in found.unexplained)
     assert np.all(found.rmse("corrected", "train") < 1.2e-3)
     assert "the noise on trials held out, whatever its numbers" in " ".join(remains(found))
     assert found.to_dict()["unexplained"][0]["heldout"] is True
@@ -198,7 +198,7 @@ def test_trials_held_out_that_show_what_the_others_could_not_are_no_mismatch() -
     parts = split(model, recordings((), commanded=lambda k, p: p * [1.0, k == 3]), heldout=["trial_3"])
     found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
     assert found.rmse("corrected", "heldout").max() > 3e-3
-    assert found.verdict == "consistent" and not found.leftover
+    assert found.verdict == "consistent" and not found.unexplained
 
 
 def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> None:
@@ -217,7 +217,7 @@ def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> Non
     said = diagnose(
         uncertain(model), split(model, trials, heldout=["trial_[37]"]), settings=DiagnosisSettings(threads=2)
     )  # whoever says which judge is not overruled
-    assert said.verdict == "unexplained" and said.leftover[0].heldout
+    assert said.verdict == "unexplained" and said.unexplained[0].heldout
     assert {s.trial.name for s in said.heldout} == {"trial_3", "trial_7"}
 
 

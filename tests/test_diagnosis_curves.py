@@ -15,7 +15,7 @@ from equimus_ctrl.effects import BodyEffect, ForceEffect, SensorEffect, ShapingE
 from equimus_ctrl.effects.bodies import Robot
 from equimus_ctrl.effects.sensors import LATE, OFFSET
 from equimus_ctrl.models.model import nominal_model
-from equimus_ctrl.report.diagnosis_curves import leftover_panel, panels
+from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_drawing import finding_figure
 from equimus_ctrl.report.diagnosis_figures import summary_figure
 from equimus_ctrl.report.diagnosis_panels import Panel, Scene
@@ -215,18 +215,18 @@ def test_what_is_already_in_the_model_is_drawn_beside_the_finding(diagnosis: Dia
 
 
 def test_something_left_over_is_a_curve_with_a_band(diagnosis: Diagnosis, scene: Scene) -> None:
-    left = diagnosis.leftover[0]
-    panel = leftover_panel(scene, left)
+    left = diagnosis.unexplained[0]
+    panel = unexplained_panel(scene, left)
     assert panel is not None and panel.band is not None and panel.data is not None
     x, y = curve(panel)
     np.testing.assert_allclose(x, np.degrees(left.x))
     np.testing.assert_allclose(y, left.push)
     np.testing.assert_allclose(panel.band[2] - y, left.band)
-    assert leftover_panel(scene, replace(left, axis="", x=np.empty(0), push=np.empty(0), band=np.empty(0))) is None
+    assert unexplained_panel(scene, replace(left, axis="", x=np.empty(0), push=np.empty(0), band=np.empty(0))) is None
 
 
 @pytest.mark.parametrize("axis", ["vel.knee", "cmd.maa", "cmd.maa−cmd.baa", "len.baa", "time", "rate.maa"])
 def test_a_push_over_any_coordinate_can_be_drawn(diagnosis: Diagnosis, scene: Scene, axis: str) -> None:
-    panel = leftover_panel(scene, replace(diagnosis.leftover[0], axis=axis, axis_unit="furlong"))
+    panel = unexplained_panel(scene, replace(diagnosis.unexplained[0], axis=axis, axis_unit="furlong"))
     assert panel is not None
     assert (panel.data is None) == (axis == "rate.maa")

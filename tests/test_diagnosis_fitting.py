@@ -6,7 +6,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, uncertain
 from equimus_ctrl.diagnosis.fitting import WORSE, Data, Fitted
-from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.effects.valves import Cutoff
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.trials import Trial

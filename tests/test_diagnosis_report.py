@@ -27,7 +27,7 @@ def test_all_figures_of_every_verdict_can_be_drawn(diagnosis: Diagnosis, verdict
     figures = diagnosis_figures(d)
     expected = {"summary", "before_after", "residuals", "ranking"}
     expected |= {"finding_1"} if d.findings else set()
-    expected |= {"unexplained_1"} if d.leftover else set()
+    expected |= {"unexplained_1"} if d.unexplained else set()
     assert set(figures) == expected
     for figure in figures.values():
         figure.canvas.draw()
@@ -129,7 +129,7 @@ def test_the_terminal_is_told_every_verdict(diagnosis: Diagnosis, verdict: str, 
         assert sentence(one, d.model) in text
     assert ("held out the error changes by" in text or "the trial held out the error" in text) == bool(d.findings)
     assert ("Where the refitted model is off" in text) == (verdict != "consistent")
-    assert ("What remains unexplained" in text) == bool(d.leftover)
+    assert ("What remains unexplained" in text) == bool(d.unexplained)
     assert ("equimus-ctrl run hold --set p1=12 --set p2=2.5" in text) == (d.experiment is not None)
     assert ("0.061 kPa at baa" in text) == (verdict == "consistent")
 

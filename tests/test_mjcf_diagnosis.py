@@ -12,18 +12,18 @@ import pytest
 from pendulum_runs import CARRIAGE, MOTOR, NOISE, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
+from equimus_ctrl.diagnosis.alternatives import ALIKE, in_place
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, uncertain
-from equimus_ctrl.diagnosis.confirm import _another
+from equimus_ctrl.diagnosis.confirmation import _another
+from equimus_ctrl.diagnosis.confounding import restates
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.flexible import Group
-from equimus_ctrl.diagnosis.moves import Searched
+from equimus_ctrl.diagnosis.force_basis import Group
+from equimus_ctrl.diagnosis.holdout import split, window_length
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched
 from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.rivals import ALIKE, in_place
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.shadows import restates
-from equimus_ctrl.diagnosis.split import split, window_length
 from equimus_ctrl.effects import (
     ConstantForce,
     CoulombFriction,
@@ -134,7 +134,7 @@ def test_play_in_a_drive_is_named() -> None:
 
 def test_what_no_effect_does_is_left_unexplained() -> None:
     found = diagnosed(PENDULUM.format(drive=MOTOR), [], push=0.1)
-    assert found.verdict in ("unexplained", "partly_explained") and found.leftover
+    assert found.verdict in ("unexplained", "partly_explained") and found.unexplained
 
 
 def stepped(dt: float) -> MjcfRobot:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mjcf_models import CRANE, PENDULUM, refusal
 
-from equimus_ctrl.diagnosis.split import check_settings, split
+from equimus_ctrl.diagnosis.holdout import check_settings, split
 from equimus_ctrl.effects import ViscousFriction
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.predict import predict

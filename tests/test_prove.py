@@ -16,7 +16,7 @@ from proof_answers import LAG, SAID_LAG, SAID_RUB, report, truth
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.proof import blind, fingerprint
-from equimus_ctrl.proof.apart import each_apart
+from equimus_ctrl.proof.processes import each_apart
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.store import Made, Request
@@ -63,7 +63,7 @@ def test_what_still_runs_is_ended() -> None:
 
 
 class World:
-    """Two realities and an answer to each, without a simulation."""
+    """Two ground truths and an answer to each, without a simulation."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.events: list[str] = []
@@ -145,7 +145,7 @@ def test_what_is_there_is_not_done_again(world: World, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", ["version", "seal"])
-def test_answers_of_another_version_or_reality_are_made_again(world: World, tmp_path: Path, change: str) -> None:
+def test_answers_of_another_version_or_ground_truth_are_made_again(world: World, tmp_path: Path, change: str) -> None:
     world.prove(tmp_path)
     world.tasks.clear()
     if change == "version":

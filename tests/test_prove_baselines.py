@@ -15,7 +15,7 @@ from proof_answers import SAID_LAG, report
 
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
-from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.effects import make
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.parameters import free_parameters
@@ -23,11 +23,11 @@ from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.baselines import TITLES, baselines
-from equimus_ctrl.proof.realities import draw
+from equimus_ctrl.proof.leg_simulation import recordings, simulate
+from equimus_ctrl.proof.legs import draw
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.shares import Share
-from equimus_ctrl.proof.simulation import recordings, simulate
-from equimus_ctrl.proof.sparse import sparse_regression
+from equimus_ctrl.proof.sindy_baseline import sparse_regression
 from equimus_ctrl.proof.torques import Smooth, missing_torque
 from equimus_ctrl.recordings.folders import write_folder
 from equimus_ctrl.robots.elastic.leg import nominal_leg
@@ -41,8 +41,8 @@ def made_case(*effects: tuple[str, str, dict[str, float]], trials: int = 3, dura
     """Of the nominal leg, so that nothing but the effects is off."""
     base = draw(1, 4, kind="none", trials=trials, duration=duration)
     concealed = tuple(make(name, where, values) for name, where, values in effects)
-    reality = type(base)(**{**vars(base), "robot": nominal_leg(), "effects": concealed})
-    return recordings(reality, simulate(reality, 480.0))
+    ground_truth = type(base)(**{**vars(base), "robot": nominal_leg(), "effects": concealed})
+    return recordings(ground_truth, simulate(ground_truth, 480.0))
 
 
 @pytest.mark.parametrize("same", [True, False])
@@ -74,7 +74,7 @@ def test_a_worker_writes_what_it_finds_and_what_it_took(
     assert said["proof"]["seconds"] > 0 and said["proof"]["peak_memory_byte"] > 10**7
 
 
-def test_realities_reports_and_truths_come_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ground_truths_reports_and_truths_come_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def here(work: Any, tasks: Any, workers: int) -> Iterator[tuple[int, int]]:
         for k, task in enumerate(tasks):
             work(*task)

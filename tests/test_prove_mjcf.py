@@ -1,4 +1,4 @@
-"""The proof of MJCF robots: realities that are what they are said to be, made by other code than the diagnosis uses."""
+"""The proof of MJCF robots: ground truths that are what they are said to be, made by other code than the diagnosis uses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.designs import TrialDesign
-from equimus_ctrl.proof.drawing import Reality, noise
+from equimus_ctrl.proof.drawing import GroundTruth, noise
 from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.mjcf_simulation import (
     EXACT,
@@ -60,18 +60,20 @@ def two_joints() -> Experiment:
         torque = np.sin(2 * np.pi * rng.uniform(0.3, 1.5, 2) * time[:, None] + k) * (1.2, 0.6)
         angles = np.zeros((200, 2)) + rng.uniform(-0.5, 0.5, 2)
         still = Recording(f"run_{k}", time, torque, angles, robot.actuator_names, robot.joint_names)
-        reality = _reality(model, (still,), ())
-        moved = mjcf_recordings(reality, simulate_mjcf_truth(reality), [np.zeros((200, 2))])
+        ground_truth = _ground_truth(model, (still,), ())
+        moved = mjcf_recordings(ground_truth, simulate_mjcf_truth(ground_truth), [np.zeros((200, 2))])
         trials += moved
     return Experiment(model, tuple(trials))
 
 
-def _reality(model: Model, recordings: tuple[Recording, ...], effects: tuple[Effect, ...]) -> Reality:
+def _ground_truth(model: Model, recordings: tuple[Recording, ...], effects: tuple[Effect, ...]) -> GroundTruth:
     trials = [
         TrialDesign(r.name, "as recorded", r.time, r.command, np.array(r.position[0]), r.notes) for r in recordings
     ]
     noise = (1e-3,) * len(model.robot.joints)
-    return Reality(0, 0, "single", model.robot, effects, (), noise, 0.0, tuple(trials), np.zeros((len(recordings), 0)))
+    return GroundTruth(
+        0, 0, "single", model.robot, effects, (), noise, 0.0, tuple(trials), np.zeros((len(recordings), 0))
+    )
 
 
 def test_there_is_a_size_for_every_effect_of_mjcf_robots(two_joints: Experiment) -> None:
@@ -107,11 +109,11 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
             break
         except ConfigError:
             continue
-    reality = _reality(model, two_joints.recordings, real.effects)
-    stepped = Stepped(reality)
+    ground_truth = _ground_truth(model, two_joints.recordings, real.effects)
+    stepped = Stepped(ground_truth)
     # Steps that both can take: how far errors of steps grow along these trials is another matter.
-    ours = [2 * stepped.measured(t, FINER) - stepped.measured(t, FINER // 2) for t in trials_of(reality)]
-    theirs, plain = (without_steps(m, trials_of(reality)) for m in (real, model))
+    ours = [2 * stepped.measured(t, FINER) - stepped.measured(t, FINER // 2) for t in trials_of(ground_truth)]
+    theirs, plain = (without_steps(m, trials_of(ground_truth)) for m in (real, model))
     for own, other, without in zip(ours, theirs, plain, strict=True):
         apart, does = np.abs(own - other).max(), np.abs(own - without).max()
         assert apart < max(ALIKE, 0.05 * does), (effect, apart, does)
@@ -119,10 +121,10 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
 
 def test_a_ground_truth_is_what_finer_steps_tell_too(pendulum: Experiment) -> None:
     drawn = pendulum.draw(3, 1)
-    reality = replace(drawn, trials=drawn.trials[:1])
-    stepped, trial = Stepped(reality), trials_of(reality)[0]
+    ground_truth = replace(drawn, trials=drawn.trials[:1])
+    stepped, trial = Stepped(ground_truth), trials_of(ground_truth)[0]
     finer = 2 * stepped.measured(trial, 8 * FINER) - stepped.measured(trial, 4 * FINER)
-    assert np.abs(simulate_mjcf_truth(reality)[0] - finer).max() < 2 * EXACT * reality.noise[0]
+    assert np.abs(simulate_mjcf_truth(ground_truth)[0] - finer).max() < 2 * EXACT * ground_truth.noise[0]
 
 
 def test_a_motion_that_no_step_tells_is_no_ground_truth(
@@ -130,9 +132,9 @@ def test_a_motion_that_no_step_tells_is_no_ground_truth(
 ) -> None:
     """Of an arm that swings for long from upright; with a bound on the steps that a test has time for."""
     monkeypatch.setattr("equimus_ctrl.proof.mjcf_simulation.FINEST", 4 * FINER)
-    reality = _reality(two_joints.model, two_joints.recordings, (GravityTilt("base", 0.05),))
+    ground_truth = _ground_truth(two_joints.model, two_joints.recordings, (GravityTilt("base", 0.05),))
     with pytest.raises(SimulationDiverged, match=r"case 0 of seed 0: run_\d is so sensitive that no step"):
-        simulate_mjcf_truth(reality)
+        simulate_mjcf_truth(ground_truth)
 
 
 def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
@@ -147,23 +149,23 @@ def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
 
 def test_what_is_concealed_is_what_a_diagnosis_would_believe(pendulum: Experiment) -> None:
     for case in range(40):
-        reality = pendulum.draw(1, case, "pair")
-        for effect in reality.effects:
+        ground_truth = pendulum.draw(1, case, "pair")
+        for effect in ground_truth.effects:
             for key in effect.parameter_info():
-                low, high = effect.bounds(key, reality.robot)
+                low, high = effect.bounds(key, ground_truth.robot)
                 assert low <= getattr(effect, key) <= high, (case, effect, key)
 
 
 def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) -> None:
     kinds = set()
     for case in range(30):
-        reality = two_joints.draw(1, case)
-        kinds.add(reality.kind)
-        names = {e.name for e in reality.effects}
-        assert len(names) == {"none": 0, "single": 1, "pair": 2, "outside": 0}[reality.kind]
-        assert (len(reality.outside) > 0) == (reality.kind == "outside")
+        ground_truth = two_joints.draw(1, case)
+        kinds.add(ground_truth.kind)
+        names = {e.name for e in ground_truth.effects}
+        assert len(names) == {"none": 0, "single": 1, "pair": 2, "outside": 0}[ground_truth.kind]
+        assert (len(ground_truth.outside) > 0) == (ground_truth.kind == "outside")
         assert not names & set(OUTSIDE)
-        shares = {n: reality.robot.parameters()[n] / two_joints.model.parameters()[n] for n in reality.drawn}
+        shares = {n: ground_truth.robot.parameters()[n] / two_joints.model.parameters()[n] for n in ground_truth.drawn}
         assert shares and all(0.55 < share < 1.45 for share in shares.values())
     assert kinds == {"none", "single", "pair", "outside"}
 
@@ -179,11 +181,11 @@ def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment)
 
 
 def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None:
-    reality = pendulum.draw(5, 1, "none")
-    clean = simulate_mjcf_truth(reality)
-    seen = mjcf_recordings(reality, clean, noise(reality))
+    ground_truth = pendulum.draw(5, 1, "none")
+    clean = simulate_mjcf_truth(ground_truth)
+    seen = mjcf_recordings(ground_truth, clean, noise(ground_truth))
     error = np.concatenate([r.position - c for r, c in zip(seen, clean, strict=True)])
-    assert error.std() == pytest.approx(reality.noise[0], rel=0.1)
+    assert error.std() == pytest.approx(ground_truth.noise[0], rel=0.1)
     assert [r.name for r in seen] == [r.name for r in pendulum.recordings]
     assert np.array_equal(seen[0].command, pendulum.recordings[0].command)
 
@@ -191,13 +193,15 @@ def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None
 def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experiment) -> None:
     noted = tuple(replace(r, notes={"set.arm.mass": "0.9"}) for r in pendulum.recordings)
     experiment = Experiment(pendulum.model, noted)
-    reality = experiment.draw(2, 0, "none")
-    heavy = reality.model.with_parameters({"arm.mass": 0.9})
-    bare = [replace(t, settings={}) for t in trials_of(reality)]
-    light, right = (without_steps(m, bare) for m in (Model(reality.robot), heavy))
-    for own, wrong, other in zip(simulate_mjcf_truth(reality), light, right, strict=True):
+    ground_truth = experiment.draw(2, 0, "none")
+    heavy = ground_truth.model.with_parameters({"arm.mass": 0.9})
+    bare = [replace(t, settings={}) for t in trials_of(ground_truth)]
+    light, right = (without_steps(m, bare) for m in (Model(ground_truth.robot), heavy))
+    for own, wrong, other in zip(simulate_mjcf_truth(ground_truth), light, right, strict=True):
         assert np.abs(own - other).max() < ALIKE < np.abs(own - wrong).max()
-    assert mjcf_recordings(reality, simulate_mjcf_truth(reality), noise(reality))[0].notes == noted[0].notes
+    assert (
+        mjcf_recordings(ground_truth, simulate_mjcf_truth(ground_truth), noise(ground_truth))[0].notes == noted[0].notes
+    )
 
 
 def test_a_proof_of_a_pendulum_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

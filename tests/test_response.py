@@ -11,7 +11,7 @@ from morphologies import random_morphology
 from scipy.integrate import cumulative_simpson
 from scipy.linalg import expm
 
-from equimus_ctrl.diagnosis.response import along_actuator, exponentials, linearise, response
+from equimus_ctrl.diagnosis.linear_response import along_actuator, exponentials, linearise, response
 from equimus_ctrl.effects import (
     CoulombFriction,
     Creep,

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis import confirm, diagnose
+from equimus_ctrl.diagnosis import confirmation, diagnose
+from equimus_ctrl.diagnosis.alternatives import in_place, instead, less, listed, simplified
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.moves import Moves, Searched, SearchSettings
-from equimus_ctrl.diagnosis.rivals import in_place, instead, less, listed, simplified
+from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, SearchSettings
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
@@ -90,8 +90,8 @@ def judged(monkeypatch: pytest.MonkeyPatch, refused: Sequence[tuple[frozenset[st
     def borne_out(search: Search, judge: object, simple: Fitted, rich: Fitted) -> float:
         return float((simple.labels, rich.labels) not in refused)
 
-    monkeypatch.setattr(confirm, "Judge", lambda *a: None)
-    monkeypatch.setattr(confirm, "_carried_over", borne_out)
+    monkeypatch.setattr(confirmation, "Judge", lambda *a: None)
+    monkeypatch.setattr(confirmation, "_carried_over", borne_out)
     return SimpleNamespace(heldout=[1], train=(), near=(), other=None)
 
 
@@ -128,7 +128,7 @@ def test_what_is_left_of_two_parts_has_rivals_of_its_own(monkeypatch: pytest.Mon
     assert {r.label for r in listed(search, kept).rivals[0]} == {OFF, FULL}
     # Held out refuses the offset beside the dead zone and this alone, and bears out a saturation in its place.
     dead, nothing = frozenset({DEAD}), frozenset[str]()
-    end = confirm.confirmed(search, found, judged(monkeypatch, [(dead, dead | {OFF}), (nothing, dead)]))
+    end = confirmation.confirmed(search, found, judged(monkeypatch, [(dead, dead | {OFF}), (nothing, dead)]))
     assert end.best.labels == {FULL}
     assert len(end.best.hypothesis) == len(end.without) == len(end.rivals) == 1
 
@@ -140,9 +140,9 @@ def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pyt
     search.fitted += known.fits.values()
     alone = less(search, ended(known, RUB, OFF), [1])
     search.barred.add(OFF)
-    assert not confirm.confirmed(search, alone, split).best.hypothesis
+    assert not confirmation.confirmed(search, alone, split).best.hypothesis
     search.barred.clear()
-    assert confirm.confirmed(search, alone, split).best.labels == {RUB, OFF}
+    assert confirmation.confirmed(search, alone, split).best.labels == {RUB, OFF}
 
 
 def test_a_withdrawn_name_is_no_simpler_one_and_none_that_fits_as_well() -> None:

@@ -1,4 +1,4 @@
-"""``equimus-ctrl prove``: the diagnosis on concealed realities, whose truths are sealed before it begins."""
+"""``equimus-ctrl prove``: the diagnosis on simulated robots, blinded, scored against their ground truths."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def prove(
         Path | None,
         typer.Option(metavar="FILE", help="An MJCF robot (.xml, or a model file) in the leg's place."),
     ] = None,
-    cases: Annotated[int, typer.Option(help="How many realities.")] = 100,
+    cases: Annotated[int, typer.Option(help="How many robots.")] = 100,
     seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
     kind: Annotated[
         str | None,
@@ -59,11 +59,12 @@ def prove(
 ) -> None:
     """Put the diagnosis to the proof: robots with concealed physics, answers judged against sealed truths.
 
-    Realities are simulated in MuJoCo with wrong numbers and perhaps something left out, and their truths sealed. Then
-    processes that know the recordings alone diagnose them. Last the seals are opened and the answers scored. Stopped at
-    any moment, the same command goes on. Exit code 3 says that a goal is missed; times are reported, not judged.
+    Robots are simulated in MuJoCo, with other parameters than the nominal model's and perhaps with physics that it
+    lacks; their ground truths are sealed (SHA-256). Then processes that see the recordings alone diagnose them. Last
+    the answers are scored against the ground truths. Stopped at any moment, the same command goes on. Exit code 3 says
+    that a goal is missed; times are reported, not judged.
 
-    With --model the realities are robots like yours, driven by the commands of your recordings: it tells what a
+    With --model the robots are like yours, driven by the commands of your recordings: it tells what a
     diagnosis of such an experiment can be trusted to find.
 
     \b
@@ -78,7 +79,7 @@ def prove(
     from equimus_ctrl import presets
 
     if kind is not None and kind not in KINDS:
-        raise ConfigError(unknown_name("kind of reality", kind, KINDS))
+        raise ConfigError(unknown_name("kind of ground truth", kind, KINDS))
     experiment = _experiment(recordings or [], model, trials, duration)
     name = f"seed_{seed}" + (f"_{kind}" if kind else "") + (f"_{experiment.model.name}" if experiment else "")
     folder = output or presets.workspace() / "proof" / "results" / name

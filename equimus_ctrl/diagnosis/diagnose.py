@@ -13,13 +13,16 @@ import numpy as np
 from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
+from equimus_ctrl.diagnosis.alternatives import ALIKE, in_place, instead, less, listed
 from equimus_ctrl.diagnosis.candidates import Part, candidates
-from equimus_ctrl.diagnosis.confirm import Judge, confirmed
+from equimus_ctrl.diagnosis.confirmation import Judge, confirmed
+from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
 from equimus_ctrl.diagnosis.experiment import Design, separating
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.moves import LONG, Searched
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis_moves import LONG, Searched
+from equimus_ctrl.diagnosis.localization import excess_of, where_off
 from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
-from equimus_ctrl.diagnosis.remainder import Remainder, not_borne_out, remainder
 from equimus_ctrl.diagnosis.results import (
     STATES,
     Detectable,
@@ -32,12 +35,9 @@ from equimus_ctrl.diagnosis.results import (
     Residuals,
     Verdict,
 )
-from equimus_ctrl.diagnosis.rivals import ALIKE, in_place, instead, less, listed
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.split import Split
-from equimus_ctrl.diagnosis.step import step_counted, without_step_error
-from equimus_ctrl.diagnosis.where import excess_of, where_off
+from equimus_ctrl.diagnosis.unexplained import Remainder, not_borne_out, remainder
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.errors import SimulationDiverged
@@ -163,15 +163,15 @@ def _diagnose(
     if not coarse:
         found = step_counted(data, found, settings.threads)
     judge = Judge(data, split, found)
-    if not rest.leftovers:
+    if not rest.unexplained:
         rest = not_borne_out(data, found.best, split.heldout, judge.heldout(found.best.fit.model))
-        if rest.leftovers and split.other is not None:
+        if rest.unexplained and split.other is not None:
             second = _with_others(given, split, split.other, settings, designs, progress, begun)
-            if second is not None and not second.leftover:
+            if second is not None and not second.unexplained:
                 return second
     finely = cache(data.settle_finely)
     parts = range(len(found.best.hypothesis))
-    findings = tuple(_finding(search, found, judge, k, bool(rest.leftovers), finely) for k in parts)
+    findings = tuple(_finding(search, found, judge, k, bool(rest.unexplained), finely) for k in parts)
     findings = tuple(sorted(findings, key=lambda f: -f.evidence.gain))
     verdict = _verdict(findings, rest)
     experiment = None
@@ -200,10 +200,10 @@ def _diagnose(
         residuals,
         where_off(free.model, split.train, found.base.fit.residuals, noise),
         findings,
-        rest.leftovers,
+        rest.unexplained,
         doubtful,
         ranking,
-        () if findings or rest.leftovers else _detectable(search, found),
+        () if findings or rest.unexplained else _detectable(search, found),
         experiment,
         {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
         (*_notes(found, split), *_beyond_range(free.model, split), *([coarse] if coarse else [])),
@@ -283,7 +283,7 @@ def _named(part: Part) -> Named:
 
 
 def _verdict(findings: Sequence[Finding], rest: Remainder) -> Verdict:
-    if rest.leftovers:
+    if rest.unexplained:
         return "partly_explained" if findings else "unexplained"
     return "explained" if findings else "consistent"
 

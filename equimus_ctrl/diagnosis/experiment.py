@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.moves import Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched
 from equimus_ctrl.diagnosis.results import Experiment, Finding, Named
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise, whiten

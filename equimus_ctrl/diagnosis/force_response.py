@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from equimus_ctrl.diagnosis.response import linearise
+from equimus_ctrl.diagnosis.linear_response import linearise
 from equimus_ctrl.engines.base import Engine, ForceResponse
 from equimus_ctrl.engines.mjcf_motion import simulated_response
 from equimus_ctrl.engines.motion import motion

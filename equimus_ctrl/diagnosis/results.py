@@ -143,7 +143,7 @@ class Where:
 
 
 @dataclass(frozen=True, eq=False)
-class Leftover:
+class Unexplained:
     """Something real that no effect explains.
 
     Attributes:
@@ -292,7 +292,7 @@ class Diagnosis:
         residuals: of each of ``STATES``.
         where: the refitted model is off, worst first.
         findings: strongest first.
-        leftover: what none of them explains, strongest first.
+        unexplained: what none of them explains, strongest first.
         doubtful: effects that fit best but not well enough to be named, see ``leftover``.
         ranking: all candidates, alone, best first.
         detectable: smallest effects that would have shown; only where nothing was found.
@@ -314,7 +314,7 @@ class Diagnosis:
     residuals: Mapping[str, Residuals]
     where: tuple[Where, ...]
     findings: tuple[Finding, ...]
-    leftover: tuple[Leftover, ...]
+    unexplained: tuple[Unexplained, ...]
     doubtful: tuple[Named, ...]
     ranking: tuple[Ranked, ...]
     detectable: tuple[Detectable, ...]
@@ -349,7 +349,7 @@ class Diagnosis:
             "engine": self.engine.to_dict(),
             "where": [place.to_dict() for place in self.where],
             "findings": [finding.to_dict() for finding in self.findings],
-            "unexplained": [left.to_dict() for left in self.leftover],
+            "unexplained": [left.to_dict() for left in self.unexplained],
             "doubtful": [named.to_dict() for named in self.doubtful],
             "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.best.noise, strict=True)},
             "noise_correlation_s": {

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 
+from equimus_ctrl.diagnosis.alternatives import contested, narrowed, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, whitened
-from equimus_ctrl.diagnosis.leftover import flexible, linear
-from equimus_ctrl.diagnosis.moves import Moves, Searched
-from equimus_ctrl.diagnosis.rivals import contested, narrowed, simplified
+from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched
+from equimus_ctrl.diagnosis.residual_force import flexible, linear
 from equimus_ctrl.diagnosis.screening import screen
 
 OUTDONE = 0.5

@@ -1,1 +1,1 @@
-"""Concealed realities: legs with known missing physics, for putting the diagnosis to the proof."""
+"""Blinded ground truths: legs with known missing physics, for putting the diagnosis to the proof."""

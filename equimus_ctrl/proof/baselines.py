@@ -15,7 +15,7 @@ from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.proof.refits import Refits, findings_of
-from equimus_ctrl.proof.sparse import sparse_regression
+from equimus_ctrl.proof.sindy_baseline import sparse_regression
 
 MOST_PARTS = 3
 

@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 from equimus_ctrl.diagnosis.candidates import uncertain
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.split import Split, split
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.simulators import reduced_simulator

@@ -58,7 +58,7 @@ def kind_of(rng: np.random.Generator, kind: Kind | None) -> Kind:
         ConfigError: for an unknown kind.
     """
     if kind is not None and kind not in get_args(Kind):
-        raise ConfigError(unknown_name("kind of reality", str(kind), get_args(Kind)))
+        raise ConfigError(unknown_name("kind of ground truth", str(kind), get_args(Kind)))
     kinds: list[Kind] = list(SHARES)
     drawn = kinds[int(rng.choice(len(kinds), p=list(SHARES.values())))]
     return kind or drawn
@@ -103,7 +103,7 @@ class Draws:
 
 
 @dataclass(frozen=True, eq=False)
-class Reality:
+class GroundTruth:
     """One blinded ground truth.
 
     Attributes:
@@ -176,7 +176,7 @@ class CaseSource(ABC):
         """Of every case."""
 
     @abstractmethod
-    def draw(self, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> Reality:
+    def draw(self, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> GroundTruth:
         """The ground truth of a case.
 
         Args:
@@ -190,7 +190,7 @@ class CaseSource(ABC):
         """
 
     @abstractmethod
-    def simulate(self, reality: Reality) -> list[Array]:
+    def simulate(self, ground_truth: GroundTruth) -> list[Array]:
         """For each trial (n, nj) what the sensors would show without noise [rad or m].
 
         Raises:
@@ -198,12 +198,12 @@ class CaseSource(ABC):
         """
 
     @abstractmethod
-    def recorded(self, reality: Reality, clean: Sequence[Array]) -> list[Recording]:
+    def recorded(self, ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
         """What a diagnosis may see: what ``simulate`` gave, with noise."""
 
     @abstractmethod
     def excess(
-        self, reality: Reality, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
+        self, ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
     ) -> Excess:
         """What is left when the robot with ``effects`` alone is fitted to a ground truth, see ``strength.excess``."""
 
@@ -220,13 +220,13 @@ def draw_case(
     case: int,
     kind: Kind | None = None,
     attempt: int = 0,
-) -> Reality:
+) -> GroundTruth:
     """The ground truth of a case.
 
     Args:
         draws: how it differs from other robots'.
         trials: what is measured.
-        rest_bias: see ``Reality``.
+        rest_bias: see ``GroundTruth``.
         seed: as of ``CaseSource.draw``.
         case: as there.
         kind: as there.
@@ -242,7 +242,7 @@ def draw_case(
     inside, beyond = EFFECTS[kind]
     effects = missing_physics(rng, draws, real, REGISTRY, inside)
     outside = missing_physics(rng, draws, real, OUTSIDE, beyond)
-    return Reality(
+    return GroundTruth(
         case, seed, kind, real.robot, effects, outside, noise, correlation, tuple(trials), rest_bias,
         tuple(draws.spread),
     )  # fmt: skip
@@ -328,34 +328,34 @@ def findings(effects: tuple[Effect, ...]) -> list[tuple[str, tuple[str, ...], di
     return found
 
 
-def noise(reality: Reality) -> list[Array]:
+def noise(ground_truth: GroundTruth) -> list[Array]:
     """For each trial (n, nj) the sensors' noise [rad or m]: white, or of first order over the time between samples."""
-    rng = stream(reality.seed, reality.case, NOISE_STREAM)
+    rng = stream(ground_truth.seed, ground_truth.case, NOISE_STREAM)
     found = []
-    for trial in reality.trials:
-        white = rng.standard_normal((len(trial.time), len(reality.noise)))
-        if reality.correlation > 0:
-            kept = np.exp(-np.diff(trial.time) / reality.correlation)
+    for trial in ground_truth.trials:
+        white = rng.standard_normal((len(trial.time), len(ground_truth.noise)))
+        if ground_truth.correlation > 0:
+            kept = np.exp(-np.diff(trial.time) / ground_truth.correlation)
             for k, share in enumerate(kept, start=1):
                 white[k] = share * white[k - 1] + np.sqrt(1 - share**2) * white[k]
-        found.append(white * np.array(reality.noise))
+        found.append(white * np.array(ground_truth.noise))
     return found
 
 
-def recordings_of(reality: Reality, shown: Sequence[Array], digits: int | None = None) -> list[Recording]:
+def recordings_of(ground_truth: GroundTruth, shown: Sequence[Array], digits: int | None = None) -> list[Recording]:
     """Recordings of all trials.
 
     Args:
-        reality: what happened.
+        ground_truth: what happened.
         shown: for each trial (n, nj) what the sensors show [rad or m].
         digits: after the point, to which positions are rounded; not at all by default.
     """
-    robot = reality.robot
+    robot = ground_truth.robot
     return [
         Recording(
             trial.name, trial.time, trial.command, positions if digits is None else np.round(positions, digits),
             robot.actuator_names, robot.joint_names, before=trial.command[0] if trial.settles else None,
             notes=dict(trial.notes),
         )
-        for trial, positions in zip(reality.trials, shown, strict=True)
+        for trial, positions in zip(ground_truth.trials, shown, strict=True)
     ]  # fmt: skip

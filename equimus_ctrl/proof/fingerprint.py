@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 PARTS = ("diagnosis", "effects", "engines", "identification", "models", "robots")
 """Parts of the package that decide what a diagnosis says."""
-BASELINES = ("proof.baselines", "proof.refits", "proof.sparse", "proof.torques")
+BASELINES = ("proof.baselines", "proof.refits", "proof.sindy_baseline", "proof.torques")
 """What the baselines add to that."""
 
 

@@ -13,13 +13,13 @@ from functools import cached_property, partial
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import seen_places, uncertain
-from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import TrialDesign
-from equimus_ctrl.proof.drawing import ALIKE_SHARE, CaseSource, Draws, Excess, Kind, Reality, Site, draw_case, noise
+from equimus_ctrl.proof.drawing import ALIKE_SHARE, CaseSource, Draws, Excess, GroundTruth, Kind, Site, draw_case, noise
 from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, mjcf_recordings, simulate_mjcf_truth
 from equimus_ctrl.proof.mjcf_sizes import mjcf_sizes
 from equimus_ctrl.proof.seal import digest
@@ -85,7 +85,7 @@ class Experiment(CaseSource):
         """Physics steps a second."""
         return FINER / mjcf_of(self.model.robot).timestep
 
-    def draw(self, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> Reality:
+    def draw(self, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> GroundTruth:
         trials = [
             TrialDesign(r.name, "as recorded", r.time, r.command, np.array(r.position[0]), dict(r.notes))
             for r in self.recordings
@@ -99,16 +99,16 @@ class Experiment(CaseSource):
         }
         return replace(found, scales=scales)
 
-    def simulate(self, reality: Reality) -> list[Array]:
-        return simulate_mjcf_truth(reality)
+    def simulate(self, ground_truth: GroundTruth) -> list[Array]:
+        return simulate_mjcf_truth(ground_truth)
 
-    def recorded(self, reality: Reality, clean: Sequence[Array]) -> list[Recording]:
-        return mjcf_recordings(reality, clean, noise(reality))
+    def recorded(self, ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
+        return mjcf_recordings(ground_truth, clean, noise(ground_truth))
 
     def excess(
-        self, reality: Reality, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
+        self, ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
     ) -> Excess:
-        return mjcf_excess(reality, clean, effects)
+        return mjcf_excess(ground_truth, clean, effects)
 
     def hashes(self) -> dict[str, str]:
         robot = mjcf_of(self.model.robot)

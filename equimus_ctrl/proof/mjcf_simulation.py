@@ -16,7 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.diagnosis.candidates import uncertain
-from equimus_ctrl.diagnosis.split import split
+from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.choice import engine_for
@@ -31,7 +31,7 @@ from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
-from equimus_ctrl.proof.drawing import Excess, Reality, recordings_of
+from equimus_ctrl.proof.drawing import Excess, GroundTruth, recordings_of
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import rounded
 from equimus_ctrl.robots.mjcf.parts import harden
@@ -47,7 +47,7 @@ SEARCH = FitSettings(tolerance=1e-3, steps=30)
 """Of the refit that says how strong a case is; it begins at the truth."""
 
 
-def simulate_mjcf_truth(truth: Reality) -> list[Array]:
+def simulate_mjcf_truth(truth: GroundTruth) -> list[Array]:
     """For each trial (n, nj) what the sensors would show without noise [rad or m].
 
     Raises:
@@ -79,7 +79,7 @@ def _without_step(stepped: Stepped, trial: Trial) -> Array:
 class Stepped:
     """A ground truth in MuJoCo, generalised forces that it has no field for put before each of its steps."""
 
-    def __init__(self, truth: Reality) -> None:
+    def __init__(self, truth: GroundTruth) -> None:
         self.truth = truth
         self._bodies = Model(truth.robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
         self._push = _push(truth)
@@ -98,7 +98,7 @@ class Stepped:
         return measured_of(own, course, trial.sample_times)[0]
 
 
-def trials_of(truth: Reality) -> list[Trial]:
+def trials_of(truth: GroundTruth) -> list[Trial]:
     """What is done, each from rest at its first angles."""
     model, found = Model(truth.robot), []
     still = [np.broadcast_to(d.start, (len(d.time), len(truth.noise))) for d in truth.trials if d.start is not None]
@@ -125,7 +125,7 @@ class _Push:
         return torque, bound
 
 
-def _push(truth: Reality) -> _Push | None:
+def _push(truth: GroundTruth) -> _Push | None:
     effects: list[Effect] = [e for e in truth.effects if isinstance(e, ForceEffect)]
     effects += truth.outside
     if not effects:
@@ -191,7 +191,7 @@ def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
     return Course(trial.start, dt, q, v, ctrl, sound)
 
 
-def mjcf_recordings(truth: Reality, clean: Sequence[Array], disturbed: Sequence[Array]) -> list[Recording]:
+def mjcf_recordings(truth: GroundTruth, clean: Sequence[Array], disturbed: Sequence[Array]) -> list[Recording]:
     """What a diagnosis may see, to a thousandth of the noise.
 
     Args:
@@ -203,7 +203,7 @@ def mjcf_recordings(truth: Reality, clean: Sequence[Array], disturbed: Sequence[
     return recordings_of(truth, [shown + more for shown, more in zip(clean, disturbed, strict=True)], digits)
 
 
-def mjcf_excess(truth: Reality, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
+def mjcf_excess(truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
     """What is left when a robot with ``effects`` alone is fitted to a ground truth, see ``strength.excess``.
 
     It is fitted as a diagnosis would be: in the same windows, their starts and the default numbers free; but the error

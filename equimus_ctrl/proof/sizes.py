@@ -1,4 +1,4 @@
-"""How large the missing physics of a concealed reality is: one table, from hardly visible to plain to the eye.
+"""How large the missing physics of a simulated leg is: one table, from hardly visible to plain to the eye.
 
 A knee of this leg gives way by 1 rad for about 0.8 N·m and its hip for about 3 N·m, so 2 mrad of noise are 1.6 and
 6 mN·m, or some 0.05 N along an actuator. What lasts for a whole rest shows far below that. With middling noise the weak

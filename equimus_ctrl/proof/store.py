@@ -23,12 +23,12 @@ from typing import Any
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
-from equimus_ctrl.proof.drawing import ATTEMPTS, CaseSource, Kind, Reality, findings
+from equimus_ctrl.proof.drawing import ATTEMPTS, CaseSource, GroundTruth, Kind, findings
+from equimus_ctrl.proof.leg_simulation import RATE
+from equimus_ctrl.proof.legs import Legs
 from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.outside import acts_on
-from equimus_ctrl.proof.realities import Legs
 from equimus_ctrl.proof.seal import digest, opened, salted, seal
-from equimus_ctrl.proof.simulation import RATE
 from equimus_ctrl.recordings.checks import Limits
 from equimus_ctrl.recordings.folders import holds, read_text, write_folder, write_text
 from equimus_ctrl.recordings.sets import read_set
@@ -81,7 +81,7 @@ class Request:
         """Of every case."""
         return self.source.trial_names
 
-    def reality(self, case: int) -> tuple[Reality, list[Array]]:
+    def ground_truth(self, case: int) -> tuple[GroundTruth, list[Array]]:
         """A case's ground truth and, for each trial, what its sensors would show without noise.
 
         Raises:
@@ -132,37 +132,37 @@ class Made:
     seconds: float
 
 
-def truth_of(source: CaseSource, reality: Reality, clean: list[Array]) -> dict[str, Any]:
+def truth_of(source: CaseSource, ground_truth: GroundTruth, clean: list[Array]) -> dict[str, Any]:
     """All there is to know of a ground truth, as JSON.
 
     ``excess`` is what is left of data without noise when the default parameters have been fitted without any effect. In
     a pair ``alone`` says of each finding how much is left when only it is missing.
     """
-    nothing = not reality.effects and not reality.outside
-    left = source.excess(reality, clean, refit=not nothing)
+    nothing = not ground_truth.effects and not ground_truth.outside
+    left = source.excess(ground_truth, clean, refit=not nothing)
     found = []
-    for name, locations, parameters in findings(reality.effects):
-        others = [e for e in reality.effects if e.name != name]
-        alone = source.excess(reality, clean, others) if others else left
+    for name, locations, parameters in findings(ground_truth.effects):
+        others = [e for e in ground_truth.effects if e.name != name]
+        alone = source.excess(ground_truth, clean, others) if others else left
         own = {"effect": name, "locations": locations, "parameters": parameters, "alone": alone.total}
-        scales = {key: scale for (effect, key), scale in reality.scales.items() if effect == name}
+        scales = {key: scale for (effect, key), scale in ground_truth.scales.items() if effect == name}
         found.append({**own, **({"scales": scales} if scales else {})})
     beyond = [
-        {"effect": e.name, "locations": acts_on(e, reality.robot), "parameters": e.parameters()}
-        for e in reality.outside
+        {"effect": e.name, "locations": acts_on(e, ground_truth.robot), "parameters": e.parameters()}
+        for e in ground_truth.outside
     ]
-    joints = reality.robot.joint_names
+    joints = ground_truth.robot.joint_names
     return {
         "schema": SCHEMA,
-        "seed": reality.seed,
-        "case": reality.case,
-        "kind": reality.kind,
-        "parameters": {name: reality.robot.parameters()[name] for name in reality.drawn},
+        "seed": ground_truth.seed,
+        "case": ground_truth.case,
+        "kind": ground_truth.kind,
+        "parameters": {name: ground_truth.robot.parameters()[name] for name in ground_truth.drawn},
         "findings": found,
         "outside": beyond,
-        "noise_rad": dict(zip(joints, reality.noise, strict=True)),
-        "noise_correlation_s": reality.correlation,
-        "trials": [trial.kind for trial in reality.trials],
+        "noise_rad": dict(zip(joints, ground_truth.noise, strict=True)),
+        "noise_correlation_s": ground_truth.correlation,
+        "trials": [trial.kind for trial in ground_truth.trials],
         "excess": left.total,
         "excess_joints": dict(zip(joints, left.joints, strict=True)),
         "refitted": left.parameters,
@@ -179,10 +179,10 @@ def make_case(request: Request, case: int) -> Made:
         _check_same(request, truth)
         return Made(case, known.strip(), 0.0)
     began = time.perf_counter()
-    reality, clean = request.reality(case)
-    seen = request.source.recorded(reality, clean)
+    ground_truth, clean = request.ground_truth(case)
+    seen = request.source.recorded(ground_truth, clean)
     made = {"duration_s": request.duration, "physics_hz": request.rate, "recordings_sha256": digest(seen)}
-    line = salted({**truth_of(request.source, reality, clean), **made}, request.seed, case)
+    line = salted({**truth_of(request.source, ground_truth, clean), **made}, request.seed, case)
     write_folder(request.recordings(case), seen)
     write_text(request.truth(case), line + "\n")
     write_text(request.seal(case), seal(line) + "\n")

@@ -15,31 +15,33 @@ from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.proof.drawing import Excess, Reality, recordings_of
+from equimus_ctrl.proof.drawing import Excess, GroundTruth, recordings_of
 from equimus_ctrl.types import Array
 
 SEARCH = FitSettings(tolerance=2e-2, steps=12)
 """The search begins at the truth, and a few per cent of the excess are no matter."""
 
 
-def excess(reality: Reality, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True) -> Excess:
-    """What is left when a leg with ``effects`` alone is fitted to a reality, weighted by the joints' noise.
+def excess(
+    ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
+) -> Excess:
+    """What is left when a leg with ``effects`` alone is fitted to a ground truth, weighted by the joints' noise.
 
     Args:
-        reality: what happened.
+        ground_truth: what happened.
         clean: for each trial (n, nj) angles without noise [rad].
         effects: what the fitted leg has, at its true size.
         refit: whether the ten default parameters are fitted; else they stay at the truth.
     """
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
-        return _excess(reality, clean, Model(reality.leg, tuple(effects)), refit)
+        return _excess(ground_truth, clean, Model(ground_truth.leg, tuple(effects)), refit)
 
 
-def _excess(reality: Reality, clean: Sequence[Array], model: Model, refit: bool) -> Excess:
-    measured = recordings_of(reality, clean)
+def _excess(ground_truth: GroundTruth, clean: Sequence[Array], model: Model, refit: bool) -> Excess:
+    measured = recordings_of(ground_truth, clean)
     segments = cut(model, measured)
     simulator = reduced_simulator(threads=1)
-    noise = np.array(reality.noise)
+    noise = np.array(ground_truth.noise)
 
     def joint_excess(residuals: Sequence[Array]) -> Array:
         return np.asarray(((np.concatenate(residuals) / noise) ** 2).mean(axis=0))
@@ -47,7 +49,7 @@ def _excess(reality: Reality, clean: Sequence[Array], model: Model, refit: bool)
     if not refit:
         found = joint_excess(residuals_of(model, segments, simulator))
         return rounded(found, {})
-    free = free_parameters(model, default_names(Model(reality.leg)))
+    free = free_parameters(model, default_names(Model(ground_truth.leg)))
     searched = fit(free, segments, simulator=simulator, settings=SEARCH)
     best, theta = joint_excess(searched.residuals), searched.theta
     # The search weighs both joints alike; one linear step takes it to where their noise counts.

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import Finding, Leftover
+from equimus_ctrl.diagnosis.results import Finding, Unexplained
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.force import ForceEffect
@@ -64,7 +64,7 @@ def panels(scene: Scene, finding: Finding) -> list[Panel]:
     return make(scene, best, others)
 
 
-def leftover_panel(scene: Scene, left: Leftover) -> Panel | None:
+def unexplained_panel(scene: Scene, left: Unexplained) -> Panel | None:
     """The curve of something that has no name; None where it has no coordinate."""
     if not left.axis or len(left.x) == 0:
         return None

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from equimus_ctrl.diagnosis.results import Diagnosis, Finding, Leftover, Named
+from equimus_ctrl.diagnosis.results import Diagnosis, Finding, Named, Unexplained
 from equimus_ctrl.report import style
-from equimus_ctrl.report.diagnosis_curves import leftover_panel, panels
+from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_panels import Band, Panel, Scene
 from equimus_ctrl.report.diagnosis_words import coordinate, short
 from equimus_ctrl.types import Array
@@ -41,9 +41,9 @@ def finding_figure(scene: Scene, finding: Finding) -> Figure:
     return _figure(f"{short(finding.named)[:1].upper()}{short(finding.named)[1:]}{alike}", shown, "interval")
 
 
-def leftover_figure(scene: Scene, left: Leftover) -> Figure | None:
+def unexplained_figure(scene: Scene, left: Unexplained) -> Figure | None:
     """The curve of something without a name; None where it has none."""
-    panel = leftover_panel(scene, left)
+    panel = unexplained_panel(scene, left)
     if panel is None:
         return None
     title = f"Unexplained at {left.location}: a push that goes with {coordinate(left.depends_on, scene.model)}"

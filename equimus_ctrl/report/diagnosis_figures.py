@@ -16,20 +16,20 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis
-from equimus_ctrl.diagnosis.where import commands, speeds
 from equimus_ctrl.identification.residuals import DIVERGED
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.report import diagnosis_text as story
 from equimus_ctrl.report import style
-from equimus_ctrl.report.diagnosis_curves import leftover_panel, panels
+from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_drawing import (
     WIDTH,
     draw,
     finding_figure,
     handles_of,
-    leftover_figure,
     ranking_figure,
+    unexplained_figure,
 )
 from equimus_ctrl.report.diagnosis_panels import Panel, Scene
 from equimus_ctrl.report.diagnosis_sentences import sentence
@@ -57,8 +57,8 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
         figures["ranking"] = ranking_figure(diagnosis)
     for k, finding in enumerate(diagnosis.findings):
         figures[f"finding_{k + 1}"] = finding_figure(scene, finding)
-    for k, left in enumerate(diagnosis.leftover):
-        if (figure := leftover_figure(scene, left)) is not None:
+    for k, left in enumerate(diagnosis.unexplained):
+        if (figure := unexplained_figure(scene, left)) is not None:
             figures[f"unexplained_{k + 1}"] = figure
     return figures
 
@@ -268,8 +268,8 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
         first, *others = diagnosis.findings
         also = f" Also: {listed([short(f.named) for f in others])}." if others else ""
         told = sentence(first, diagnosis.model) + also
-    elif diagnosis.leftover:
-        told = f"Unexplained at {diagnosis.leftover[0].location}: none of the known effects does this."
+    elif diagnosis.unexplained:
+        told = f"Unexplained at {diagnosis.unexplained[0].location}: none of the known effects does this."
     figure.suptitle(
         textwrap.fill(told, 96), x=0.012, ha="left", fontsize=style.PANEL_SIZE, fontweight="bold", color=style.INK
     )
@@ -309,7 +309,7 @@ def _first_panel(diagnosis: Diagnosis, scene: Scene) -> Panel | None:
     if diagnosis.findings:
         first = diagnosis.findings[0]
         return replace(panels(scene, first)[0], title=short(first.named))
-    return next((p for left in diagnosis.leftover if (p := leftover_panel(scene, left)) is not None), None)
+    return next((p for left in diagnosis.unexplained if (p := unexplained_panel(scene, left)) is not None), None)
 
 
 def _draw_against_noise(axes: Axes, diagnosis: Diagnosis) -> None:

@@ -199,7 +199,7 @@ def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
 
 def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     body = _list(story.remains(diagnosis))
-    for k, left in enumerate(diagnosis.leftover):
+    for k, left in enumerate(diagnosis.unexplained):
         if figure := figures.get(f"unexplained_{k + 1}"):
             alt = f"The push at {left.location} that nothing explains, against {coordinate(left.axis, diagnosis.model)}"
             body += _figure(figure, alt)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import seen_places
+from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
-from equimus_ctrl.diagnosis.where import commands, speeds
 from equimus_ctrl.effects.base import Effect, Seen
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment
@@ -108,7 +108,7 @@ class Scene:
         return np.concatenate([commands(s)[0] for s in self.segments])
 
     def values(self, coordinate: str) -> Array | None:
-        """(m,) of a coordinate as ``diagnosis.flexible`` calls them (``pos.hip``, ``cmd.maa``, …); None of some."""
+        """(m,) of a coordinate as ``diagnosis.force_basis`` calls them (``pos.hip``, ``cmd.maa``, …); None of some."""
         first, less, second = coordinate.partition("−")
         if less:
             pair = self.values(first), self.values(second)

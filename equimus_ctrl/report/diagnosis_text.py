@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import STATES, Detectable, Diagnosis, Estimate, Experiment, Leftover
+from equimus_ctrl.diagnosis.results import STATES, Detectable, Diagnosis, Estimate, Experiment, Unexplained
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
@@ -117,14 +117,14 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
 
 def remains(diagnosis: Diagnosis) -> list[str]:
     """What none of the findings explains, and effects that were not named because of it."""
-    lines = [_left(left, diagnosis.model) for left in diagnosis.leftover]
+    lines = [_left(left, diagnosis.model) for left in diagnosis.unexplained]
     if diagnosis.doubtful:
         named = listed([short(named) for named in diagnosis.doubtful])
         lines.append(f"Of the known effects, {named} would fit best, but no better than a push without a name.")
     return lines
 
 
-def _left(left: Leftover, model: Model) -> str:
+def _left(left: Unexplained, model: Model) -> str:
     if not left.depends_on:
         return f"At the {left.location}: an error {_times(math.sqrt(1 + left.gain))} the noise" + (
             " on trials held out, whatever its numbers"

@@ -143,7 +143,7 @@ def coordinate(text: str, model: Model | None = None) -> str:
     """What a push depends on, in words: ``pos.hip·vel.hip`` → ``the angle of hip and the speed of hip``.
 
     Args:
-        text: as ``diagnosis.flexible`` calls it.
+        text: as ``diagnosis.force_basis`` calls it.
         model: of the robot, whose joints may slide and whose commands may be no pressures.
     """
     words = dict(_COORDINATES)

@@ -15,8 +15,8 @@ from matplotlib.ticker import MaxNLocator
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.proof.answers import BINS, EDGES, OURS, STRONG
 from equimus_ctrl.proof.estimates import Number
+from equimus_ctrl.proof.legs import catalogue
 from equimus_ctrl.proof.outside import OUTSIDE
-from equimus_ctrl.proof.realities import catalogue
 from equimus_ctrl.proof.scoring import COVERAGE, LEAST_HELD_OUT, MOST_FALSE_ALARMS, Score
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import CONSISTENT, FAILED, NOTHING, UNEXPLAINED, Table, confusion

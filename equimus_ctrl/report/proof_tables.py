@@ -80,7 +80,7 @@ def markdown(head: Mapping[str, Any], score: Score) -> str:
         head: what the proof was made from, line by line.
         score: what it came to.
     """
-    parts = ["# Concealed realities", "", *(f"- {key}: {value}" for key, value in head.items()), ""]
+    parts = ["# Blinded ground truths", "", *(f"- {key}: {value}" for key, value in head.items()), ""]
     return "\n".join([*parts, *(sheet.markdown() for sheet in sheets(score))])
 
 

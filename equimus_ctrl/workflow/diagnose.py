@@ -12,9 +12,9 @@ import numpy as np
 from equimus_ctrl.diagnosis.candidates import uncertain
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
+from equimus_ctrl.diagnosis.holdout import check_settings, split
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.split import check_settings, split
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
@@ -55,11 +55,11 @@ def diagnose_recordings(
         fix: names or patterns of what is right all the same.
         bounds: (low, high) of some of them.
         select: patterns of the names of the trials to use; all by default.
-        heldout: patterns of the names of trials that only judge; see ``diagnosis.split.split`` for the default.
+        heldout: patterns of the names of trials that only judge; see ``diagnosis.holdout.split`` for the default.
         until: of every trial only what comes before this time is fitted, and the rest judges too [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of the windows that trials are cut into where nothing holds the robot in place [s]; see
-            ``split.window_length``.
+            ``holdout.window_length``.
         parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
         most: largest number of effects.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.

@@ -12,7 +12,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.split import window_length
+from equimus_ctrl.diagnosis.holdout import window_length
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import check_columns

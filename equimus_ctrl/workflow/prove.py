@@ -1,4 +1,4 @@
-"""The proof: realities made and sealed, diagnosed by processes that know nothing of them, opened and scored."""
+"""The proof: ground truths made and sealed, diagnosed by processes that know nothing of them, opened and scored."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from equimus_ctrl.computer import processors
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import blind
-from equimus_ctrl.proof.apart import each_apart
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
 from equimus_ctrl.proof.mjcf import Experiment
+from equimus_ctrl.proof.processes import each_apart
 from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.store import Request, make_cases, open_truth
@@ -31,7 +31,7 @@ LEAST_DURATION = 2.0
 """Of a trial; a shorter one does not move the leg enough [s]."""
 HASHED = {"recordings_sha256": "other recordings", "model_sha256": "another model"}
 """Of what the request holds hashes, and what it says where they differ."""
-STAGES = ("making realities", "diagnosing", "opening the seals")
+STAGES = ("simulating robots", "diagnosing", "scoring")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ def put_to_proof(
     whole = seal_of_all(seals)
     lines = "".join(f"{one}  case_{case:04d}\n" for case, one in enumerate(seals))
     presets.write_text(folder / "seals.txt", f"{whole}  all\n{lines}")
-    say(f"{cases} realities are sealed; SHA-256 of their seals: {whole}")
+    say(f"{cases} ground truths are sealed; SHA-256 of the seals: {whole}")
     notes = _diagnose(request, seals, workers, baselines, progress, say)
     progress(STAGES[2], 0, cases)
     truths = []

@@ -18,13 +18,13 @@ from equimus_ctrl.proof.drawing import (
     CaseSource,
     Draws,
     Excess,
+    GroundTruth,
     Kind,
-    Reality,
     Site,
     draw_case,
     stream,
 )
-from equimus_ctrl.proof.simulation import RATE, recordings, simulate
+from equimus_ctrl.proof.leg_simulation import RATE, recordings, simulate
 from equimus_ctrl.proof.strength import excess
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, Recording
@@ -69,27 +69,27 @@ class Legs(CaseSource):
     def trial_names(self) -> list[str]:
         return [f"trial_{k:02d}" for k in range(self.trials)]
 
-    def draw(self, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> Reality:
+    def draw(self, seed: int, case: int, kind: Kind | None = None, attempt: int = 0) -> GroundTruth:
         leg = nominal_leg()
         bias = stream(seed, case, REST).uniform(-0.8, 0.8, (self.trials, len(leg.joints) + len(leg.actuators)))
         designs = design(stream(seed, case, DESIGN), self.trials, self.duration)
         return draw_case(leg_draws(), designs, bias, seed, case, kind, attempt)
 
-    def simulate(self, reality: Reality) -> list[Array]:
-        return simulate(reality, self.rate)
+    def simulate(self, ground_truth: GroundTruth) -> list[Array]:
+        return simulate(ground_truth, self.rate)
 
-    def recorded(self, reality: Reality, clean: Sequence[Array]) -> list[Recording]:
-        return recordings(reality, clean)
+    def recorded(self, ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
+        return recordings(ground_truth, clean)
 
     def excess(
-        self, reality: Reality, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
+        self, ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
     ) -> Excess:
-        return excess(reality, clean, effects, refit)
+        return excess(ground_truth, clean, effects, refit)
 
 
 def draw(
     seed: int, case: int, *, kind: Kind | None = None, trials: int = TRIALS, duration: float = DURATION
-) -> Reality:
+) -> GroundTruth:
     """A leg's ground truth, see ``Legs`` and ``CaseSource.draw``."""
     return Legs(trials, duration).draw(seed, case, kind)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from equimus_ctrl.diagnosis.alternatives import less
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.moves import Searched
-from equimus_ctrl.diagnosis.remainder import Remainder, remainder
-from equimus_ctrl.diagnosis.rivals import less
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.unexplained import Remainder, remainder
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.simulators import Simulator
@@ -29,7 +29,7 @@ def without_step_error(
     Nothing is done where the engine's step has no error that counts.
     """
     engine, best = search.data.simulator.engine, found.best
-    if (own_step := engine.discretisation) is None or not (best.hypothesis or rest.leftovers):
+    if (own_step := engine.discretisation) is None or not (best.hypothesis or rest.unexplained):
         return None
     step = own_step.step / own_step.finer
     data = replace(search.data, simulator=Simulator(engine.without_step_error(), threads), coarse=None)
@@ -44,7 +44,7 @@ def without_step_error(
     own = replace(data, fine=data.simulator)
     exact_best = own.settle_finely(best)
     needless = [k for k in doubted if not search.believed(own.settle_finely(found.without[k]), exact_best)]
-    if not needless and not rest.leftovers:
+    if not needless and not rest.unexplained:
         return None
     other = Search(data, search.pool, search.settings, otherwise=search.fitted)
     other.barred |= search.barred
@@ -57,7 +57,7 @@ def without_step_error(
     if exact.best.deviance - best.deviance > search.threshold(saved):
         return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
     left = remainder(data, base, exact.best, exact.without)
-    if not needless and left.leftovers:
+    if not needless and left.unexplained:
         return None
     return (
         other,

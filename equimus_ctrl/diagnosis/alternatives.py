@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.moves import Ended, Moves, Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import Ended, Moves, Searched
 
 Kind = tuple[str, tuple[str, ...]]
 """What a part is: its law, or what it shares with those that exclude it, and where."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import BSpline
 
-from equimus_ctrl.diagnosis.response import along_actuator
+from equimus_ctrl.diagnosis.linear_response import along_actuator
 from equimus_ctrl.engines.base import ForceResponse
 from equimus_ctrl.engines.motion import Inner, Motion
 from equimus_ctrl.identification.parameters import place_unit

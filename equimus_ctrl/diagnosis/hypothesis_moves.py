@@ -254,7 +254,7 @@ class Moves:
         """A search's end moved to another hypothesis, with what it would be without each part."""
         parts = best.hypothesis
         without = tuple(self.refit(best, parts[:k] + parts[k + 1 :]) for k in range(len(parts)))
-        # What others were fitted beside is not what stays, so rivals are looked for anew, see ``rivals.listed``.
+        # What others were fitted beside is not what stays, so rivals are looked for anew, see ``alternatives.listed``.
         return Searched(found.base, best, without, tuple(() for _ in parts), found.first, tuple(self.fitted))
 
     def refit(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> Fitted:

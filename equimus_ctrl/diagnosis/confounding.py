@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Hypothesis
-from equimus_ctrl.diagnosis.explained import explained
-from equimus_ctrl.diagnosis.flexible import Group
-from equimus_ctrl.diagnosis.leftover import Linear, judged, nuisances
+from equimus_ctrl.diagnosis.explained_variance import explained
+from equimus_ctrl.diagnosis.force_basis import Group
+from equimus_ctrl.diagnosis.residual_force import Linear, judged, nuisances
 from equimus_ctrl.identification.weighing import outside
 from equimus_ctrl.types import Array
 
@@ -61,7 +61,7 @@ def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: flo
         at: the hypothesis to first order, with the pushes.
         falls: by how much χ² falls with each part, fitted.
         together: the same with all of them.
-        threshold: what a push has to explain to be told, see ``leftover.judged``.
+        threshold: what a push has to explain to be told, see ``residual_force.judged``.
 
     Returns:
         All parts, where they are the shadow of one push together, or the one that is least needed beside a push.

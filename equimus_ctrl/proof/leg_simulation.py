@@ -1,4 +1,4 @@
-"""Concealed realities in MuJoCo: the leg of 3-2-1 elements at a fine step, all trials side by side.
+"""Ground truths of legs in MuJoCo: the leg of 3-2-1 elements at a fine step, all trials side by side.
 
 What pushes is stepped in the loop, at the middle of each step, that is at positions and speeds carried on from its
 start. Dry friction is MuJoCo's own.
@@ -31,7 +31,7 @@ from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.mjcf import compile_model, place
 from equimus_ctrl.models.symbolic import build
-from equimus_ctrl.proof.drawing import Reality, noise, recordings_of
+from equimus_ctrl.proof.drawing import GroundTruth, noise, recordings_of
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.robots.elastic.morphology import Morphology, pack, structure
 from equimus_ctrl.types import Array, Recording
@@ -59,9 +59,9 @@ class _Pushes:
     n_states: int
 
 
-def _pushes(reality: Reality, robot: Morphology) -> _Pushes | None:
-    effects = [e for e in (*reality.effects, *reality.outside) if isinstance(e, ForceEffect)]
-    free = [e for e in reality.outside if isinstance(e, MotionEffect)]
+def _pushes(ground_truth: GroundTruth, robot: Morphology) -> _Pushes | None:
+    effects = [e for e in (*ground_truth.effects, *ground_truth.outside) if isinstance(e, ForceEffect)]
+    free = [e for e in ground_truth.outside if isinstance(e, MotionEffect)]
     if not effects and not free:
         return None
     laws = tuple(sorted({type(e) for e in effects}, key=lambda law: law.name))
@@ -126,36 +126,36 @@ def settled(kinematics: Kinematics, pushes: _Pushes | None, pressure: Array, bia
     return settle(kinematics, pressure, pushed)
 
 
-def simulate(reality: Reality, rate: float = RATE) -> list[Array]:
+def simulate(ground_truth: GroundTruth, rate: float = RATE) -> list[Array]:
     """For each trial (n, nj) the angles that the sensors would show without noise [rad].
 
     Args:
-        reality: what happens.
+        ground_truth: what happens.
         rate: physics steps a second.
 
     Raises:
         ModelError: where the leg finds no rest to begin from.
         SimulationDiverged: where the leg's numbers are none.
     """
-    model, dt = reality.model, 1.0 / rate
-    require_kinds(model.effects, MUJOCO_KINDS, f"case {reality.case}")
-    names = reality.leg.actuator_names
-    robot = changed_bodies(model.effects, reality.leg)
-    steps = max(int(np.ceil(trial.time[-1] * rate - 1e-9)) for trial in reality.trials)
-    pressure = np.empty((len(reality.trials), steps, 2, len(names)))
+    model, dt = ground_truth.model, 1.0 / rate
+    require_kinds(model.effects, MUJOCO_KINDS, f"case {ground_truth.case}")
+    names = ground_truth.leg.actuator_names
+    robot = changed_bodies(model.effects, ground_truth.leg)
+    steps = max(int(np.ceil(trial.time[-1] * rate - 1e-9)) for trial in ground_truth.trials)
+    pressure = np.empty((len(ground_truth.trials), steps, 2, len(names)))
     starts = []
-    pushes, kinematics = _pushes(reality, robot), Kinematics(robot)
-    for k, trial in enumerate(reality.trials):
+    pushes, kinematics = _pushes(ground_truth, robot), Kinematics(robot)
+    for k, trial in enumerate(ground_truth.trials):
         shaped = shaped_commands(model.effects, names, trial.command)
         valve = valve_settings(model.effects, names)
         pressure_history(np.array(trial.time), shaped, shaped[0].copy(), valve, 0.0, dt, pressure[k])
-        starts.append(settled(kinematics, pushes, shaped[0], reality.rest_bias[k]))
+        starts.append(settled(kinematics, pushes, shaped[0], ground_truth.rest_bias[k]))
     q, v = _run(robot, pushes, np.array(starts), pressure[:, :, 0].copy(), dt)
     if not (np.all(np.isfinite(q)) and np.all(np.abs(v) < MAX_SPEED)):
-        raise SimulationDiverged(f"case {reality.case} of seed {reality.seed}: the simulation diverged")
+        raise SimulationDiverged(f"case {ground_truth.case} of seed {ground_truth.seed}: the simulation diverged")
     sensors = sensor_settings(model.effects, robot.joint_names)
     clean = []
-    for k, trial in enumerate(reality.trials):
+    for k, trial in enumerate(ground_truth.trials):
         seen = np.empty((len(trial.time), q.shape[2]))
         for j, sensor in enumerate(sensors):
             column = np.empty(len(trial.time))
@@ -250,12 +250,12 @@ class _Loop:
         return torque, force, bound
 
 
-def recordings(reality: Reality, clean: Sequence[Array]) -> list[Recording]:
+def recordings(ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
     """What a diagnosis may see: commands and noisy angles, to 0.01 mrad.
 
     Args:
-        reality: what happened.
+        ground_truth: what happened.
         clean: for each trial (n, nj), see ``simulate``.
     """
-    noisy = [angles + disturbed for angles, disturbed in zip(clean, noise(reality), strict=True)]
-    return recordings_of(reality, noisy, digits=5)
+    noisy = [angles + disturbed for angles, disturbed in zip(clean, noise(ground_truth), strict=True)]
+    return recordings_of(ground_truth, noisy, digits=5)

@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.alternatives import ALIKE, listed
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.moves import Searched
-from equimus_ctrl.diagnosis.rivals import ALIKE, listed
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched
+from equimus_ctrl.diagnosis.localization import excess_of
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.split import Split
-from equimus_ctrl.diagnosis.where import excess_of
 from equimus_ctrl.identification.noise import Noise, log_likelihood, whiten
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.types import Array

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import seen_places
-from equimus_ctrl.diagnosis.explained import Explained, explained
+from equimus_ctrl.diagnosis.explained_variance import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.flexible import Group, groups, harmonics, responses
+from equimus_ctrl.diagnosis.force_basis import Group, groups, harmonics, responses
 from equimus_ctrl.diagnosis.force_response import STEP, force_response
 from equimus_ctrl.engines.motion import Motion
 from equimus_ctrl.engines.predict import behind_sensors

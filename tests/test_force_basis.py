@@ -12,8 +12,8 @@ import pytest
 from morphologies import random_morphology
 from threadpoolctl import threadpool_limits
 
-from equimus_ctrl.diagnosis.explained import explained
-from equimus_ctrl.diagnosis.flexible import (
+from equimus_ctrl.diagnosis.explained_variance import explained
+from equimus_ctrl.diagnosis.force_basis import (
     AT_ACTUATORS,
     AT_JOINTS,
     MEMORIES,
@@ -23,7 +23,7 @@ from equimus_ctrl.diagnosis.flexible import (
     harmonics,
     responses,
 )
-from equimus_ctrl.diagnosis.response import Linearised, along_actuator, linearise
+from equimus_ctrl.diagnosis.linear_response import Linearised, along_actuator, linearise
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.motion import Motion, motion
 from equimus_ctrl.engines.trials import Trial
@@ -34,6 +34,8 @@ from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.proof.leg_simulation import recordings, simulate
+from equimus_ctrl.proof.legs import draw
 from equimus_ctrl.proof.outside import (
     Fade,
     Leak,
@@ -44,8 +46,6 @@ from equimus_ctrl.proof.outside import (
     SquareDrag,
     StiffnessDrift,
 )
-from equimus_ctrl.proof.realities import draw
-from equimus_ctrl.proof.simulation import recordings, simulate
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array
 
@@ -373,9 +373,9 @@ def test_rows_must_agree() -> None:
 def concealed(outside: Effect) -> tuple[Fit, list[Motion]]:
     """The best that the nominal model can do on four short trials of a leg with something else about it."""
     drawn = draw(8, 1, kind="none", trials=4, duration=6.0)
-    reality = replace(drawn, outside=(outside,), noise=(NOISE, NOISE), correlation=0.0)
+    ground_truth = replace(drawn, outside=(outside,), noise=(NOISE, NOISE), correlation=0.0)
     model = nominal_model()
-    measured = recordings(reality, simulate(reality, 480.0))
+    measured = recordings(ground_truth, simulate(ground_truth, 480.0))
     segments = cut(model, measured, fit_start=True)
     found = fit(free_parameters(model), segments, simulator=reduced_simulator(threads=1))
     starts = zip(segments, found.starts, strict=True)

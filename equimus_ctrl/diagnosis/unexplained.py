@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import seen_places
-from equimus_ctrl.diagnosis.explained import Explained
+from equimus_ctrl.diagnosis.confounding import LEAST_GAIN, restates, shadowed
+from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
-from equimus_ctrl.diagnosis.flexible import Axis, Group
-from equimus_ctrl.diagnosis.leftover import Flexible, Linear, flexible, judged, linear, nuisances
-from equimus_ctrl.diagnosis.results import Leftover
-from equimus_ctrl.diagnosis.shadows import LEAST_GAIN, restates, shadowed
-from equimus_ctrl.diagnosis.where import excess_of
+from equimus_ctrl.diagnosis.force_basis import Axis, Group
+from equimus_ctrl.diagnosis.localization import excess_of
+from equimus_ctrl.diagnosis.residual_force import Flexible, Linear, flexible, judged, linear, nuisances
+from equimus_ctrl.diagnosis.results import Unexplained
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
@@ -53,11 +53,11 @@ class Remainder:
     """What is left.
 
     Attributes:
-        leftovers: pushes that nothing named explains, strongest first.
+        unexplained: forces that nothing named explains, strongest first.
         superfluous: places of parts of the hypothesis that such a push explains as well or better.
     """
 
-    leftovers: tuple[Leftover, ...]
+    unexplained: tuple[Unexplained, ...]
     superfluous: tuple[int, ...]
 
 
@@ -108,7 +108,7 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
     return Remainder(told, superfluous)
 
 
-def _much(data: Data, best: Fitted) -> tuple[Leftover, ...]:
+def _much(data: Data, best: Fitted) -> tuple[Unexplained, ...]:
     """Joints whose error is far above the noise, though no push that was looked for explains it.
 
     Where a robot is held in place some push, to first order, explains all that is missing.
@@ -143,11 +143,11 @@ def not_borne_out(data: Data, best: Fitted, heldout: Sequence[Segment], residual
     return Remainder(tuple(replace(o, heldout=True) for o in _far_off(data, left, best.noise)), ())
 
 
-def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Leftover, ...]:
+def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Unexplained, ...]:
     excess = excess_of(residuals, noise)
     nothing = np.empty(0)
     return tuple(
-        Leftover(
+        Unexplained(
             joint, float(own / excess.sum()), "", (joint,), float(own), MUCH, "", "", "", nothing, nothing, nothing,
         )
         for joint, own in zip(data.free.model.robot.joint_names, excess, strict=True)
@@ -211,7 +211,7 @@ def _barely(data: Data, best: Fitted) -> tuple[int, ...]:
     )
 
 
-def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, threshold: float) -> Leftover:
+def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, threshold: float) -> Unexplained:
     group = top.group
     joint = _joint(at, group, top.found)
     axis = group.axes[0] if len(group.axes) == 1 else None
@@ -222,7 +222,7 @@ def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, t
     names = {"joint": data.free.model.robot.joint_names, "actuator": data.free.model.robot.actuator_names}
     places = tuple(names[kind][i] for kind, i in group.pushes)
     unit = place_unit(data.free.model, f"{_unit('N·m', group)} | {_unit('N', group)}", places[0])
-    return Leftover(
+    return Unexplained(
         joint,
         share,
         group.depends_on,

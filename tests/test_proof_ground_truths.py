@@ -1,4 +1,4 @@
-"""Concealed realities: drawn to the bit, settled, sealed, resumable, and foreign where they should be."""
+"""Blinded ground truths: drawn to the bit, settled, sealed, resumable, and foreign where they should be."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import outside, sizes
 from equimus_ctrl.proof.designs import DURATION, JITTER, SAMPLE_RATE, TOP, design, sample_times
-from equimus_ctrl.proof.drawing import Reality, attached, findings, noise, strayed
-from equimus_ctrl.proof.outside import OUTSIDE, Motion, acts_on
-from equimus_ctrl.proof.realities import (
+from equimus_ctrl.proof.drawing import GroundTruth, attached, findings, noise, strayed
+from equimus_ctrl.proof.leg_simulation import recordings as recorded
+from equimus_ctrl.proof.leg_simulation import simulate
+from equimus_ctrl.proof.legs import (
     ALIKE,
     CORRELATION,
     NOISE,
@@ -44,9 +45,8 @@ from equimus_ctrl.proof.realities import (
     draw,
     leg_draws,
 )
+from equimus_ctrl.proof.outside import OUTSIDE, Motion, acts_on
 from equimus_ctrl.proof.seal import canonical, opened, salt, salted, seal
-from equimus_ctrl.proof.simulation import recordings as recorded
-from equimus_ctrl.proof.simulation import simulate
 from equimus_ctrl.proof.store import Request, make_case, make_cases, open_truth
 from equimus_ctrl.proof.strength import excess
 from equimus_ctrl.robots.elastic.leg import nominal_leg
@@ -56,11 +56,11 @@ JOINTS, ACTUATORS = ("hip", "knee"), ("maa", "baa")
 
 
 @lru_cache(maxsize=1)
-def many() -> tuple[Reality, ...]:
+def many() -> tuple[GroundTruth, ...]:
     return tuple(draw(11, case, trials=1, duration=1.0) for case in range(400))
 
 
-def reality(effects: tuple[Effect, ...] = (), beyond: tuple[Effect, ...] = (), trials: int = 1) -> Reality:
+def ground_truth(effects: tuple[Effect, ...] = (), beyond: tuple[Effect, ...] = (), trials: int = 1) -> GroundTruth:
     base = draw(3, 1, kind="none", trials=trials, duration=1.5)
     return dataclasses.replace(base, effects=effects, outside=beyond)
 
@@ -69,7 +69,7 @@ def changes(command: Array) -> np.ndarray:
     return np.flatnonzero(np.any(np.diff(command, axis=0) != 0, axis=1)) + 1
 
 
-def same(a: Reality, b: Reality) -> bool:
+def same(a: GroundTruth, b: GroundTruth) -> bool:
     plain = ("case", "seed", "kind", "leg", "effects", "outside", "noise", "correlation")
     trials = all(
         s.name == t.name and np.array_equal(s.time, t.time) and np.array_equal(s.command, t.command)
@@ -309,7 +309,7 @@ STRONG: list[tuple[tuple[Effect, ...], tuple[Effect, ...]]] = [
 
 @pytest.mark.parametrize(("effects", "beyond"), STRONG, ids=lambda e: "+".join(x.name for x in e) or "-")
 def test_trials_start_settled(effects: tuple[Effect, ...], beyond: tuple[Effect, ...]) -> None:
-    r = reality(effects, beyond)
+    r = ground_truth(effects, beyond)
     (clean,) = simulate(r)
     still = changes(r.trials[0].command)[0] + 1
     assert still > 20
@@ -318,13 +318,13 @@ def test_trials_start_settled(effects: tuple[Effect, ...], beyond: tuple[Effect,
 
 
 def test_friction_holds_the_leg_away_from_where_it_would_rest_without() -> None:
-    rubbing = reality((make("coulomb_friction", "knee", {"friction": 0.05}),))
-    moved = abs(simulate(rubbing)[0][0, 1] - simulate(reality())[0][0, 1])
+    rubbing = ground_truth((make("coulomb_friction", "knee", {"friction": 0.05}),))
+    moved = abs(simulate(rubbing)[0][0, 1] - simulate(ground_truth())[0][0, 1])
     assert 1e-3 < moved < 0.1
 
 
-def test_the_same_reality_gives_the_same_bits() -> None:
-    r = reality((Hysteresis("maa", size=1.0, width=5e-3),), trials=2)
+def test_the_same_ground_truth_gives_the_same_bits() -> None:
+    r = ground_truth((Hysteresis("maa", size=1.0, width=5e-3),), trials=2)
     for a, b in zip(simulate(r), simulate(r), strict=True):
         assert np.array_equal(a, b)
 
@@ -340,7 +340,7 @@ def test_the_same_reality_gives_the_same_bits() -> None:
     ids=lambda e: e.name,
 )
 def test_the_plant_s_engine_says_the_same(effect: Effect) -> None:
-    r = dataclasses.replace(reality((effect,)), rest_bias=np.zeros((1, 4)))
+    r = dataclasses.replace(ground_truth((effect,)), rest_bias=np.zeros((1, 4)))
     (clean,), trial = simulate(r), r.trials[0]
     given = Trial("t", trial.time, trial.command, trial.command[0], 0.0, clean[0], trial.time)
     settings = dataclasses.replace(FAST_SETTINGS, timestep=1 / 1920)
@@ -349,18 +349,18 @@ def test_the_plant_s_engine_says_the_same(effect: Effect) -> None:
 
 
 def test_outside_physics_moves_the_leg() -> None:
-    (plain,) = simulate(reality())
+    (plain,) = simulate(ground_truth())
     for name in sorted(OUTSIDE):
         cls = OUTSIDE[name]
         place = "knee" if "joint" in cls.sits_at else "maa"
         rows = [sizes.size_of(name, key, cls.sits_at[0], place) for key in cls.parameter_info()]
         effect = cls(place, **{row.parameter: row.high for row in rows})
-        (moved,) = simulate(reality((), (effect,)), rate=480.0)
+        (moved,) = simulate(ground_truth((), (effect,)), rate=480.0)
         assert np.abs(moved - plain).max() > 3e-3, name
 
 
 def test_what_a_diagnosis_sees_is_rounded_and_tells_nothing() -> None:
-    r = reality((Hysteresis("maa", size=1.0, width=5e-3),))
+    r = ground_truth((Hysteresis("maa", size=1.0, width=5e-3),))
     clean = simulate(r)
     (seen,) = recorded(r, clean)
     assert not seen.notes and seen.name == "trial_00"
@@ -373,12 +373,12 @@ def test_what_a_diagnosis_sees_is_rounded_and_tells_nothing() -> None:
 
 def test_excess_is_nothing_without_and_grows_with_the_missing_physics() -> None:
     def left(delay: float) -> float:
-        r = reality((make("transport_delay", "maa", {"delay": delay}),) if delay else (), trials=2)
+        r = ground_truth((make("transport_delay", "maa", {"delay": delay}),) if delay else (), trials=2)
         return excess(r, simulate(r)).total
 
     none, weak, strong = left(0.0), left(0.03), left(0.12)
     assert none < 1e-4 < weak < strong
-    r = reality((make("transport_delay", "maa", {"delay": 0.12}),), trials=2)
+    r = ground_truth((make("transport_delay", "maa", {"delay": 0.12}),), trials=2)
     clean = simulate(r)
     assert excess(r, clean, r.effects, refit=False).total < 1e-4
     assert excess(r, clean, refit=False).total >= strong

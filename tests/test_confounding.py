@@ -9,16 +9,16 @@ import pytest
 
 from equimus_ctrl.diagnosis.candidates import Part, candidates, uncertain
 from equimus_ctrl.diagnosis.fitting import Data
-from equimus_ctrl.diagnosis.leftover import followed
-from equimus_ctrl.diagnosis.remainder import Remainder, remainder
+from equimus_ctrl.diagnosis.residual_force import followed
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.unexplained import Remainder, remainder
 from equimus_ctrl.effects.base import Effect, parse
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import nominal_model
+from equimus_ctrl.proof.leg_simulation import recordings, simulate
+from equimus_ctrl.proof.legs import draw
 from equimus_ctrl.proof.outside import CrossSpring, Leak, PressureGrowth
-from equimus_ctrl.proof.realities import draw
-from equimus_ctrl.proof.simulation import recordings, simulate
 
 
 def left(
@@ -26,9 +26,9 @@ def left(
 ) -> tuple[tuple[str, ...], Remainder]:
     """Labels of what is fitted to a concealed leg, and what remains."""
     drawn = draw(20, 4, kind="none", trials=6, duration=6.0)
-    reality = replace(drawn, effects=effects, outside=outside)
+    ground_truth = replace(drawn, effects=effects, outside=outside)
     model = nominal_model()
-    segments = cut(model, recordings(reality, simulate(reality, 480.0)), fit_start=True)
+    segments = cut(model, recordings(ground_truth, simulate(ground_truth, 480.0)), fit_start=True)
     data = Data(uncertain(model), segments, reduced_simulator(threads=2))
     pool = {c.label: c for c in candidates(model, segments)}
     base = data.base()
@@ -83,7 +83,7 @@ def test_a_true_name_is_not(text: str, values: tuple[float, ...], outside: tuple
     labels, rest = left((effect,), outside, {label: dict(zip(effect.parameters(), values, strict=True))})
     assert labels == (label,)
     assert rest.superfluous == ()
-    assert bool(rest.leftovers) == bool(outside)
+    assert bool(rest.unexplained) == bool(outside)
 
 
 def test_answers_that_grew_without_bound_tell_nothing() -> None:
