@@ -124,8 +124,7 @@ def _simulated(
                 first_task = next(task for task in tasks if task[0].kernel is kernel)
                 tasks.remove(first_task)
                 work(first_task)
-        with ThreadPoolExecutor(count) as pool:
-            list(pool.map(work, tasks))
+        list(_threads(count).map(work, tasks))
     poses = [trial.position for trial in trials]
     robot = changed_bodies(models[0].effects, models[0].robot)
     # A divergence tells by itself.
@@ -133,6 +132,12 @@ def _simulated(
         reached = [found.position[0] for found in results]
         warn_if_coarse(robot, models[0].phase, poses, dt, reached, MOST_DIVISOR)
     return results
+
+
+@lru_cache(maxsize=8)
+def _threads(count: int) -> ThreadPoolExecutor:
+    """So many threads, which stay: a search simulates thousands of times."""
+    return ThreadPoolExecutor(count, "simulate")
 
 
 def _shared(trials: Sequence[Trial], chosen: Sequence[int]) -> list[list[int]]:
