@@ -196,9 +196,13 @@ def test_trials_held_out_that_show_what_the_others_could_not_are_no_mismatch() -
     model = nominal_model()
     # Nothing that is fitted presses on baa: the last trial alone tells its area.
     parts = split(model, recordings((), commanded=lambda k, p: p * [1.0, k == 3]), heldout=["trial_3"])
-    found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
+    settings = DiagnosisSettings(threads=2, exclude=("creep", "hysteresis"))
+    found = diagnose(uncertain(model), parts, settings=settings)
     assert found.rmse("corrected", "heldout").max() > 3e-3
     assert found.verdict == "consistent" and not found.unexplained
+    ranked = {r.named.effect for r in found.ranking}
+    assert "dead_zone" in ranked and ranked.isdisjoint(settings.exclude)
+    assert "Not looked for, as was asked: creep, hysteresis." in found.notes
 
 
 def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> None:

@@ -74,6 +74,10 @@ def diagnose(
         ),
     ] = None,
     most: Annotated[int, typer.Option(help="Largest number of effects that are looked for together.")] = 3,
+    exclude: Annotated[
+        list[str] | None,
+        typer.Option("--exclude", metavar="EFFECT", help="Do not look for this effect, see list effects."),
+    ] = None,
     engine: EngineName = None,
     threads: Annotated[int | None, typer.Option(help="Of the simulations; all cores by default.")] = None,
     effects: EffectFiles = None,
@@ -89,6 +93,7 @@ def diagnose(
     [bold]Examples[/bold]
     equimus-ctrl diagnose concealed --report report --write-model corrected.toml
     equimus-ctrl diagnose triangle.csv --until 20 --json
+    equimus-ctrl diagnose concealed --exclude creep --exclude hysteresis
     equimus-ctrl diagnose runs --model robot.xml --parameters free.toml --write-model corrected.toml
     """  # noqa: D301
     from equimus_ctrl import presets
@@ -117,6 +122,7 @@ def diagnose(
             shoot=shoot,
             parameters=parameters,
             most=most,
+            exclude=exclude or (),
             engine=engine,  # type: ignore[arg-type]
             threads=threads,
             progress=show,

@@ -38,9 +38,10 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import Remainder, not_borne_out, remainder
+from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.segments import Segment
@@ -69,11 +70,13 @@ class DiagnosisSettings:
         search: how sets of effects are searched.
         threads: of the simulations; all cores by default.
         engine: by its name; by default see ``engines.choice.engine_for``.
+        exclude: names of effects that are not looked for.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)
     threads: int | None = None
     engine: EngineName | None = None
+    exclude: tuple[str, ...] = ()
 
 
 def diagnose(
@@ -98,9 +101,13 @@ def diagnose(
 
     Raises:
         SimulationDiverged: where the model diverges on every trial.
+        ConfigError: where an effect is to be excluded that is not known.
     """
     begun = time.perf_counter()
     settings = settings or DiagnosisSettings()
+    for name in settings.exclude:
+        if name not in REGISTRY:
+            raise ConfigError(unknown_name("effect", name, REGISTRY))
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         if simulator is not None:
             policy = SearchPolicy.of(free.model.robot.traits, simulator.engine)
@@ -129,7 +136,8 @@ def _diagnose(
     base = data.base()
     near = _near_base(data, split) if data.excessive(base) else None
     base = base if near is None else data.base_from(near, base)
-    pool = candidates(free.model, split.train)
+    looked_for = {name: effect for name, effect in REGISTRY.items() if name not in settings.exclude}
+    pool = candidates(free.model, split.train, looked_for)
     stages = iter(np.linspace(0.15, 0.8, 12))
 
     def notify(stage: str, best: str) -> None:
@@ -206,7 +214,7 @@ def _diagnose(
         () if findings or rest.unexplained else _detectable(search, found),
         experiment,
         {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
-        (*_notes(found, split), *_beyond_range(free.model, split), *([coarse] if coarse else [])),
+        (*_notes(found, split, settings), *_beyond_range(free.model, split), *([coarse] if coarse else [])),
         time.perf_counter() - begun,
     )
 
@@ -410,8 +418,10 @@ def _beyond_range(model: Model, split: Split) -> list[str]:
     return notes
 
 
-def _notes(found: Searched, split: Split) -> list[str]:
+def _notes(found: Searched, split: Split, settings: DiagnosisSettings) -> list[str]:
     notes = []
+    if settings.exclude:
+        notes.append(f"Not looked for, as was asked: {', '.join(settings.exclude)}.")
     if not split.heldout:
         notes.append("Nothing was held out, so nothing judged what was found but the trials that it was fitted to.")
     fit = found.best.fit

@@ -41,6 +41,7 @@ def diagnose_recordings(
     shoot: float | None = None,
     parameters: Path | None = None,
     most: int = 3,
+    exclude: Sequence[str] = (),
     engine: EngineName | None = None,
     threads: int | None = None,
     progress: Progress = lambda stage, share, best: None,
@@ -62,6 +63,7 @@ def diagnose_recordings(
             ``holdout.window_length``.
         parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
         most: largest number of effects.
+        exclude: names of effects that are not looked for.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         threads: all cores by default.
         progress: called with the stage, the share done and the best hypothesis so far.
@@ -82,7 +84,7 @@ def diagnose_recordings(
     chosen = uncertain(model, free, bounds, fix)
     parts = split(model, trials, heldout=heldout, until=until, window=window, shoot=shoot)
     check_settings(chosen, parts)
-    settings = DiagnosisSettings(SearchSettings(most_parts=most), threads, engine)
+    settings = DiagnosisSettings(SearchSettings(most_parts=most), threads, engine, tuple(exclude))
     return diagnose(chosen, parts, settings=settings, designs=sweeps(model), progress=progress)
 
 
