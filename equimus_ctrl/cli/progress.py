@@ -1,7 +1,8 @@
-"""How far a verb is: bars for people at a terminal, and nothing where standard error goes elsewhere."""
+"""How far a verb is: bars for people at a terminal, a line now and then where standard error goes elsewhere."""
 
 from __future__ import annotations
 
+import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
@@ -12,6 +13,10 @@ if TYPE_CHECKING:
 
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn
+
+
+EVERY = 10.0
+"""Least time between two lines [s]; what is done sooner says nothing."""
 
 
 class ShowStage(Protocol):
@@ -53,7 +58,7 @@ def share_bar(console: Console, name: str) -> Iterator[Callable[[float], None]]:
 def stage_bar(
     console: Console, first: str, *, width: int = 0, bar_width: int = 40, stopped: str = "stopped: nothing was written"
 ) -> Iterator[ShowStage]:
-    """One bar that goes from stage to stage and is gone at the end.
+    """One bar that goes from stage to stage and is gone at the end; a line every ``EVERY`` seconds without a terminal.
 
     Args:
         console: where people read.
@@ -76,11 +81,20 @@ def stage_bar(
     try:
         with bars(console, *columns, transient=True) as progress:
             task = progress.add_task(first, total=1.0, best="")
+            begun = told = time.monotonic()
 
             def show(stage: str | None = None, share: float | None = None, best: str | None = None) -> None:
+                nonlocal told
                 progress.update(task, description=stage, completed=share)
                 if best is not None:
                     progress.update(task, best=best)
+                now = time.monotonic()
+                if not console.is_terminal and now - told >= EVERY:
+                    told = now
+                    own = progress.tasks[task]
+                    so_far = f"; best so far: {own.fields['best']}" if own.fields["best"] else ""
+                    line = f"{own.description}, {own.completed:.0%} after {now - begun:.0f} s{so_far}"
+                    console.print(line, markup=False, soft_wrap=True)
 
             yield show
     except KeyboardInterrupt:
