@@ -98,7 +98,7 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
         changes = [np.concatenate(pair, axis=2) for pair in zip(changes, more, strict=True)]
     columns = [w.columns(data.times, changes) for w in weighings]
     owners = _owners(len(data.free.free), fitted.hypothesis)
-    found: dict[int, list[_Tried]] = {}
+    found: dict[Candidate, list[_Tried]] = {}
     for kept in {_kept(owners, fitted.hypothesis, hypothesis) for _, hypothesis in entries}:
         rows = [k for k, (_, h) in enumerate(entries) if _kept(owners, fitted.hypothesis, h) == kept]
         results = [_gains(w, c[:, rows], np.array(kept)) for w, c in zip(weighings, columns, strict=True)]
@@ -114,11 +114,11 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
                 theta,
                 kept,
             )
-            found.setdefault(id(entries[k][0]), []).append(tried_now)
+            found.setdefault(entries[k][0], []).append(tried_now)
     _again(data, fitted, entries, weighings, columns, found)
     screened = []
     for candidate in pool:
-        tried = sorted(found.get(id(candidate), []), key=lambda t: t.index)
+        tried = sorted(found.get(candidate, []), key=lambda t: t.index)
         if not tried:
             continue
         best = max(tried, key=lambda t: max(t.gains))
@@ -180,7 +180,7 @@ def _again(
     entries: Sequence[tuple[Candidate, Hypothesis]],
     weighings: Sequence[Weighing],
     columns: Sequence[Array],
-    found: dict[int, list[_Tried]],
+    found: dict[Candidate, list[_Tried]],
 ) -> None:
     """Look again at guesses that free parameters all but undo, those moved along; what is better replaces ``found``."""
     base = len(data.free.free)
@@ -235,13 +235,14 @@ def _changes(
     """
     names = data.free.names
     own = fitted.fit.theta[: len(names)]
-    robots: dict[int, Model] = {}
+    robots: dict[bytes, Model] = {}
     models = []
     for k, (_, hypothesis) in enumerate(entries):
         theta = own if thetas is None else thetas[k]
-        if id(theta) not in robots:
-            robots[id(theta)] = data.free.model_at(theta)
-        models.append(model_of(robots[id(theta)], hypothesis))
+        key = theta.tobytes()
+        if key not in robots:
+            robots[key] = data.free.model_at(theta)
+        models.append(model_of(robots[key], hypothesis))
     # Dry friction anywhere makes the engine look for it everywhere.
     rubs = [any(isinstance(e, ForceEffect) and e.rubs for e in model.effects) for model in models]
     changes = [np.zeros((*s.measured.shape, len(entries))) for s in data.segments]
