@@ -11,8 +11,8 @@ import numpy as np
 from equimus_ctrl.diagnosis.candidates import Hypothesis
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import Group
-from equimus_ctrl.diagnosis.residual_force import Linear, judged, nuisances
-from equimus_ctrl.identification.weighing import outside
+from equimus_ctrl.diagnosis.residual_force import Linear, judged
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 
 LEAST_GAIN = 40.0
@@ -68,8 +68,8 @@ def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: flo
     """
     fitted = at.fitted
     slopes, residual, scale = at.weighing.slopes, at.weighing.residual, fitted.fit.parameters.scale
-    basis = nuisances(slopes)
-    own = outside(residual, basis)
+    beside_all = Nuisance.of(slopes)
+    own = beside_all.left(residual)
     first = len(scale) - fitted.n_parameters
     numbers: list[range] = []
     to_nothing: list[Array | None] = []
@@ -86,8 +86,8 @@ def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: flo
         if len(changes) < len(chosen):
             return np.inf
         left = residual - np.sum(changes, axis=0)
-        kept = nuisances(np.delete(slopes, [i for k in chosen for i in numbers[k]], axis=1))
-        rise = outside(left, kept) - own
+        kept = Nuisance.of(np.delete(slopes, [i for k in chosen for i in numbers[k]], axis=1))
+        rise = kept.left(left) - own
         if rise < LINEAR * fall:
             return np.inf
         hypothesis, least = tuple(fitted.hypothesis[k] for k in chosen), np.inf
@@ -99,7 +99,7 @@ def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: flo
             more = push.gain - rise
             if more <= LEAST_GAIN + EACH * push.rank or judged(push, at) < threshold:
                 continue
-            beside = explained(residual, basis, columns).gain - more
+            beside = explained(residual, beside_all, columns).gain - more
             if beside < min(LEAST_GAIN, KEPT * rise):
                 least = min(least, beside)
         return float(least)

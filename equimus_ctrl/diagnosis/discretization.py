@@ -11,9 +11,10 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import Remainder, remainder
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.step_error import changes_between, with_step_error
-from equimus_ctrl.identification.weighing import orthonormal, outside, weigh
+from equimus_ctrl.identification.weighing import weigh
 
 NO_MATTER, MAY_DO = 1e-3, 4.0
 """Where something is missing, shorter steps are tried too, unless they change less than this share of the
@@ -91,4 +92,4 @@ def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> t
     moved = changes_between(data.simulator, finer, fitted.fit, data.segments)
     weighing = weigh(data.times, fitted.fit, noise)
     column = weighing.columns(data.times, moved)[:, 0]
-    return float((weighing.residual**2).sum()), outside(column, orthonormal(weighing.slopes))
+    return float((weighing.residual**2).sum()), Nuisance.of(weighing.slopes).left(column)

@@ -12,6 +12,7 @@ from equimus_ctrl.diagnosis.hypothesis_moves import Searched
 from equimus_ctrl.diagnosis.results import Experiment, Finding, Named
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise, whiten
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.types import Array
@@ -86,6 +87,5 @@ def _distance(data: Data, first: Fitted, second: Fitted, design: Design, sigma: 
     noise = white_noise([np.ones((2, len(sigma))) * sigma])
     difference = whiten(noise, design.times, other.position[0] - own.position[0]).ravel()
     slopes = np.array([whiten(noise, design.times, p - own.position[0]).ravel() for p in own.position[1:]]).T
-    basis = np.linalg.qr(slopes)[0]
-    left = difference - basis @ (basis.T @ difference)
+    left = Nuisance.of(slopes).without(difference)
     return float(np.sqrt((left**2).mean()))

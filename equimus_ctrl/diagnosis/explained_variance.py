@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 
 CUT = 1e-6
@@ -43,7 +44,7 @@ class Explained:
 
 def explained(
     residual: Array,
-    projector: Array,
+    nuisance: Nuisance,
     columns: Array,
     ridge: float = RIDGE,
     folds: Sequence[Sequence[slice]] = (),
@@ -58,7 +59,7 @@ def explained(
 
     Args:
         residual: (n,) white, of the same variance throughout.
-        projector: (n, p) orthonormal basis Q of what the nuisances can do.
+        nuisance: with the orthonormal basis Q of what the nuisances can do.
         columns: (n, k) C.
         ridge: see above; 0 for none.
         folds: each the rows that are held out together, those of some trials.
@@ -67,16 +68,16 @@ def explained(
         ConfigError: where numbers of rows differ.
     """
     n = len(residual)
-    if len(projector) != n or len(columns) != n:
+    if len(nuisance.basis) != n or len(columns) != n:
         raise ConfigError(
-            f"residual, projector and columns have {n}, {len(projector)} and {len(columns)} rows, expected the same"
+            f"residual, nuisances and columns have {n}, {len(nuisance.basis)} and {len(columns)} rows, expected as many"
         )
-    r = residual - projector @ (projector.T @ residual)
+    r = nuisance.without(residual)
     size = np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0
     unit = columns / size
     strongest = np.linalg.eigvalsh(unit.T @ unit).max(initial=0.0)
-    free = unit - projector @ (projector.T @ unit)
+    free = nuisance.without(unit)
     strength, turn = np.linalg.eigh(free.T @ free)
     seen = strength > CUT**2 * strongest
     turn = turn[:, seen] / np.sqrt(strength[seen])

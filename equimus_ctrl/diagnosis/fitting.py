@@ -14,6 +14,7 @@ from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
 from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, rough_noise, white_noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
@@ -209,8 +210,7 @@ class Data:
         weighing = weigh(self.times, found, noise)
         left = weighing.residual[:, None] - weighing.columns(self.times, changes)
         moves = np.delete(weighing.slopes, place, axis=1)
-        basis = np.linalg.qr(moves[:, np.abs(moves).max(axis=0) > 0])[0]
-        left = left - basis @ (basis.T @ left)
+        left = Nuisance.of(moves).without(left)
         return np.where(np.isfinite(left).all(axis=0), (left**2).sum(axis=0), np.inf)
 
     def _judged(self, hypothesis: Hypothesis, found: Fit) -> Fitted:

@@ -17,6 +17,7 @@ from equimus_ctrl.engines.motion import Motion
 from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.weighing import Weighing, weigh
 from equimus_ctrl.types import Array
 
@@ -98,13 +99,6 @@ def followed(answers: Sequence[Array]) -> list[Array]:
     return [np.where(told, a, 0.0) for a in answers]
 
 
-def nuisances(slopes: Array) -> Array:
-    """(N, p) orthonormal basis of what free parameters can do."""
-    basis, r = np.linalg.qr(slopes)
-    size = np.abs(np.diag(r))
-    return np.asarray(basis[:, size > 1e-9 * max(size.max(initial=0.0), 1e-300)])
-
-
 def flexible(at: Linear, extra: Array | None = None) -> list[Flexible]:
     """What every flexible push explains beside the free parameters, the best on trials left out first.
 
@@ -113,9 +107,9 @@ def flexible(at: Linear, extra: Array | None = None) -> list[Flexible]:
         extra: (N, k) columns that are free as well.
     """
     slopes = at.weighing.slopes if extra is None else np.column_stack([at.weighing.slopes, extra])
-    basis = nuisances(slopes)
+    beside = Nuisance.of(slopes)
     found = [
-        Flexible(group, explained(at.weighing.residual, basis, columns, folds=at.folds))
+        Flexible(group, explained(at.weighing.residual, beside, columns, folds=at.folds))
         for group, columns in zip(at.groups, at.columns, strict=True)
     ]
     return sorted(found, key=lambda f: -f.found.held_out)

@@ -13,7 +13,8 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import white_noise
-from equimus_ctrl.identification.weighing import Weighing, orthonormal, outside, weigh
+from equimus_ctrl.identification.projection import Nuisance
+from equimus_ctrl.identification.weighing import Weighing, weigh
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
@@ -24,6 +25,8 @@ LOOKS, STRONG = 3, 0.03
 """How often, and the least share of the strongest direction's effect of those that are moved along."""
 LEAST, MOST = 0.3, 3.0
 """Between these factors a change is taken to grow with its first parameter."""
+WEAK = 1e-8
+"""Directions of the free parameters weaker than this share of the strongest are not moved along."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,13 +156,13 @@ def _smaller(
 
     Along a trial small causes add up: what one so large does says little of what one of the right size would.
     """
-    basis = orthonormal(weighing.slopes)
-    left = outside(weighing.residual, basis)
+    beside = Nuisance.of(weighing.slopes)
+    left = beside.left(weighing.residual)
     columns = weighing.columns(data.times, changes)
     found = []
     for k, (candidate, hypothesis) in enumerate(entries):
         nothing = candidate.effect.grows_from()
-        factor = math.sqrt(left / max(outside(columns[:, k], basis), 1e-300))
+        factor = math.sqrt(left / max(beside.left(columns[:, k]), 1e-300))
         if nothing is None or factor > LEAST:
             continue
         values = dict(hypothesis[-1].values)
@@ -198,8 +201,8 @@ def _again(
     # Weak directions would be bent far to fit the curvature.
     strong = np.linalg.pinv(w.slopes[:, :base], rcond=STRONG)
     kinds = {tried[place].kept for tried, place in chosen}
-    bases = [{kept: orthonormal(v.slopes[:, list(kept)]) for kept in kinds} for v in weighings]
-    totals = [{kept: outside(v.residual, q) for kept, q in qs.items()} for v, qs in zip(weighings, bases, strict=True)]
+    beside = [{kept: Nuisance.of(v.slopes[:, list(kept)]) for kept in kinds} for v in weighings]
+    totals = [{kept: own.left(v.residual) for kept, own in q.items()} for v, q in zip(weighings, beside, strict=True)]
     thetas = []
     for tried, place in chosen:
         change = strong @ (w.residual - columns[0][:, tried[place].index])
@@ -210,7 +213,7 @@ def _again(
         for k, (tried, place) in enumerate(chosen):
             t = tried[place]
             gains = tuple(
-                totals[way][t.kept] - outside(v.residual - moved[way][:, k], bases[way][t.kept])
+                totals[way][t.kept] - beside[way][t.kept].left(v.residual - moved[way][:, k])
                 for way, v in enumerate(weighings)
             )
             theta = data.free.moved(thetas[k], strong @ (w.residual - moved[0][:, k]) * scale)
@@ -282,18 +285,11 @@ def _gains(weighing: Weighing, columns: Array, kept: Array) -> tuple[Array, Arra
 
     The column is taken at a factor between LEAST and MOST, the parameters moved along as is best.
     """
-    q, r = np.linalg.qr(weighing.slopes[:, kept])
-    seen = np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(initial=0.0), 1e-300)
-    q = q[:, seen]
-    residual = weighing.residual - q @ (q.T @ weighing.residual)
-    along = q.T @ columns
-    left = columns - q @ along
+    beside = Nuisance.of(weighing.slopes[:, kept])
+    residual, left = beside.without(weighing.residual), beside.without(columns)
     strength = (left**2).sum(axis=0)
     agreement = residual @ left
     factor = np.clip(agreement / np.maximum(strength, 1e-300), LEAST, MOST)
     gain = 2 * factor * agreement - factor**2 * strength
-    moved = np.zeros((len(kept), columns.shape[1]))
-    target = (q.T @ weighing.residual)[:, None] - along * factor
-    block = r[np.ix_(seen, seen)]
-    moved[seen] = np.linalg.lstsq(block, target, rcond=1e-8)[0]
+    moved = beside.coefficients(weighing.residual[:, None] - columns * factor, WEAK)
     return gain, factor, strength, moved

@@ -13,11 +13,12 @@ from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
 from equimus_ctrl.diagnosis.localization import excess_of
-from equimus_ctrl.diagnosis.residual_force import Flexible, Linear, flexible, judged, linear, nuisances
+from equimus_ctrl.diagnosis.residual_force import Flexible, Linear, flexible, judged, linear
 from equimus_ctrl.diagnosis.results import Unexplained
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.types import Array
@@ -262,12 +263,12 @@ def _curve(at: Linear, columns: Array, axis: Axis, x: Array) -> tuple[Array, Arr
 
     What the free parameters could do as well is not told by the data, and left out of both.
     """
-    basis = nuisances(at.weighing.slopes)
-    free = columns - basis @ (basis.T @ columns)
+    beside = Nuisance.of(at.weighing.slopes)
+    free = beside.without(columns)
     strength, turn = np.linalg.eigh(free.T @ free)
     whole = float(np.linalg.eigvalsh(columns.T @ columns)[-1])
     seen = strength > UNTOLD * max(whole, 1e-300)
-    residual = at.weighing.residual - basis @ (basis.T @ at.weighing.residual)
+    residual = beside.without(at.weighing.residual)
     found = (turn[:, seen].T @ (free.T @ residual)) / strength[seen]
     rows = axis.basis(x)
     rows = (rows - rows.mean(axis=0)) @ turn[:, seen]

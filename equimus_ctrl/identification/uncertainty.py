@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 
 UNSEEN = 1e-6
@@ -155,9 +156,8 @@ def _without(jacobian: Array, nuisance: Array) -> Array:
     if nuisance.shape[2] == 0:
         return jacobian
     m, nj, p = jacobian.shape
-    basis, _ = np.linalg.qr(nuisance.reshape(m * nj, -1))
-    flat = jacobian.reshape(m * nj, p)
-    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(m, nj, p))
+    beside = Nuisance.of(nuisance.reshape(m * nj, -1))
+    return np.asarray(beside.without(jacobian.reshape(m * nj, p)).reshape(m, nj, p))
 
 
 def _sparse(directions: Array) -> Array:

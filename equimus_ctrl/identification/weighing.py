@@ -9,6 +9,7 @@ import numpy as np
 
 from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.noise import Noise, whiten
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 
 
@@ -19,20 +20,19 @@ class Weighing:
     Attributes:
         residual: (N,).
         slopes: (N, p) in units of the parameters' scale.
-        starts: for each segment an orthonormal basis of what its start can do.
+        starts: for each segment what its start can do.
     """
 
     noise: Noise
     residual: Array
     slopes: Array
-    starts: list[Array]
+    starts: list[Nuisance]
 
     def columns(self, times: Sequence[Array], changes: Sequence[Array]) -> Array:
         """(N, k) changes (m, nj, k) of predictions, weighed."""
         rows = []
-        for time, change, basis in zip(times, changes, self.starts, strict=True):
-            flat = whiten(self.noise, time, change).reshape(basis.shape[0], -1)
-            rows.append(flat - basis @ (basis.T @ flat))
+        for time, change, start in zip(times, changes, self.starts, strict=True):
+            rows.append(start.without(whiten(self.noise, time, change).reshape(len(start.basis), -1)))
         return np.concatenate(rows)
 
 
@@ -43,20 +43,10 @@ def weigh(times: Sequence[Array], fit: Fit, noise: Noise) -> Weighing:
     rows = zip(times, fit.residuals, fit.jacobians, fit.start_jacobians, strict=True)
     for time, r, j, s in rows:
         count = r.size
-        basis = np.linalg.qr(whiten(noise, time, s).reshape(count, -1))[0]
+        start = Nuisance.of(whiten(noise, time, s).reshape(count, -1))
         both = whiten(noise, time, np.concatenate([r[:, :, None], j * scale], axis=2)).reshape(count, -1)
-        both = both - basis @ (basis.T @ both)
+        both = start.without(both)
         residuals.append(both[:, 0])
         slopes.append(both[:, 1:])
-        starts.append(basis)
+        starts.append(start)
     return Weighing(noise, np.concatenate(residuals), np.concatenate(slopes), starts)
-
-
-def orthonormal(slopes: Array) -> Array:
-    """(N, p) a basis of what parameters can do."""
-    return np.asarray(np.linalg.qr(slopes)[0])
-
-
-def outside(residual: Array, basis: Array) -> float:
-    """Sum of squares of what a basis cannot do."""
-    return float((residual**2).sum() - ((basis.T @ residual) ** 2).sum())
