@@ -167,7 +167,7 @@ def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.Mo
         own = "dead_zone:baa"
         return Remainder((), tuple(k for k, label in enumerate(labels) if label != own) if own in labels else ())
 
-    monkeypatch.setattr("equimus_ctrl.diagnosis.diagnose.remainder", refusing)
+    monkeypatch.setattr("equimus_ctrl.diagnosis.stages.remainder", refusing)
     model = nominal_model()
     effects = (parse("dead_zone:baa:threshold=2000"), parse("coulomb_friction:knee:friction=0.01"))
     parts = split(model, recordings(effects), heldout=["trial_3"])

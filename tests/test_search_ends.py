@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis import confirmation, diagnose
+from equimus_ctrl.diagnosis import confirmation, stages
 from equimus_ctrl.diagnosis.alternatives import in_place, instead, less, listed, simplified
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.fitting import Fitted
@@ -172,10 +172,10 @@ def test_what_diverges_over_whole_trials_is_not_what_short_windows_tell(monkeypa
     def diverged(*a: object) -> Fitted:
         raise SimulationDiverged("diverges")
 
-    monkeypatch.setattr(diagnose, "replace", lambda data, **changed: data)
-    monkeypatch.setattr(diagnose, "Search", lambda *a: OnPaper(known))
+    monkeypatch.setattr(stages, "replace", lambda data, **changed: data)
+    monkeypatch.setattr(stages, "Search", lambda *a: OnPaper(known))
     search.data.rough, search.data.segments = diverged, ()  # type: ignore[attr-defined, method-assign, misc]
-    assert diagnose._from_near(search, found, judged(monkeypatch, []), found.base) == (search, found)
+    assert stages._from_near(search, found, judged(monkeypatch, []), found.base) == (search, found)
 
 
 def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_came_with() -> None:

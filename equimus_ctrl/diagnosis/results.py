@@ -276,6 +276,25 @@ class Residuals:
     heldout: tuple[Array, ...]
 
 
+@dataclass(frozen=True)
+class Decision:
+    """What a stage of a diagnosis decided, and why.
+
+    Attributes:
+        stage: its name, see ``stages``.
+        decision: in words.
+        reason: in words and figures.
+    """
+
+    stage: str
+    decision: str
+    reason: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """For machines."""
+        return dict(vars(self))
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What a model leaves out of a robot.
@@ -293,7 +312,7 @@ class Diagnosis:
         where: the refitted model is off, worst first.
         findings: strongest first.
         unexplained: what none of them explains, strongest first.
-        doubtful: effects that fit best but not well enough to be named, see ``leftover``.
+        doubtful: effects that fit best but not well enough to be named, see ``unexplained``.
         ranking: all candidates, alone, best first.
         detectable: smallest effects that would have shown; only where nothing was found.
         experiment: that would tell apart what could not be.
@@ -301,6 +320,7 @@ class Diagnosis:
             trials fitted.
         notes: what else a person ought to know.
         seconds: how long it took.
+        decisions: of the stages, in order.
     """
 
     verdict: Verdict
@@ -322,6 +342,7 @@ class Diagnosis:
     excess: Mapping[str, float]
     notes: tuple[str, ...]
     seconds: float
+    decisions: tuple[Decision, ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -378,6 +399,7 @@ class Diagnosis:
                 "train": [s.trial.name for s in self.train],
                 "heldout": [s.trial.name for s in self.heldout],
             },
+            "decisions": [decision.to_dict() for decision in self.decisions],
             "notes": list(self.notes),
             "seconds": self.seconds,
         }

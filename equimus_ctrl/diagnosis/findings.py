@@ -1,0 +1,193 @@
+"""What a diagnosis found, from where its search ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.stats import chi2
+
+from equimus_ctrl.diagnosis.alternatives import ALIKE, in_place, instead
+from equimus_ctrl.diagnosis.candidates import Part
+from equimus_ctrl.diagnosis.confirmation import Judge
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched
+from equimus_ctrl.diagnosis.results import Detectable, Estimate, Evidence, Finding, Named, Ranked, Verdict
+from equimus_ctrl.diagnosis.screening import Screened
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.unexplained import Remainder
+from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.models.model import Model
+
+BLUR = 60.0
+"""So far the errors of the physics step may take deviances apart."""
+BLURRED = 0.05
+"""Where something stays unexplained, rivals within this share of a finding's gain cannot be told apart either."""
+Finely = Callable[[Fitted], Fitted]
+
+
+def verdict(findings: Sequence[Finding], rest: Remainder) -> Verdict:
+    """In one word."""
+    if rest.unexplained:
+        return "partly_explained" if findings else "unexplained"
+    return "explained" if findings else "consistent"
+
+
+def named(part: Part) -> Named:
+    """What a part is and where."""
+    return Named(part.candidate.effect.name, part.candidate.locations)
+
+
+def finding(search: Search, found: Searched, judge: Judge, k: int, left: bool, finely: Finely) -> Finding:
+    """One part of the hypothesis with its intervals, its evidence and what fits as well in its place.
+
+    Args:
+        search: that ended there.
+        found: its end.
+        judge: of what was held out.
+        k: which part.
+        left: whether something stays unexplained beside it.
+        finely: fits with steps whose errors tell less apart.
+    """
+    best, without = found.best, found.without[k]
+    part = best.hypothesis[k]
+    gain = without.deviance - best.deviance
+    count = part.candidate.n_parameters
+    chance = (_log_chance(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
+    evidence = Evidence(
+        gain,
+        search.threshold(count),
+        min(chance, 0.0),
+        judge.gain(without, best),
+        judge.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
+        judge.share(*(judge.heldout(f.fit.model) for f in (without, best, found.base))),
+    )
+    alike = max(ALIKE, BLURRED * gain) if left else ALIKE
+    return Finding(part, _estimates(search.data, best, k), evidence, _equivalent(search, found, k, alike, finely))
+
+
+def _log_chance(gain: float, count: int) -> float:
+    """Ln P(χ²(count) > gain), by its asymptote where it is too small to be computed."""
+    exact = float(chi2.logsf(gain, count))
+    if math.isfinite(exact):
+        return exact
+    return (count / 2 - 1) * math.log(gain / 2) - gain / 2 - math.lgamma(count / 2)
+
+
+def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
+    first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
+    found = {}
+    for i, key in enumerate(best.hypothesis[k].values):
+        free = best.fit.parameters.free[first + i]
+        value, width = float(best.fit.theta[first + i]), float(best.fit.uncertainty.half_width[first + i])
+        low, high = value - width, value + width
+        if first + i in data.jumps(best.hypothesis):
+            low, high = data.span(best, first + i)
+        low = max(low, free.low) if math.isfinite(low) else -math.inf
+        high = min(high, free.high) if math.isfinite(high) else math.inf
+        found[key] = Estimate(value, low, high, free.unit)
+    return found
+
+
+def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: Finely) -> tuple[Named, ...]:
+    """What could stand in the part's place as well; not what takes more numbers, which can imitate anything simpler.
+
+    What is near is looked at with fine steps: where commands jump, the errors of longer ones can tell alike from alike.
+    """
+    margin = max(margin + search.settings.valleys, search.settings.least_share * search.data.n)
+    own = found.best.hypothesis[k].candidate.label
+    others: dict[str, Named] = {}
+    near = search.score(found.best) + margin + BLUR
+    for rival in sorted(in_place(search, found, k, margin + BLUR), key=search.score):
+        other = instead(rival, found.without[k])
+        if rival.n_parameters > found.best.n_parameters or other is None or search.score(rival) >= near:
+            continue
+        label = other.candidate.label
+        if (
+            label != own
+            and label not in others
+            and search.score(finely(rival)) < search.score(finely(found.best)) + margin
+        ):
+            others[label] = named(other)
+    return tuple(others.values())
+
+
+def ranking(search: Search, found: Searched) -> tuple[Ranked, ...]:
+    """All candidates alone, best first."""
+    alone: dict[str, float] = {}
+    for fitted in found.fitted:
+        if len(fitted.hypothesis) == 1:
+            label = fitted.label
+            alone[label] = max(alone.get(label, -math.inf), found.base.deviance - fitted.deviance)
+    ranked = [
+        Ranked(
+            Named(s.candidate.effect.name, s.candidate.locations),
+            max(s.gains[1], 0.0),
+            alone.get(s.candidate.label),
+            search.threshold(s.candidate.n_parameters),
+        )
+        for s in found.first
+    ]
+    return tuple(sorted(ranked, key=lambda r: -max(r.fitted or 0.0, r.screened if r.fitted is None else 0.0)))
+
+
+def detectable(search: Search, found: Searched) -> tuple[Detectable, ...]:
+    """The smallest size of each effect that would have been accepted."""
+    smallest = []
+    for s in found.first:
+        size = _smallest(s, search.threshold(s.candidate.n_parameters))
+        key = next(iter(s.candidate.effect.parameter_info()))
+        unit = s.candidate.effect.parameter_info()[key]["unit"]
+        told = place_unit(search.data.free.model, unit, s.candidate.locations[0])
+        named = Named(s.candidate.effect.name, s.candidate.locations)
+        smallest.append(Detectable(named, key, size, told))
+    return tuple(smallest)
+
+
+def _smallest(screened: Screened, threshold: float) -> float:
+    """The first parameter at which the change alone would be believed, from the guess that is nearest to that."""
+    key, nothing = next(iter(screened.candidate.effect.parameter_info())), screened.candidate.effect.grows_from()
+    values = np.array([guess[key] for guess in screened.tried])
+    strength = np.maximum(screened.strength, 1e-300)
+    if nothing is not None:
+        nearest = int(np.argmin(np.abs(np.log(strength / threshold))))
+        return float(abs(values[nearest] - nothing) * math.sqrt(threshold / strength[nearest]))
+    seen = strength >= threshold
+    if not seen.any():
+        return math.nan
+    return float(values[seen][np.argmin(strength[seen])])
+
+
+def notes(found: Searched, split: Split, excluded: Sequence[str]) -> list[str]:
+    """What else a person ought to know of how the search went."""
+    said = []
+    if excluded:
+        said.append(f"Not looked for, as was asked: {', '.join(excluded)}.")
+    if not split.heldout:
+        said.append("Nothing was held out, so nothing judged what was found but the trials that it was fitted to.")
+    fit = found.best.fit
+    held = [f.name for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
+    if held:
+        said.append(
+            f"{', '.join(held)} ended at a bound: what the model leaves out may have gone there, or the bounds are too "
+            "narrow."
+        )
+    if not fit.converged:
+        said.append("The last fit was stopped before it had converged.")
+    return said
+
+
+def beyond_range(model: Model, split: Split) -> list[str]:
+    """Where commands leave the range beyond which a simulation clips them: the robot need not."""
+    said = []
+    for name, (low, high) in model.robot.clipped_commands().items():
+        column = model.robot.actuator_names.index(name)
+        commands = np.concatenate([s.trial.commands[:, column] for s in (*split.train, *split.heldout)])
+        if commands.min() < low or commands.max() > high:
+            said.append(
+                f"Commands of {name} go from {commands.min():.4g} to {commands.max():.4g}, beyond the XML's "
+                f"ctrlrange of {low:.4g} to {high:.4g}: MuJoCo clips them there, which the robot need not do."
+            )
+    return said

@@ -1,0 +1,372 @@
+"""A diagnosis, stage by stage: each takes what is known and returns what is known after it.
+
+    refit → search → confirmation → unexplained → discretization → alternatives → validation → report
+
+``diagnose.diagnose`` runs them in this order.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.alternatives import less, listed
+from equimus_ctrl.diagnosis.candidates import candidates
+from equimus_ctrl.diagnosis.confirmation import Judge, confirmed
+from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
+from equimus_ctrl.diagnosis.experiment import Design, separating
+from equimus_ctrl.diagnosis.findings import beyond_range, detectable, finding, named, notes, ranking, verdict
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis_moves import LONG, Searched
+from equimus_ctrl.diagnosis.localization import excess_of, where_off
+from equimus_ctrl.diagnosis.policy import SearchSettings
+from equimus_ctrl.diagnosis.results import STATES, Decision, Diagnosis, Named, Ranked, Residuals
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.unexplained import Remainder, not_borne_out, remainder
+from equimus_ctrl.effects.base import REGISTRY
+from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.segments import Segment
+
+AGAIN = 1
+"""How often a search goes on beside the names that stay where others were rejected: if it comes to doubtful names
+again, what is left has none."""
+WINDOW = r" from [0-9.]+ s$"
+"""What windows' names have beyond those of their recordings."""
+ROUNDS = 12
+"""So many steps of a search divide its share of the progress."""
+Progress = Callable[[str, float, str], None]
+"""Called with the stage, the share of the whole that is done, and the best hypothesis so far."""
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """How a diagnosis goes.
+
+    Attributes:
+        search: how sets of effects are searched.
+        threads: of the simulations; all cores by default.
+        engine: by its name; by default see ``engines.choice.engine_for``.
+        exclude: names of effects that are not looked for.
+    """
+
+    search: SearchSettings = field(default_factory=SearchSettings)
+    threads: int | None = None
+    engine: EngineName | None = None
+    exclude: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked.
+
+    Attributes:
+        data: what hypotheses are fitted to.
+        split: trials to fit and trials to judge by.
+        settings: how it goes.
+        designs: experiments to choose from where something cannot be told apart.
+        progress: see ``Progress``.
+        begun: by ``time.perf_counter``.
+    """
+
+    data: Data
+    split: Split
+    settings: DiagnosisSettings
+    designs: Sequence[Design]
+    progress: Progress
+    begun: float
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is known after a stage.
+
+    Attributes:
+        question: what is asked.
+        search: that goes on from where it is.
+        found: where it ended so far.
+        rest: what that leaves unexplained.
+        doubtful: names that were rejected, for a residual force does as much.
+        ranking: all candidates, alone.
+        coarse: a sentence on the engine's step, where its error was taken off; "" else.
+        decisions: of the stages so far.
+    """
+
+    question: Question
+    search: Search
+    found: Searched
+    rest: Remainder
+    doubtful: tuple[Named, ...] = ()
+    ranking: tuple[Ranked, ...] = ()
+    coarse: str = ""
+    decisions: tuple[Decision, ...] = ()
+
+    @property
+    def data(self) -> Data:
+        """What hypotheses are fitted to by now."""
+        return self.search.data
+
+    @property
+    def label(self) -> str:
+        """The best hypothesis."""
+        return self.found.best.label
+
+    def told(self, stage: str, share: float) -> None:
+        """Say which stage begins, and what is best so far."""
+        self.question.progress(stage, share, self.label)
+
+    def decided(self, stage: str, decision: str, reason: str) -> State:
+        """The same with one more decision."""
+        return replace(self, decisions=(*self.decisions, Decision(stage, decision, reason)))
+
+
+def refit(question: Question) -> tuple[State, Fitted | None]:
+    """The model without any effect, its parameters refitted, and the same fitted to short windows.
+
+    Where much is left, and trials were cut into windows so long that errors grow in them, the refit also goes on from
+    where short windows lead.
+
+    Returns:
+        The state to search from, and the fit to short windows; None where there was no need of one.
+
+    Raises:
+        SimulationDiverged: where the model diverges on every trial.
+    """
+    data, split = question.data, question.split
+    question.progress("refitting the model", 0.02, "")
+    base = data.base()
+    near = _near_base(data, split) if data.excessive(base) else None
+    base = base if near is None else data.base_from(near, base)
+    looked_for = {name: effect for name, effect in REGISTRY.items() if name not in question.settings.exclude}
+    pool = candidates(data.free.model, split.train, looked_for)
+    shares: Iterator[float] = iter(np.linspace(0.15, 0.8, ROUNDS))
+
+    def notify(stage: str, best: str) -> None:
+        question.progress(stage, float(next(shares, 0.8)), best)
+
+    search = Search(data, pool, data.policy.applied(question.settings.search), notify)
+    state = State(question, search, Searched(base, base, (), (), (), ()), Remainder((), ()))
+    excess = ", ".join(
+        f"{joint} {own:.3g}"
+        for joint, own in zip(data.free.model.robot.joint_names, excess_of(base.fit.residuals, base.noise), strict=True)
+    )
+    return state.decided("refit", f"{len(data.free.free)} parameters refitted", f"excess variance: {excess}"), near
+
+
+def search(state: State, near: Fitted | None) -> State:
+    """The set of effects that fits best, of those that gain more than chance would.
+
+    Args:
+        state: after the refit.
+        near: the model fitted to short windows; where much is left, a second search begins with what these tell.
+    """
+    own, found = state.search, state.search.run(state.found.base)
+    if near is not None and state.data.excessive(found.best):
+        own, found = _from_near(own, found, state.question.split, near)
+    return _searched(replace(state, search=own, found=found), "search")
+
+
+def _searched(state: State, stage: str) -> State:
+    """With a decision for each part of the hypothesis."""
+    for part, without in zip(state.found.best.hypothesis, state.found.without, strict=True):
+        gain = without.deviance - state.found.best.deviance
+        least = state.search.threshold(part.candidate.n_parameters)
+        state = state.decided(stage, f"{part.candidate.label} accepted", f"−2Δln L {gain:.4g}, at least {least:.4g}")
+    if not state.found.best.hypothesis:
+        state = state.decided(stage, "no effect accepted", "none gains more than chance and the noise's scatter")
+    return state
+
+
+def confirmation(state: State) -> State:
+    """The effects that held-out trials bear out; where they refuse one, another that they do bear out."""
+    state.told("trials left out", 0.82)
+    found = confirmed(state.search, state.found, state.question.split)
+    return _changed(replace(state, found=found), state, "confirmation", "held-out trials do not improve with it")
+
+
+def _changed(after: State, before: State, stage: str, reason: str) -> State:
+    """With decisions on what a stage rejected, and what it accepted instead."""
+    old, new = before.found.best.labels, after.found.best.labels
+    for label in sorted(old - new):
+        after = after.decided(stage, f"{label} rejected", reason)
+    for label in sorted(new - old):
+        after = after.decided(stage, f"{label} accepted", "fits as well in its place, and stands this test")
+    return after
+
+
+def unexplained(state: State) -> State:
+    """What the effects leave, and which of them are confounded with a residual force: these are rejected.
+
+    Where others stay, the search goes on beside them, without the names that were rejected.
+    """
+    state.told("what is left", 0.86)
+    own, found, doubtful = state.search, state.found, state.doubtful
+    rest = remainder(state.data, found.base, found.best, found.without)
+    again = AGAIN
+    while rest.superfluous:
+        dropped = [found.best.hypothesis[k] for k in rest.superfluous]
+        doubtful += tuple(named(part) for part in dropped)
+        found = less(own, found, rest.superfluous)
+        if found.best.hypothesis:
+            names = [part.candidate.label for part in dropped]
+            found = confirmed(own, own.go_on(found, names, further=again > 0), state.question.split)
+            again -= 1
+        rest = remainder(state.data, found.base, found.best, found.without)
+    after = replace(state, found=found, rest=rest, doubtful=doubtful)
+    after = _changed(after, state, "unexplained", "confounded: a residual force explains as much in its place")
+    for left in rest.unexplained:
+        over = f" over {left.depends_on}" if left.depends_on else ""
+        after = after.decided(
+            "unexplained", f"something left at {left.location}{over}", f"{left.gain:.4g}, at least {left.threshold:.4g}"
+        )
+    return replace(after, ranking=ranking(own, found))
+
+
+def discretization(state: State) -> State:
+    """The same without the error of the engine's step, where something would be named or left that is gone then."""
+    exact = without_step_error(state.search, state.found, state.rest, state.question.settings.threads)
+    if exact is None:
+        return state
+    own, found, rest, coarse = exact
+    return replace(state, search=own, found=found, rest=rest, coarse=coarse).decided(
+        "discretization", "worked out without the step's error", coarse
+    )
+
+
+def alternatives(state: State) -> State:
+    """What fits as well in each effect's place; intervals in which the error of the engine's step is counted."""
+    state.told("evidence", 0.94)
+    found = listed(state.search, state.found)
+    if not state.coarse:
+        found = step_counted(state.data, found, state.question.settings.threads)
+    return replace(state, found=found)
+
+
+def validation(state: State) -> State:
+    """Joints whose error on held-out trials is far above the noise, whatever numbers the effects have."""
+    if state.rest.unexplained:
+        return state
+    split, best = state.question.split, state.found.best
+    rest = not_borne_out(state.data, best, split.heldout, Judge(state.data, split, state.found).heldout(best.fit.model))
+    for left in rest.unexplained:
+        reason = f"held-out error {left.gain:.3g} times the noise's variance"
+        state = state.decided("validation", f"unexplained at {left.location}", reason)
+    return replace(state, rest=rest)
+
+
+def report(state: State) -> Diagnosis:
+    """The findings with evidence and intervals, and all else that is told."""
+    question, own, found, rest = state.question, state.search, state.found, state.rest
+    data, split, model = state.data, question.split, question.data.free.model
+    judge, finely = Judge(data, split, found), cache(data.settle_finely)
+    parts = range(len(found.best.hypothesis))
+    findings = tuple(finding(own, found, judge, k, bool(rest.unexplained), finely) for k in parts)
+    findings = tuple(sorted(findings, key=lambda f: -f.evidence.gain))
+    experiment = separating(data, found, findings, question.designs) if question.designs else None
+    residuals = {
+        state: Residuals(train, tuple(judge.heldout(model)))
+        for state, model, train in zip(
+            STATES,
+            (model, found.base.fit.model, found.best.fit.model),
+            (tuple(judge.nominal()), found.base.fit.residuals, found.best.fit.residuals),
+            strict=True,
+        )
+    }
+    noise = found.best.noise
+    question.progress("done", 1.0, found.best.label)
+    return Diagnosis(
+        verdict(findings, rest),
+        model,
+        found.base.fit.model,
+        found.best.fit.model,
+        found.base,
+        found.best,
+        tuple(split.train),
+        tuple(split.heldout),
+        residuals,
+        where_off(model, split.train, found.base.fit.residuals, noise),
+        findings,
+        rest.unexplained,
+        state.doubtful,
+        state.ranking,
+        () if findings or rest.unexplained else detectable(own, found),
+        experiment,
+        {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
+        (
+            *notes(found, split, question.settings.exclude),
+            *beyond_range(model, split),
+            *([state.coarse] if state.coarse else []),
+        ),
+        time.perf_counter() - question.begun,
+        state.decisions,
+    )
+
+
+def other_question(question: Question) -> Question | None:
+    """The same with other trials held out, where nobody said which; None where somebody did."""
+    other = question.split.other
+    if other is None:
+        return None
+
+    def notify(stage: str, share: float, best: str) -> None:
+        question.progress(f"{stage}, other trials held out", 0.94 + 0.05 * share, best)
+
+    return replace(question, data=replace(question.data, segments=other.train), split=other, progress=notify)
+
+
+def on_others(question: Question, other: Question, found: Diagnosis) -> Diagnosis:
+    """A diagnosis with other trials held out, which says so."""
+    before, now = (", ".join(_trials(q.split.heldout)) for q in (question, other))
+    note = f"{before}, held out at first, showed what the other trials do not; so they were fitted, and {now} judged."
+    return replace(found, notes=(*found.notes, note))
+
+
+def _trials(segments: Sequence[Segment]) -> list[str]:
+    """Names of the trials that segments are of; those of windows begin with their trial's."""
+    names: dict[int, str] = {}
+    for s in segments:
+        names.setdefault(s.recording, re.sub(WINDOW, "", s.trial.name))
+    return list(names.values())
+
+
+def _near_base(data: Data, split: Split) -> Fitted | None:
+    """The model fitted to short windows; None where there are none, or where it diverges in them."""
+    if not split.near:
+        return None
+    try:
+        return replace(data, segments=split.near).base()
+    except SimulationDiverged:  # so short windows tell nothing
+        return None
+
+
+def _from_near(search: Search, found: Searched, split: Split, base: Fitted) -> tuple[Search, Searched]:
+    """The search's end, or where one that begins with what short windows tell ends, if that fits better.
+
+    Errors do not grow in short windows: what a small change does there tells what a larger one does.
+    """
+    data, settings, notify = search.data, search.settings, search.notify
+    near = Search(replace(data, segments=split.near), search.pool, settings, notify)
+    try:
+        best = near.run(base).best
+    except SimulationDiverged:  # so short windows tell nothing
+        return search, found
+    labels = [sorted(part.candidate.label for part in fitted.hypothesis) for fitted in (best, found.best)]
+    if not best.hypothesis or labels[0] == labels[1]:
+        return search, found
+    other = Search(data, search.pool, settings, notify, near.fitted)
+    begin = (best.fit.theta, [s.start for s in data.segments])
+    try:
+        start = data.settle(data.rough(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
+    except SimulationDiverged:  # so it cannot be what happened
+        return search, found
+    end = other.go_on(other.beginning(found.base, start))
+    best_search, best_end = (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
+    best_search.fitted = [*search.fitted, *other.fitted]
+    return best_search, best_end
