@@ -445,6 +445,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_a_killed_command_goes_on_where_it_was(tmp_path: Path, uninterrupted: dict[str, Any]) -> None:
     for attempt in range(TRIES):
         command = Command(tmp_path / str(attempt))
@@ -465,6 +466,7 @@ def test_a_killed_command_goes_on_where_it_was(tmp_path: Path, uninterrupted: di
     assert command.rows() == 110
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_best(tmp_path: Path, uninterrupted: dict[str, Any]) -> None:
     for attempt in range(TRIES):
         command = Command(tmp_path / str(attempt))

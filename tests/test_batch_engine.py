@@ -437,6 +437,7 @@ def magnet() -> Iterator[None]:
     del REGISTRY["magnet"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("magnet")
 def test_a_law_of_ones_own_takes_part_without_any_other_change() -> None:
     robot = random_morphology("one_joint", 2)

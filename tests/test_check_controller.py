@@ -104,6 +104,7 @@ def test_what_may_be_meant_is_noted() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pid", "lqr", "nmpc", "sampling", "open_loop", "Spring", "spring"])
 def test_our_own_keep_it(name: str) -> None:
     example = f"{presets.workspace() / 'controllers' / 'example_custom.py'}:{name}"

@@ -438,6 +438,7 @@ def test_autotune_on_a_model_with_effects(ran: Any, here: Path) -> None:
 # Real processes.
 
 
+@pytest.mark.slow
 def test_the_console_script_prints_json_alone(here: Path) -> None:
     write_trial(here / "a.csv")
     code = "from equimus_ctrl.cli.main import entry; entry()"

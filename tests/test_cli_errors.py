@@ -250,6 +250,7 @@ def test_these_are_sentences_in_time(arguments: Sequence[object], said: str, run
 # Real processes.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [

@@ -96,6 +96,7 @@ def test_all_see_the_same_noise() -> None:
     np.testing.assert_allclose(one.position - one.truth, other.position - other.truth, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_figures() -> None:
     one, other = (compare([hold(0.5)], ["lqr"], ["perturbed"], draws=2, seed=5).to_dict() for _ in range(2))
     for entry in (*one["entries"], *other["entries"]):

@@ -39,6 +39,7 @@ def left(
     return tuple(part.candidate.label for part in parts), remainder(data, base, best, without)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("outside", "label", "values"),
     [
@@ -56,6 +57,7 @@ def test_the_name_of_a_shadow_is_superfluous(outside: Effect, label: str, values
 LEAK = (Leak("maa", share=0.05),)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "values", "outside"),
     [

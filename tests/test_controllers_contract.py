@@ -55,6 +55,7 @@ def test_it_has_the_two_functions_of_the_protocol(controller: Any) -> None:
     assert callable(controller.init) and callable(controller.step)
 
 
+@pytest.mark.slow
 def test_commands_are_finite_and_applied_within_the_range(
     controller: Any, plant: eq.MujocoPlant, scenario: eq.Scenario
 ) -> None:
@@ -65,12 +66,14 @@ def test_commands_are_finite_and_applied_within_the_range(
     np.testing.assert_array_equal(run.clipped, run.asked != run.command)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits(controller: Any, plant: eq.MujocoPlant, scenario: eq.Scenario) -> None:
     one, two, other = (drive(plant, controller, scenario, seed) for seed in (5, 5, 6))
     assert np.array_equal(one.command, two.command) and np.array_equal(one.position, two.position)
     assert not np.array_equal(one.position, other.position)
 
 
+@pytest.mark.slow
 def test_it_does_not_lean_on_earlier_runs(controller: Any, scenario: eq.Scenario) -> None:
     """Everything that evolves is in the state: a fresh plant and one driven before give the same."""
     used = eq.MujocoPlant(eq.nominal_model())

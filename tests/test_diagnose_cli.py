@@ -30,6 +30,7 @@ def ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return call
 
 
+@pytest.mark.slow
 def test_a_concealed_ground_truth_is_recorded_and_found(ran: Any, tmp_path: Path) -> None:
     code, _, _ = ran(
         "run", "chirp", "--effect", "dead_zone:baa:threshold=4000", "--noise", 0.002, "--record", "concealed",

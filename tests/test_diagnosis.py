@@ -82,6 +82,7 @@ def test_wrong_numbers_and_noise_alone_are_consistent() -> None:
         assert own == pytest.approx(1e-3, rel=0.1), joint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [
@@ -109,6 +110,7 @@ def test_one_effect_is_named_sized_and_confirmed_by_trials_left_out(text: str) -
     assert found.corrected.effects[0].name == effect.name
 
 
+@pytest.mark.slow
 def test_two_effects_together() -> None:
     effects = (parse("transport_delay:baa:delay=0.08"), parse("coulomb_friction:hip:friction=0.02"))
     found = found_in(effects)
@@ -118,6 +120,7 @@ def test_two_effects_together() -> None:
     }
 
 
+@pytest.mark.slow
 def test_alike_in_several_places_is_one_finding() -> None:
     found = found_in((parse("first_order_lag:maa:time_constant=0.1"), parse("first_order_lag:baa:time_constant=0.1")))
     (finding,) = found.findings
@@ -125,6 +128,7 @@ def test_alike_in_several_places_is_one_finding() -> None:
     assert finding.parameters["time_constant"].value == pytest.approx(0.1, rel=0.05)
 
 
+@pytest.mark.slow
 def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     from equimus_ctrl.proof.outside import Cogging
 
@@ -144,6 +148,7 @@ def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: py
     assert np.corrcoef(left.push[inside], true[inside])[0, 1] > 0.8
 
 
+@pytest.mark.slow
 def test_a_name_that_explains_nothing_beside_one_push_is_withdrawn() -> None:
     # A leak between the actuators looks like a wrong scale of a sensor once the leg's numbers have moved along.
     from equimus_ctrl.proof import leg_simulation, legs, outside
@@ -158,6 +163,7 @@ def test_a_name_that_explains_nothing_beside_one_push_is_withdrawn() -> None:
     assert found.unexplained[0].depends_on == "cmd.maa−cmd.baa"
 
 
+@pytest.mark.slow
 def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     ends: list[list[str]] = []
 
@@ -192,6 +198,7 @@ def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_une
     assert found.to_dict()["unexplained"][0]["heldout"] is True
 
 
+@pytest.mark.slow
 def test_trials_held_out_that_show_what_the_others_could_not_are_no_mismatch() -> None:
     model = nominal_model()
     # Nothing that is fitted presses on baa: the last trial alone tells its area.
@@ -205,6 +212,7 @@ def test_trials_held_out_that_show_what_the_others_could_not_are_no_mismatch() -
     assert "Not looked for, as was asked: creep, hysteresis." in found.notes
 
 
+@pytest.mark.slow
 def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> None:
     model = nominal_model()
     effect = parse("dead_zone:baa:threshold=2000")
@@ -225,6 +233,7 @@ def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> Non
     assert {s.trial.name for s in said.heldout} == {"trial_3", "trial_7"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("largest", "places"), [(1.2e4, ("maa",)), (2.2e4, ("maa", "baa"))])
 def test_an_effect_is_named_where_it_shows_and_nowhere_else(largest: float, places: tuple[str, ...]) -> None:
     # Where no command of baa comes near the level, it is the same at both valves.
@@ -248,6 +257,7 @@ def test_an_effect_is_named_where_it_shows_and_nowhere_else(largest: float, plac
     assert still.best.label == found.best.label and still.rivals[0]
 
 
+@pytest.mark.slow
 def test_the_same_recordings_give_the_same_bits_on_any_number_of_threads() -> None:
     model = nominal_model()
     trials = recordings((parse("dead_zone:maa:threshold=2000"),), count=3)
@@ -260,6 +270,7 @@ def test_the_same_recordings_give_the_same_bits_on_any_number_of_threads() -> No
     assert reports[0] == reports[1]
 
 
+@pytest.mark.slow
 def test_the_report_is_plain_data_of_the_schema() -> None:
     record = found_in((parse("dead_zone:baa:threshold=1500"),)).to_dict()
     assert record["schema"] == SCHEMA == "equimus-ctrl/diagnosis/1"
@@ -272,6 +283,7 @@ def test_the_report_is_plain_data_of_the_schema() -> None:
     assert record["where"][0]["share"] >= record["where"][1]["share"]
 
 
+@pytest.mark.slow
 def test_a_users_own_effect_takes_part() -> None:
     from equimus_ctrl.workflow.plugins import load_effects
 
@@ -323,6 +335,7 @@ def test_a_part_that_excludes_others_takes_their_place() -> None:
     assert [e.parameters() for e in moved.effects if e.name == "asymmetric_lag"] == [{"fill": 0.2, "vent": 0.3}] * 2
 
 
+@pytest.mark.slow
 def test_equivalents_come_with_the_experiment_that_tells_them_apart() -> None:
     # MAA pulls at the hip alone: over a small range dry friction of either looks the same.
     model = nominal_model()

@@ -118,6 +118,7 @@ def own_effects() -> list[Finding]:
     return [finding_of(part_of(name, (place,), values)) for name, (place, values) in cases.items()]
 
 
+@pytest.mark.slow
 def test_effects_of_ones_own_of_every_kind_are_drawn(diagnosis: Diagnosis, scene: Scene) -> None:
     titles = {}
     for finding in own_effects():

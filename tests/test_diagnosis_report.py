@@ -21,6 +21,7 @@ from equimus_ctrl.report.diagnosis_words import estimate_text
 # Figures and page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_all_figures_of_every_verdict_can_be_drawn(diagnosis: Diagnosis, verdict: str) -> None:
     d = VERDICTS[verdict](diagnosis)
@@ -33,6 +34,7 @@ def test_all_figures_of_every_verdict_can_be_drawn(diagnosis: Diagnosis, verdict
         figure.canvas.draw()
 
 
+@pytest.mark.slow
 def test_figures_without_held_out_trials_show_those_fitted(diagnosis: Diagnosis) -> None:
     residuals = {state: replace(r, heldout=()) for state, r in diagnosis.residuals.items()}
     d = replace(diagnosis, heldout=(), residuals=residuals)

@@ -270,6 +270,7 @@ def test_other_robots_have_groups_too() -> None:
     assert len(AT_JOINTS) * 3 + len(AT_ACTUATORS) * 3 <= len(found)
 
 
+@pytest.mark.slow
 def test_answers_in_batches_are_those_one_by_one() -> None:
     some = [*everything()[:9], *harmonics(Model(LEG), moved(), [0.5, 2.0])]
     assert sum(g.size for g in some) > 128

@@ -149,6 +149,7 @@ def exact(m: Morphology, effects: Sequence[Effect], one: Trial, phase: Phase = "
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_law_moves_the_leg_as_an_independent_integration_says(name: str) -> None:
     one = trial(START)
@@ -434,6 +435,7 @@ def smoothed(name: str, width: float) -> Array:
     return np.vstack([*out, state[:2]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUBBING)
 def test_a_leg_that_rubs_moves_as_in_the_limit_of_steep_smooth_friction(name: str) -> None:
     """The creep of what should stick is proportional to the smoothing's width, so two widths give the limit."""

@@ -77,6 +77,7 @@ def leg(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     assert within_limits(seen_by(log), SLEW / 120)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pid", "lqr", "nmpc"])
 def test_controllers_track_over_the_wire_as_in_simulation(leg: Path, name: str, tmp_path: Path) -> None:
     scenario = load_scenario("hold", MODEL.morphology, search=False)
@@ -95,6 +96,7 @@ def test_controllers_track_over_the_wire_as_in_simulation(leg: Path, name: str, 
     assert np.all(rmse(real.time, real.position) <= 1.2 * rmse(simulated.time, simulated.position))
 
 
+@pytest.mark.slow
 def test_instants_begin_soon_after_a_measurement_and_stamps_are_even(tmp_path: Path) -> None:
     with (
         emulator(tmp_path / "log.json", *PATIENT),
@@ -142,6 +144,7 @@ def driven(
     return why, plant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_faults_vent_and_are_told_and_what_came_before_is_recorded(name: str, tmp_path: Path) -> None:
     log, (fault, message) = tmp_path / "log.json", FAULTS[name]
@@ -157,6 +160,7 @@ def test_faults_vent_and_are_told_and_what_came_before_is_recorded(name: str, tm
         assert seen["watchdog"] == 0 and 3.5 <= seen["vented"] < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HARMLESS)
 def test_what_comes_twice_or_late_is_ignored(name: str, tmp_path: Path) -> None:
     fault = HARMLESS[name].format(t=2.0)
@@ -165,6 +169,7 @@ def test_what_comes_twice_or_late_is_ignored(name: str, tmp_path: Path) -> None:
     assert len(read(tmp_path / "run.csv").time) > 470
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["0.05", "0.3"])
 def test_losses_are_borne(loss: str, tmp_path: Path) -> None:
     log = tmp_path / "log.json"
@@ -177,6 +182,7 @@ def test_losses_are_borne(loss: str, tmp_path: Path) -> None:
     assert len(found.time) > 350 and np.all(np.diff(found.time) > 0)
 
 
+@pytest.mark.slow
 def test_a_controller_that_is_killed_is_vented_by_the_device(tmp_path: Path) -> None:
     code = f"""
     import sys
@@ -259,6 +265,7 @@ def test_the_bytes_are_those_of_ros_2() -> None:
     assert messages.multi_array([1e4, 2.5e4]).serialize() == wanted
 
 
+@pytest.mark.slow
 def test_a_device_obeys_finite_commands_of_the_right_size_alone(tmp_path: Path) -> None:
     log = tmp_path / "log.json"
     host = DdsHost(Wire(domain=DOMAIN))

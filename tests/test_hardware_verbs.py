@@ -43,6 +43,7 @@ def own_settings(tmp_path: Path) -> str:
     return str(path)
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_robot_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["hardware", "check", "--hardware", own_settings(tmp_path), "--seconds", "1", "--json"]
@@ -57,6 +58,7 @@ def test_a_robot_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert 4e3 < max(seen_by(tmp_path / "log.json")["highest"]) <= 5e3
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_robot_that_does_not_react_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["hardware", "check", "--hardware", own_settings(tmp_path), "--seconds", "0.5", "--arm"]
@@ -66,6 +68,7 @@ def test_a_robot_that_does_not_react_is_told(tmp_path: Path, capsys: pytest.Capt
     assert "no joint reacted to 5 kPa in maa: the most was" in said and "in baa" in said
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_whoever_stops_a_sweep_is_told_that_the_robot_is_vented(tmp_path: Path) -> None:
     code = "import signal as s; s.signal(s.SIGINT, s.default_int_handler); from equimus_ctrl.cli.main import entry; entry()"
@@ -95,6 +98,7 @@ def test_whoever_stops_a_check_is_told_what_became_of_the_robot(
     assert said in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_robot_that_is_too_slow_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with emulator(tmp_path / "log.json", "--rate", "40"):
@@ -103,6 +107,7 @@ def test_a_robot_that_is_too_slow_is_told(tmp_path: Path, capsys: pytest.Capture
     assert said is not None and float(said[1]) == pytest.approx(40.0, abs=2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_delays_and_lags_are_found_and_handed_to_controllers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -374,6 +374,7 @@ def test_noisy_poses_are_explained_to_the_noise_and_the_truth_is_inside() -> Non
     assert np.all(joint_rmse([done.heldout[0].after]) < 0.004)
 
 
+@pytest.mark.slow
 def test_the_real_poses(leg_dir: Path) -> None:
     """Published: 0.0203 and 0.0416 rad over 36 poses, 0.0170 and 0.0566 over 13."""
     for count, limits in ((36, (0.0203, 0.0416)), (13, (0.0170, 0.0566))):

@@ -104,6 +104,7 @@ def test_linearised_it_speaks_python_control() -> None:
     np.testing.assert_allclose(expm(system.A * 0.01)[4, 4], np.exp(-0.1), rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KNOWN)
 def test_it_follows_a_smooth_reference_through_lags_and_delays_that_it_knows(name: str) -> None:
     assert np.all(rmse(tracked(KNOWN[name], KNOWN[name]), 3.0) < 2e-4)
@@ -111,18 +112,21 @@ def test_it_follows_a_smooth_reference_through_lags_and_delays_that_it_knows(nam
     assert np.all(rmse(tracked(KNOWN[name], KNOWN[name], noise=2e-3)) < 3e-3)  # the measurement's own included
 
 
+@pytest.mark.slow
 def test_knowing_a_delay_is_worth_it() -> None:
     late = KNOWN["late"]
     known, unknown = tracked(late, late), tracked(late, LAG)
     assert np.all(rmse(known, 3.0) < 0.1 * rmse(unknown, 3.0))
 
 
+@pytest.mark.slow
 def test_valves_that_are_later_than_it_knows_do_not_make_it_swing() -> None:
     assert np.all(rmse(tracked(KNOWN["lags"], ())) < 0.02)
     late = (make("transport_delay", "baa", {"delay": 0.1}),)
     assert np.all(rmse(tracked(late, ())) < 0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["integral", "disturbance"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_wrong_legs_end_where_they_should(how: str, seed: int) -> None:
@@ -138,6 +142,7 @@ def test_wrong_legs_end_where_they_should(how: str, seed: int) -> None:
     np.testing.assert_allclose(done.position[-60:].mean(axis=0), POSE, atol=5e-3)
 
 
+@pytest.mark.slow
 def test_against_a_limit_the_integral_does_not_wind_up() -> None:
     plant, out = MujocoPlant(Model(LEG, LAG)), np.array([0.6, 0.1])
     reach = Kinematics(LEG).static_pressure(out)
@@ -161,6 +166,7 @@ def test_gains_between_poses_are_in_between() -> None:
     np.testing.assert_array_equal(schedule.gain(high + 1.0), schedule.gain(high))
 
 
+@pytest.mark.slow
 def test_the_same_run_gives_the_same_bits_and_leaves_its_state_alone() -> None:
     one, two = (tracked(KNOWN["late"], KNOWN["late"], noise=2e-3) for _ in range(2))
     assert one.command.tobytes() == two.command.tobytes()

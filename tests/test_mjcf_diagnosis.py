@@ -68,6 +68,7 @@ def value(found: Diagnosis, k: int = 0) -> float:
     return next(iter(found.findings[k].parameters.values())).value
 
 
+@pytest.mark.slow
 def test_friction_of_a_hinge_is_found_with_its_size_and_told_whole(tmp_path: Path) -> None:
     found = diagnosed(PENDULUM.format(drive=MOTOR), [CoulombFriction("hinge", 0.08)])
     assert found.verdict == "explained" and named(found) == [("coulomb_friction", ("hinge",))]
@@ -80,6 +81,7 @@ def test_friction_of_a_hinge_is_found_with_its_size_and_told_whole(tmp_path: Pat
     assert "Dry friction at the hinge of" in text and "kPa" not in text
 
 
+@pytest.mark.slow
 def test_two_kinds_of_friction_of_one_joint_are_told_by_their_names() -> None:
     """A push over the speed could stand for both, and dry friction with more at rest for the dry one."""
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
@@ -98,11 +100,13 @@ def test_nothing_left_out_is_consistent_and_says_what_would_have_shown() -> None
     assert 0 < smallest["coulomb_friction"].size < 0.02 and smallest["coulomb_friction"].unit == "N·m"
 
 
+@pytest.mark.slow
 def test_a_closed_loop_tells_its_friction_too() -> None:
     found = diagnosed(PENDULUM.format(drive=SERVO), [CoulombFriction("hinge", 0.15)])
     assert named(found) == [("coulomb_friction", ("hinge",))] and value(found) == pytest.approx(0.15, rel=0.03)
 
 
+@pytest.mark.slow
 def test_what_slides_is_told_in_metres_and_newtons() -> None:
     found = diagnosed(CARRIAGE, [ViscousFriction("rail", 6.0)], size=8.0, noise=2e-4)
     assert named(found) == [("viscous_friction", ("rail",))] and value(found) == pytest.approx(6.0, rel=0.02)
@@ -111,6 +115,7 @@ def test_what_slides_is_told_in_metres_and_newtons() -> None:
     assert "RMSE in mm" in text and "mrad" not in text and "°" not in text
 
 
+@pytest.mark.slow
 def test_a_payload_shows_where_masses_are_known() -> None:
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
     trials = recorded(Model(robot, [PayloadMass("tip", 0.12)]))
@@ -126,12 +131,14 @@ def test_a_late_drive_is_named() -> None:
     assert ("transport_delay", ("drive",)) in group and value(found) == pytest.approx(0.03, rel=0.05)
 
 
+@pytest.mark.slow
 def test_play_in_a_drive_is_named() -> None:
     found = diagnosed(PENDULUM.format(drive=SERVO), [DrivePlay("hinge", 0.05)], size=0.8)
     group = set(named(found)) | {(o.effect, o.locations) for f in found.findings for o in f.equivalent}
     assert ("drive_play", ("hinge",)) in group
 
 
+@pytest.mark.slow
 def test_what_no_effect_does_is_left_unexplained() -> None:
     found = diagnosed(PENDULUM.format(drive=MOTOR), [], push=0.1)
     assert found.verdict in ("unexplained", "partly_explained") and found.unexplained
@@ -142,6 +149,7 @@ def stepped(dt: float) -> MjcfRobot:
     return MjcfRobot("robot", PENDULUM.format(drive=MOTOR).replace('timestep="0.002"', f'timestep="{dt}"'))
 
 
+@pytest.mark.slow
 def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
     fine, coarse = stepped(0.00002), stepped(0.01)
     trials = recorded(Model(fine), dt=None)
@@ -154,6 +162,7 @@ def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
     assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
 
 
+@pytest.mark.slow
 def test_what_a_finer_step_fits_far_worse_stays_named() -> None:
     """Without the step, which is half a step early, no delay is needed, and none would be early enough."""
     coarse = stepped(0.01)
@@ -164,6 +173,7 @@ def test_what_a_finer_step_fits_far_worse_stays_named() -> None:
     assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
 
 
+@pytest.mark.slow
 def test_what_fits_as_well_is_told_after_a_finer_step_too() -> None:
     """A tilt and a sensor's offset do the same to a pendulum, whatever step that was found with."""
     fine, coarse = stepped(0.00002), stepped(0.01)
@@ -192,6 +202,7 @@ def test_what_is_far_weaker_than_any_guess_is_looked_for_at_its_own_size() -> No
     assert max(found.gains) > max(blunt.gains)
 
 
+@pytest.mark.slow
 def test_a_limit_that_the_trial_held_out_never_reaches_is_named() -> None:
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
     real = Model(robot, [TorqueSaturation("drive", 0.6)])
@@ -277,6 +288,7 @@ class Searching:
         return self.search.moved(Searched(self.base, self.base, (), (), (), ()), best)
 
 
+@pytest.mark.slow
 def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the_end() -> None:
     own = Searching([GravityTilt("base", 0.06), CoulombFriction("hinge", 0.05)])
     for label in ("gravity_tilt:base", "sensor_offset:hinge", "viscous_friction:hinge"):
@@ -323,6 +335,7 @@ def test_identification_gives_numbers_with_intervals() -> None:
         assert abs(at - truth[name]) < 2 * width and width < 0.05 * truth[name]
 
 
+@pytest.mark.slow
 def test_intervals_hold_although_the_physics_step_is_long() -> None:
     """What noise alone would allow does not: a step is half a step early, and the robot has none."""
     real, model = (Model(stepped(dt), [SensorDelay("hinge", late)]) for dt, late in ((0.00002, 0.02), (0.004, 0.015)))

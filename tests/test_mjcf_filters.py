@@ -99,6 +99,7 @@ def recorded(robot: MjcfRobot, *effects: object) -> list[Recording]:
     return found
 
 
+@pytest.mark.slow
 def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
     robot = cart(SERVO)
     assert robot.parameters()["motor.time_constant"] == TAU and robot.unit("motor.time_constant") == "s"

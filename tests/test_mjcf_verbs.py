@@ -26,6 +26,7 @@ def files(folder: Path, xml: str, trials: Sequence[Recording]) -> tuple[Path, Pa
     return folder / "robot.xml", folder / "runs"
 
 
+@pytest.mark.slow
 def test_what_makes_an_answer_doubtful_is_told() -> None:
     """Nothing that judges, and commands that MuJoCo clips."""
     drive = MOTOR.replace("/>", ' ctrllimited="true" ctrlrange="-0.3 0.3"/>')
@@ -44,6 +45,7 @@ def test_a_recording_of_three_rows_is_scored(tmp_path: Path, capsys: pytest.Capt
     assert json.loads(capsys.readouterr().out)["rmse_rad"]["hinge"] < 0.05
 
 
+@pytest.mark.slow
 def test_the_verbs_write_a_model_that_predicts_better(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
     xml, runs = files(tmp_path, robot.xml, recorded(Model(robot, [CoulombFriction("hinge", 0.08)])))

@@ -60,6 +60,7 @@ def begun(own: NmpcController, pose: Array = POSE, effects: tuple[Effect, ...] =
     return first, own.init(plant.spec, first)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KNOWN)
 def test_where_nothing_is_in_the_way_it_is_the_regulator(name: str) -> None:
     """A linear quadratic problem with the regulator's cost behind it has the regulator's solution."""
@@ -81,6 +82,7 @@ def test_where_nothing_is_in_the_way_it_is_the_regulator(name: str) -> None:
     np.testing.assert_allclose(asked[1], asked[0], atol=0.03 * np.abs(asked[0]).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KNOWN)
 def test_it_follows_a_smooth_reference_through_lags_and_delays_that_it_knows(name: str) -> None:
     assert np.all(rmse(tracked(KNOWN[name], KNOWN[name]), 2.0) < 3e-4)
@@ -88,12 +90,14 @@ def test_it_follows_a_smooth_reference_through_lags_and_delays_that_it_knows(nam
     assert np.all(rmse(tracked(KNOWN[name], KNOWN[name], noise=2e-3)) < 3e-3)  # the measurement's own included
 
 
+@pytest.mark.slow
 def test_an_unknown_torque_leaves_no_offset() -> None:
     spring = make("parallel_spring", "hip", {"stiffness": 0.8, "rest": 1.2})
     done = tracked((*LAG, spring), LAG, reference=lambda time: POSE, duration=9.0)
     assert np.all(np.abs((done.position - done.reference)[-60:]) < 2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disturbance", [True, False])
 def test_what_creeps_is_reckoned_with_as_it_creeps(disturbance: bool) -> None:
     """The horizon goes on from the effects' own states, with unknown torques to make up for them and without."""
@@ -102,6 +106,7 @@ def test_what_creeps_is_reckoned_with_as_it_creeps(disturbance: bool) -> None:
     assert np.all(rmse(done, 2.0) < 2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_wrong_numbers_leave_no_offset_and_do_not_make_it_swing(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -124,6 +129,7 @@ def test_rates_of_commands_stay_within_their_limit() -> None:
     assert change.max() > 0.99 * rate * DT
 
 
+@pytest.mark.slow
 def test_joint_ranges_are_kept_where_they_can_be() -> None:
     low, wanted = LEG.joint_range[0][1], np.array([1.45, 0.3])
     margin = 0.5 - low  # the knee is to stay above half a radian
@@ -133,12 +139,14 @@ def test_joint_ranges_are_kept_where_they_can_be() -> None:
     assert abs(free.position[-1, 1] - 0.3) < 1e-3
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits() -> None:
     one, other = (tracked(KNOWN["late"], LAG, noise=2e-3, duration=1.0) for _ in range(2))
     np.testing.assert_array_equal(one.command, other.command)
     np.testing.assert_array_equal(one.position, other.position)
 
 
+@pytest.mark.slow
 def test_five_hundred_random_states_and_references_all_get_a_command() -> None:
     """Whatever it is told, commands are finite and within limits, and what fell back says so and why."""
     rng = np.random.default_rng(7)
@@ -305,6 +313,7 @@ def test_what_the_robot_cannot_do_is_told_at_the_start() -> None:
         controller().init(replace(plant.spec, model=None), first)
 
 
+@pytest.mark.slow
 def test_long_intervals_are_divided() -> None:
     done = tracked(LAG, LAG, stride=8, nodes=8)
     assert set(done.status) <= {"converged", "iterated"}

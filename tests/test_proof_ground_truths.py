@@ -101,6 +101,7 @@ def test_unknown_kinds_and_negative_numbers_are_refused() -> None:
         draw(-1, 1)
 
 
+@pytest.mark.slow
 def test_every_effect_and_every_kind_turns_up() -> None:
     assert {r.kind for r in many()} == {"none", "single", "pair", "outside"}
     assert {e.name for r in many() for e in r.effects} == set(catalogue())
@@ -489,6 +490,7 @@ def test_a_folder_of_another_seed_is_refused(tmp_path: Path) -> None:
         make_case(request_in(tmp_path, kind="none", trials=1, duration=2.0), 0)
 
 
+@pytest.mark.slow
 def test_workers_make_the_same_bits(tmp_path: Path) -> None:
     alone, together = request_in(tmp_path / "a", kind="single"), request_in(tmp_path / "b", kind="single")
     assert [m.seal for m in make_cases(alone, range(2))] == [m.seal for m in make_cases(together, range(2), workers=2)]

@@ -183,6 +183,7 @@ def test_a_folder_of_another_proof_is_refused(
 # --- the command
 
 
+@pytest.mark.slow
 def test_json_alone_on_standard_output_tables_beside_it(
     world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -194,7 +195,7 @@ def test_json_alone_on_standard_output_tables_beside_it(
     assert {Path(file).name for file in record["files"]} >= {"score.json", "score.md", "power.png", "confusion.png"}
     written = json.loads((tmp_path / "out" / "score.json").read_text())
     assert written["goals"] == record["goals"]
-    for text in ("SHA-256 of their seals", "false alarms", "≤ 1 %", "diagnosing: 2 of 2", "no goal is missed"):
+    for text in ("SHA-256 of the seals", "false alarms", "≤ 1 %", "diagnosing: 2 of 2", "no goal is missed"):
         assert text in err
     assert err.index("SHA-256") < err.index("diagnosing")
 

@@ -129,6 +129,7 @@ def test_the_model_that_is_right_lacks_least_torque(concealed: tuple[str, str, d
     assert len(instants[0]) > 30
 
 
+@pytest.mark.slow
 def test_baselines_name_what_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
     few = ("sensor_scale", "coulomb_friction", "dead_zone")
     monkeypatch.setattr(

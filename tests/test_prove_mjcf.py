@@ -119,6 +119,7 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
         assert apart < max(ALIKE, 0.05 * does), (effect, apart, does)
 
 
+@pytest.mark.slow
 def test_a_ground_truth_is_what_finer_steps_tell_too(pendulum: Experiment) -> None:
     drawn = pendulum.draw(3, 1)
     ground_truth = replace(drawn, trials=drawn.trials[:1])
@@ -137,6 +138,7 @@ def test_a_motion_that_no_step_tells_is_no_ground_truth(
         simulate_mjcf_truth(ground_truth)
 
 
+@pytest.mark.slow
 def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
     first, again = (pendulum.draw(3, 1) for _ in range(2))
     assert first.robot.parameters() == again.robot.parameters()
@@ -170,6 +172,7 @@ def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) ->
     assert kinds == {"none", "single", "pair", "outside"}
 
 
+@pytest.mark.slow
 def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment) -> None:
     plain = pendulum.draw(5, 0, "none")
     clean = simulate_mjcf_truth(plain)
@@ -180,6 +183,7 @@ def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment)
     assert mjcf_excess(rubbing, clean, rubbing.effects).total < 0.02
 
 
+@pytest.mark.slow
 def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None:
     ground_truth = pendulum.draw(5, 1, "none")
     clean = simulate_mjcf_truth(ground_truth)
@@ -190,6 +194,7 @@ def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None
     assert np.array_equal(seen[0].command, pendulum.recordings[0].command)
 
 
+@pytest.mark.slow
 def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experiment) -> None:
     noted = tuple(replace(r, notes={"set.arm.mass": "0.9"}) for r in pendulum.recordings)
     experiment = Experiment(pendulum.model, noted)
@@ -204,6 +209,7 @@ def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experi
     )
 
 
+@pytest.mark.slow
 def test_a_proof_of_a_pendulum_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(EXAMPLES / "pendulum" / f"run_{k}.csv") for k in (1, 2)]
     command = ["prove", *files, "--model", str(EXAMPLES / "pendulum.xml"), "--cases", "2", "--kind", "none", "--seed",

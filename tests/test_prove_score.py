@@ -312,6 +312,7 @@ def test_the_score_is_plain_json_and_lists_what_went_wrong() -> None:
     assert [len(sheet.rich().rows) for sheet in sheets(found)] == [len(sheet.rows) for sheet in sheets(found)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("full", [True, False])
 def test_figures_are_drawn_of_much_and_of_nothing(full: bool, tmp_path: Path) -> None:
     found = mixture() if full else scored((truth("none"), report()))

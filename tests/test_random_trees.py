@@ -35,6 +35,7 @@ def commanded(seed: int, joints: int, features: tuple[str, ...]) -> tuple[str, n
     return xml, *controls(rng, mujoco.MjModel.from_xml_string(xml), 3.0)
 
 
+@pytest.mark.slow
 def test_every_feature_occurs_and_acts_in_thirty_trees() -> None:
     """Under other commands than those the trees were drawn with."""
     seen: Counter[str] = Counter()

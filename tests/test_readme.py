@@ -43,6 +43,7 @@ def tour() -> tuple[list[str], list[str]]:
     return found[:beside], found[beside:]
 
 
+@pytest.mark.slow
 def test_readme_commands_run_one_after_the_other(workspace: Path) -> None:
     found = tour()[0]
     assert len(found) >= 15
@@ -52,6 +53,7 @@ def test_readme_commands_run_one_after_the_other(workspace: Path) -> None:
     assert (workspace / "my_recordings" / "chirp.csv").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_readme_commands_for_hardware_run_beside_the_emulator(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     emulate, *found = tour()[1]
@@ -75,12 +77,14 @@ def test_format_commands_run(workspace: Path) -> None:
         assert main(shlex.split(command)[1:]) == 0, command
 
 
+@pytest.mark.slow
 def test_commands_for_any_mujoco_model_run(workspace: Path) -> None:
     for command in commands((ROOT / "docs" / "machines.md").read_text(encoding="utf-8")):
         assert main(shlex.split(command)[1:]) == 0, command
     assert (workspace / "corrected.xml").is_file() and (workspace / "free.toml").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", blocks(README, "python"))
 def test_readme_code_runs(code: str, workspace: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=workspace)

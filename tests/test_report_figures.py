@@ -282,6 +282,7 @@ def test_pressure_panels_show_commands_limits_and_clipping(na: int) -> None:
     assert any(label.startswith("clipped") for label in labels(figure))
 
 
+@pytest.mark.slow
 def test_figures_are_saved_alike_each_time_and_leave_the_global_settings_alone(tmp_path: Path) -> None:
     m = nominal_leg()
     run = make_run(m)

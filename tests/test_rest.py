@@ -166,6 +166,7 @@ def test_where_there_are_several_it_is_a_stable_one() -> None:
         assert moved(model, COMMAND) < 1e-5
 
 
+@pytest.mark.slow
 def test_where_there_is_none_it_is_told() -> None:
     register(Push)
     robot = pendulum()

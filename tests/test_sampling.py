@@ -71,6 +71,7 @@ def later(observation: Observation, steps: int = 1) -> Observation:
     return replace(observation, time=observation.time + steps * DT, stamp=observation.stamp + steps * DT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", KNOWN)
 def test_it_follows_a_smooth_reference_through_what_it_knows(method: str, name: str) -> None:
@@ -79,11 +80,13 @@ def test_it_follows_a_smooth_reference_through_what_it_knows(method: str, name: 
     assert np.all(rmse(done) < [2e-3, 4e-3])
 
 
+@pytest.mark.slow
 def test_in_mujoco_as_well() -> None:
     done = tracked(LAG, LAG, engine="mujoco", noise=2e-3)
     assert set(done.status) == {"sampled"} and np.all(rmse(done) < [2e-3, 4e-3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_it_comes_back_from_where_it_does_not_belong(method: str) -> None:
     """A pull on the knee for half a second that nobody told it of: without feedback the leg would be elsewhere."""
@@ -95,6 +98,7 @@ def test_it_comes_back_from_where_it_does_not_belong(method: str) -> None:
     assert np.all(rmse(done, 2.5) < 0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_wrong_numbers_leave_no_offset(method: str) -> None:
     leg = LEG.with_parameters({"maa.stiffness": 1.1 * LEG.parameters()["maa.stiffness"]})
@@ -103,6 +107,7 @@ def test_wrong_numbers_leave_no_offset(method: str) -> None:
     assert np.all(np.abs((done.truth - POSE)[done.time > 5].mean(axis=0)) < 2e-3)
 
 
+@pytest.mark.slow
 def test_more_plans_cost_less() -> None:
     found = []
     for samples in (3, 256):
@@ -129,6 +134,7 @@ def test_the_plan_of_the_instant_before_is_tried_first() -> None:
     assert five.plan.cost.min() <= five.plan.cost[0]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others() -> None:
     first, again, other = (tracked(LAG, LAG, noise=2e-3, duration=0.5, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.command, again.command)
@@ -146,6 +152,7 @@ def test_commands_stay_within_their_limits_and_rates() -> None:
     assert np.abs(np.diff(done.asked, axis=0)).max() > 0.99e5 * DT
 
 
+@pytest.mark.slow
 def test_joint_ranges_are_kept_where_they_can_be() -> None:
     low, wanted = LEG.joint_range[0][1], np.array([1.45, 0.3])
     margin = 0.5 - low  # the knee is to stay above half a radian
@@ -155,6 +162,7 @@ def test_joint_ranges_are_kept_where_they_can_be() -> None:
     assert abs(free.position[-1, 1] - 0.3) < 2e-3
 
 
+@pytest.mark.slow
 def test_a_method_of_ones_own_is_three_functions() -> None:
     """Coordinate search: one knot at a time, up and down by a step that halves where neither helps."""
 
@@ -176,6 +184,7 @@ def test_a_method_of_ones_own_is_three_functions() -> None:
     assert set(done.status) == {"sampled"} and np.all(rmse(done) < [4e-3, 8e-3])
 
 
+@pytest.mark.slow
 def test_a_penalty_of_ones_own_is_part_of_the_cost() -> None:
     """Pressure in one actuator is dear: less of it is commanded."""
 
@@ -188,6 +197,7 @@ def test_a_penalty_of_ones_own_is_part_of_the_cost() -> None:
     assert sparing.command[-60:, 0].mean() < 0.9 * plain.command[-60:, 0].mean()
 
 
+@pytest.mark.slow
 def test_risk_counts_the_worst_models() -> None:
     costs = {}
     for name, options in {
@@ -203,6 +213,7 @@ def test_risk_counts_the_worst_models() -> None:
     assert set(done.status) == {"sampled"} and np.all(rmse(done) < [4e-3, 8e-3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_random_states_and_references_all_get_a_command(method: str) -> None:
     """Whatever it is told, commands are finite and within limits, and what fell back says so and why."""
@@ -339,6 +350,7 @@ def test_settings_are_what_their_table_says() -> None:
     assert own.to_dict()["format"] == FORMAT and SamplingSettings.from_dict(own.to_dict()) == own
 
 
+@pytest.mark.slow
 def test_what_the_robot_cannot_do_is_told_at_the_start() -> None:
     with pytest.raises(ConfigError, match="margin is 2 rad, but hip turns from"):
         begun(controller(margin=2.0))
@@ -349,6 +361,7 @@ def test_what_the_robot_cannot_do_is_told_at_the_start() -> None:
         controller().init(replace(plant.spec, model=None), plant.reset())
 
 
+@pytest.mark.slow
 def test_the_method_in_the_documents_works() -> None:
     text = (Path(__file__).resolve().parents[1] / "docs" / "control.md").read_text(encoding="utf-8")
     block = next(b for b in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "standard_cauchy" in b)

@@ -66,6 +66,7 @@ def rms(series: list[Array]) -> Array:
     return np.array([np.sqrt((r**2).mean()) for r in series])
 
 
+@pytest.mark.slow
 def test_starts_follow_what_was_measured_ever_farther(
     real: Model, trials: list[Recording], simulator: Simulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -177,6 +177,7 @@ def check_conserved(energy: Array) -> None:
     assert np.ptp(total) < 1e-9 * kinetic.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "phase"),
     [("one_joint", "swing"), ("mono_and_bi", "swing"), ("branched", "swing"), ("one_joint", "stance")],

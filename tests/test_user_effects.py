@@ -47,6 +47,7 @@ def test_the_example_is_short() -> None:
     assert len([line for line in TEXT.splitlines() if line.strip()]) < 25
 
 
+@pytest.mark.slow
 def test_from_a_run_to_the_coefficient_that_was_in_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     drag = str(DRAG)
     quiet = ["--no-figures", "--json"]

@@ -136,6 +136,7 @@ def test_the_baseline_has_the_same_stops() -> None:
     np.testing.assert_allclose(q[0], exact[0], atol=5e-4)
 
 
+@pytest.mark.slow
 def test_conservation_sees_damping_that_should_not_be_there(monkeypatch: pytest.MonkeyPatch) -> None:
     m, plan = nominal_leg(), replace(TINY, conserving=2.0, more_kernels=True)
     kept = conservation_case(m, plan, np.random.default_rng(0))
@@ -196,6 +197,7 @@ def test_runs_that_touch_a_stop_are_judged_apart_too(found: Validation) -> None:
     assert record["on_stops"]["mujoco"]["runs"] == 1 and record["runs"] == case.scored.sum()
 
 
+@pytest.mark.slow
 def test_an_engine_whose_steps_do_not_follow_stops_misses_the_goal(monkeypatch: pytest.MonkeyPatch) -> None:
     right = stance_case(nominal_leg(), TINY, np.random.default_rng(0), 4e-3)
     assert right.errors.rmse.max() < ACCURACY_GOALS["stance"]
@@ -216,6 +218,7 @@ def without_timings(record: dict[str, Any]) -> str:
     return json.dumps({**record, "speed": None, "goals": goals})
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(found: Validation) -> None:
     told: list[tuple[str, float, float | None]] = []
     again = validate(nominal_model(), TINY, 3, threads=1, notify=lambda *what: told.append(what))
@@ -247,6 +250,7 @@ def test_the_record_is_plain_json_with_the_figures_in_their_places(found: Valida
     assert record["settings"]["mujoco"]["integrator"] == "RK4"
 
 
+@pytest.mark.slow
 def test_effects_on_bodies_take_part_and_others_are_said_to_be_left_out(found: Validation) -> None:
     model = Model(nominal_leg(), (TransportDelay("baa", 0.1), PayloadMass("foot", 0.05)))
     loaded = validate(model, TINY, 3)

@@ -19,6 +19,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plan, "QUICK", TINY)
 
 
+@pytest.mark.slow
 def test_json_alone_on_standard_output_tables_beside_it_files_in_the_folder(
     tiny: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -37,6 +38,7 @@ def test_json_alone_on_standard_output_tables_beside_it_files_in_the_folder(
         assert text in err
 
 
+@pytest.mark.slow
 def test_a_missed_goal_is_exit_code_three_and_named(
     tiny: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -58,6 +60,7 @@ delay = 0.1
 """
 
 
+@pytest.mark.slow
 def test_effects_of_a_model_file_that_take_no_part_are_named(
     tiny: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
