@@ -89,6 +89,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("parameters", "The robot's own numbers", _parameters(diagnosis)),
         ("candidates", "All candidates", _candidates(diagnosis, figures)),
         ("detectable", "What would have shown", _detectable(diagnosis)),
+        ("decisions", "What was decided, stage by stage", _decisions(diagnosis)),
         ("method", "Method", f"<ol>{''.join(f'<li>{escape(line)}</li>' for line in METHOD)}</ol>"),
         ("provenance", "Provenance", _provenance(diagnosis, command_line)),
     ]
@@ -204,6 +205,12 @@ def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
             alt = f"The push at {left.location} that nothing explains, against {coordinate(left.axis, diagnosis.model)}"
             body += _figure(figure, alt)
     return body
+
+
+def _decisions(diagnosis: Diagnosis) -> str:
+    if not diagnosis.decisions:
+        return ""
+    return _table(("stage", "decision", "reason"), [(d.stage, d.decision, d.reason) for d in diagnosis.decisions], 3)
 
 
 def _apart(diagnosis: Diagnosis) -> str:
