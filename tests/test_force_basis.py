@@ -30,6 +30,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.fit import Fit, fit
 from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.kinematics import Kinematics
@@ -305,7 +306,7 @@ FOLDS = [[slice(0, 100)], [slice(100, 150), slice(350, 400)], [slice(150, 350)]]
 
 def test_the_gain_is_what_least_squares_gains() -> None:
     r, q, c = problem(0)
-    found = explained(r, q, c, ridge=0.0)
+    found = explained(r, Nuisance.of(q), c, ridge=0.0)
     alone = r - q @ (q.T @ r)
     solution, left = np.linalg.lstsq(np.column_stack([q, c]), r, rcond=1e-20)[:2]
     assert found.total == pytest.approx(alone @ alone)
@@ -316,19 +317,19 @@ def test_the_gain_is_what_least_squares_gains() -> None:
 
 def test_columns_that_say_nothing_new_count_for_nothing() -> None:
     r, q, c = problem(1)
-    whole = explained(r, q, c, 0.0, FOLDS)
-    doubled = explained(r, q, np.column_stack([c, 3 * c[:, :2], q[:, :3], np.zeros(400)]), 0.0, FOLDS)
+    whole = explained(r, Nuisance.of(q), c, 0.0, FOLDS)
+    doubled = explained(r, Nuisance.of(q), np.column_stack([c, 3 * c[:, :2], q[:, :3], np.zeros(400)]), 0.0, FOLDS)
     assert doubled.rank == whole.rank == 5
     assert doubled.gain == pytest.approx(whole.gain) and doubled.held_out == pytest.approx(whole.held_out)
-    inside = explained(r, q, q @ np.ones((6, 2)), 0.0, FOLDS)
+    inside = explained(r, Nuisance.of(q), q @ np.ones((6, 2)), 0.0, FOLDS)
     assert (inside.rank, inside.gain, inside.held_out) == (0, 0.0, 0.0) and not inside.coefficients.any()
-    assert explained(r, q, np.zeros((400, 0))).gain == 0.0
+    assert explained(r, Nuisance.of(q), np.zeros((400, 0))).gain == 0.0
 
 
 def test_held_out_is_the_error_on_rows_that_were_not_fitted() -> None:
     r, q, c = problem(2)
     r = r + c @ (np.array([0.5, 0, -0.5, 0, 0.2]) / np.linalg.norm(c, axis=0) * 20)
-    found = explained(r, q, c, 0.0, FOLDS)
+    found = explained(r, Nuisance.of(q), c, 0.0, FOLDS)
     rest, free = r - q @ (q.T @ r), c - q @ (q.T @ c)
     gained = 0.0
     for fold in FOLDS:
@@ -344,7 +345,7 @@ def test_noise_gains_a_little_and_nothing_that_is_held_out() -> None:
     gains, held_out = [], []
     for seed in range(40):
         r, q, c = problem(seed)
-        found = explained(r, q, c, folds=FOLDS)
+        found = explained(r, Nuisance.of(q), c, folds=FOLDS)
         gains.append(found.gain)
         held_out.append(found.held_out)
     assert np.mean(gains) == pytest.approx(5.0, abs=1.5)  # as many as there are columns, each of variance 1
@@ -354,7 +355,7 @@ def test_noise_gains_a_little_and_nothing_that_is_held_out() -> None:
 def test_a_price_holds_back_what_is_hardly_seen() -> None:
     r, q, c = problem(3)
     c[:, 4] = c[:, 3] + 1e-4 * np.linalg.norm(c[:, 3]) * c[:, 4] / np.linalg.norm(c[:, 4])
-    bare, priced = explained(r, q, c, 0.0), explained(r, q, c, 1e-3)
+    bare, priced = explained(r, Nuisance.of(q), c, 0.0), explained(r, Nuisance.of(q), c, 1e-3)
     size = np.linalg.norm(c, axis=0)
     assert np.abs(priced.coefficients * size).max() < 0.01 * np.abs(bare.coefficients * size).max()
     assert priced.gain < bare.gain
@@ -365,7 +366,7 @@ def test_a_price_holds_back_what_is_hardly_seen() -> None:
 def test_rows_must_agree() -> None:
     r, q, c = problem(4)
     with pytest.raises(ConfigError, match="have 400, 400 and 399 rows"):
-        explained(r, q, c[1:])
+        explained(r, Nuisance.of(q), c[1:])
 
 
 # --- concealed physics -------------------------------------------------------------------------------------------
@@ -415,13 +416,13 @@ def check_concealed(outside: Effect, location: str, depends_on: str) -> None:
         nuisances.append(own)
     columns = np.hstack(nuisances)
     basis, strength, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
-    projector = basis[:, strength > 1e-6 * strength[0]]
+    beside = Nuisance.of(basis[:, strength > 1e-6 * strength[0]])
     candidates = [*groups(found.model, motions), *harmonics(found.model, motions, np.arange(0.25, 3.1, 0.25))]
     scores = []
     for g, answer in zip(candidates, responses(linear, candidates), strict=True):
         flat = np.concatenate([a.reshape(-1, g.size) for a in answer]) / NOISE
-        scores.append(explained(residual, projector, flat, folds=[[rows] for rows in trials]))
+        scores.append(explained(residual, beside, flat, folds=[[rows] for rows in trials]))
     best = max(range(len(scores)), key=lambda i: scores[i].held_out)
     assert (candidates[best].location, candidates[best].depends_on) == (location, depends_on)
-    excess = scores[best].total - (len(residual) - projector.shape[1])
+    excess = scores[best].total - (len(residual) - beside.basis.shape[1])
     assert scores[best].total > 1.5 * len(residual) and scores[best].gain > 0.8 * excess
