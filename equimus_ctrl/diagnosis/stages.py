@@ -188,16 +188,11 @@ def confirmation(state: State) -> State:
     """The effects that held-out trials bear out; where they refuse one, another that they do bear out."""
     state.told("trials left out", 0.82)
     found = confirmed(state.search, state.found, state.question.split)
-    return _changed(replace(state, found=found), state, "confirmation", "held-out trials do not improve with it")
-
-
-def _changed(after: State, before: State, stage: str, reason: str) -> State:
-    """With decisions on what a stage rejected, and what it accepted instead."""
-    old, new = before.found.best.labels, after.found.best.labels
-    for label in sorted(old - new):
-        after = after.decided(stage, f"{label} rejected", reason)
-    for label in sorted(new - old):
-        after = after.decided(stage, f"{label} accepted", "fits as well in its place, and stands this test")
+    after = replace(state, found=found)
+    for label in sorted(state.found.best.labels - found.best.labels):
+        after = after.decided("confirmation", f"{label} rejected", "held-out trials do not improve enough with it")
+    for label in sorted(found.best.labels - state.found.best.labels):
+        after = after.decided("confirmation", f"{label} accepted", "fits in its place, and held-out trials confirm it")
     return after
 
 
@@ -209,10 +204,11 @@ def unexplained(state: State) -> State:
     state.told("what is left", 0.86)
     own, found, doubtful = state.search, state.found, state.doubtful
     rest = remainder(state.data, found.base, found.best, found.without)
-    again = AGAIN
+    again, confounded = AGAIN, set[str]()
     while rest.superfluous:
         dropped = [found.best.hypothesis[k] for k in rest.superfluous]
         doubtful += tuple(named(part) for part in dropped)
+        confounded |= {part.candidate.label for part in dropped}
         found = less(own, found, rest.superfluous)
         if found.best.hypothesis:
             names = [part.candidate.label for part in dropped]
@@ -220,7 +216,11 @@ def unexplained(state: State) -> State:
             again -= 1
         rest = remainder(state.data, found.base, found.best, found.without)
     after = replace(state, found=found, rest=rest, doubtful=doubtful)
-    after = _changed(after, state, "unexplained", "confounded: a residual force explains as much in its place")
+    for label in sorted((state.found.best.labels | confounded) - found.best.labels):
+        reason = "a residual force explains as much" if label in confounded else "not needed beside the rest"
+        after = after.decided("unexplained", f"{label} rejected", reason)
+    for label in sorted(found.best.labels - state.found.best.labels):
+        after = after.decided("unexplained", f"{label} accepted", "gains more than chance beside those that stay")
     for left in rest.unexplained:
         over = f" over {left.depends_on}" if left.depends_on else ""
         after = after.decided(
