@@ -26,7 +26,7 @@ from equimus_ctrl.workflow.prove import put_to_proof
 # --- fingerprints and processes
 
 
-def test_the_fingerprint_is_of_source_and_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fingerprint_is_of_settings_and_of_the_parts_that_decide() -> None:
     one = fingerprint.fingerprint("a")
     assert one == fingerprint.fingerprint("a") != fingerprint.fingerprint("b")
     names = [
@@ -36,10 +36,59 @@ def test_the_fingerprint_is_of_source_and_settings(monkeypatch: pytest.MonkeyPat
         names
     )
     assert "equimus_ctrl.proof.scoring" not in names
+
+
+CODE = '''"""What it is for."""
+
+LIMIT = 2.0
+"""At most."""
+
+
+class Law:
+    """A law."""
+
+    name: str = "law"
+
+    def force(self, speed: float) -> float:
+        """Its force."""
+        return -LIMIT * speed  # against the motion
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        ("What it is for.", "What it does.", True),
+        ('"""At most."""\n', "", True),
+        ('    """A law."""\n', '    """The law: F = −c v."""\n', True),
+        ('        """Its force."""\n', "", True),
+        ("  # against the motion", "", True),
+        ("-LIMIT * speed", "(\n            -LIMIT\n            * speed\n        )", True),
+        ("LIMIT = 2.0\n", "\n\nLIMIT = 2.00\n", True),
+        ("2.0", "2.5", False),
+        ("2.0", "2", False),
+        ("-LIMIT", "+LIMIT", False),
+        ("* speed", "/ speed", False),
+        ('"law"', '"another"', False),
+        ("(self, speed: float)", "(self, speed: float = 0.0)", False),
+    ],
+)
+def test_the_fingerprint_is_of_what_code_does(monkeypatch: pytest.MonkeyPatch, old: str, new: str, same: bool) -> None:
+    assert CODE.count(old) == 1
+
+    def of(text: str) -> str:
+        monkeypatch.setattr(fingerprint, "_sources", lambda name: iter([(name, text)]))
+        return fingerprint.fingerprint(parts=("effects",))
+
+    assert (of(CODE) == of(CODE.replace(old, new))) is same
+
+
+def test_the_fingerprint_sees_a_change_in_any_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = fingerprint.fingerprint("a")
     real = fingerprint._source
 
     def changed(loader: object, name: str) -> str:
-        return real(loader, name) + "#" * (name == "equimus_ctrl.diagnosis.search")
+        return real(loader, name) + "MORE = 1\n" * (name == "equimus_ctrl.diagnosis.search")
 
     monkeypatch.setattr(fingerprint, "_source", changed)
     assert fingerprint.fingerprint("a") != one
