@@ -1,50 +1,210 @@
-"""What the computer at hand offers: processors, and processes to use them."""
+"""What the computer at hand offers: processors, and processes and threads that share out work."""
 
 from __future__ import annotations
 
-import os
 import signal
-from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, Executor
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import cache, lru_cache
+from multiprocessing import resource_tracker
+from multiprocessing.connection import wait
+from typing import Any, ParamSpec, TypeVar
 
-from loky import ProcessPoolExecutor
+import loky
+from loky.backend.process import LokyProcess
+from threadpoolctl import threadpool_limits
 
-from equimus_ctrl.errors import NotAvailable
+from equimus_ctrl.errors import ConfigError, NotAvailable
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+ONE_THREAD = {f"{library}_THREADS": "1" for library in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM")}
+"""Environment in which linear algebra has one thread: the processors are busy with other processes."""
 
 
+@cache
 def processors() -> int:
-    """How many processors this process may use; fewer than the computer has where an affinity says so."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """How many processors this process may use.
+
+    Fewer than the computer has where an affinity, a quota of its control group or LOKY_MAX_CPU_COUNT says so.
+    """
+    return int(loky.cpu_count())
+
+
+def worker_count(asked: int | None = None, tasks: int | None = None, name: str = "workers") -> int:
+    """How many processes or threads share some work.
+
+    Args:
+        asked: by the user; as many as there are usable processors by default.
+        tasks: how many pieces the work has; no more than one worker a piece.
+        name: of the number, for the error.
+
+    Raises:
+        ConfigError: where less than one is asked for.
+    """
+    if asked is not None and asked < 1:
+        raise ConfigError(f"{name} is {asked}, expected at least 1")
+    count = asked or processors()
+    return count if tasks is None else max(min(count, tasks), 1)
+
+
+class Workers:
+    """Processes for work that threads cannot share; of one, this process is the only worker.
+
+    What a piece of work comes to does not depend on their number: linear algebra has one thread in all of them.
+
+    Attributes:
+        count: how many work.
+    """
+
+    def __init__(self, pool: loky.ProcessPoolExecutor | None = None, count: int = 1) -> None:
+        self._pool = pool
+        self.count = count
+
+    def start(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Callable[[], T]:
+        """Begin a piece of work; what is returned waits for its result, or does it then where this is the only worker.
+
+        The function and its arguments can be pickled.
+        """
+        if self._pool is None:
+            return cache(lambda: _alone(work, *args, **kwargs))
+        return self._submit(work, *args, **kwargs).result
+
+    def each(self, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """Call a function with each task's arguments.
+
+        Yields:
+            (index of the task, result), as they are done; tasks that have not begun when nobody wants more, or when one
+            has failed, are dropped.
+        """
+        if self._pool is None or len(tasks) < 2:
+            yield from ((index, _alone(work, *task)) for index, task in enumerate(tasks))
+            return
+        waiting = {self._submit(work, *task): index for index, task in enumerate(tasks)}
+        try:
+            for done in as_completed(waiting):
+                yield waiting[done], done.result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+    def _submit(self, work: Callable[..., T], *args: Any, **kwargs: Any) -> Future[T]:
+        assert self._pool is not None
+        with _deaf():
+            future: Future[T] = self._pool.submit(work, *args, **kwargs)
+        return future
+
+
+def _alone(work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+    with threadpool_limits(limits=1, user_api="blas"):
+        return work(*args, **kwargs)
 
 
 @contextmanager
-def processes(count: int | None = None) -> Iterator[Executor | None]:
-    """Processes for work that threads cannot share, such as calls into CasADi; what is left undone ends with them.
+def workers(asked: int | None = None, tasks: int | None = None) -> Iterator[Workers]:
+    """Processes that share work; what is left undone at the end, or when Ctrl-C is pressed, ends with them at once.
 
     They are fresh, not forked, for a fork copies locks that other threads may hold, and they do not hear Ctrl-C: who
     started them ends them. Scripts need no ``if __name__ == "__main__"`` for them.
 
     Args:
-        count: how many; all usable processors by default.
-
-    Yields:
-        The processes, or None for one: then the caller does the work itself.
+        asked: by the user; as many as there are usable processors by default.
+        tasks: how many pieces the work has, where it is known; no more than one worker a piece.
 
     Raises:
+        ConfigError: where less than one is asked for.
         NotAvailable: where one of them was ended from outside.
     """
-    count = count or processors()
+    count = worker_count(asked, tasks)
     if count == 1:
-        yield None
+        yield Workers()
         return
-    pool = ProcessPoolExecutor(count, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    pool = loky.ProcessPoolExecutor(count, initializer=signal.signal, initargs=ignore, env=ONE_THREAD)
     try:
-        yield pool
+        yield Workers(pool, count)
     except BrokenExecutor:
         raise NotAvailable(
             f"one of {count} processes that did a part of the work was ended from outside, perhaps for want of memory; "
-            "one thread alone takes least"
+            "one alone takes least"
         ) from None
     finally:
         pool.shutdown(kill_workers=True)
+
+
+def each_apart(
+    work: Callable[..., None], tasks: Sequence[tuple[Any, ...]], count: int
+) -> Iterator[tuple[int, str | None]]:
+    """Call a function with each task's arguments in a process of its own, which knows and can hand over files only.
+
+    Args:
+        work: a function of a module.
+        tasks: arguments that can be pickled.
+        count: of processes at a time.
+
+    Yields:
+        (index of the task, None, or how its process ended before its work was done), as they end. What still runs when
+        nobody wants more, or when Ctrl-C is pressed, is ended at once.
+    """
+    waiting = list(enumerate(tasks))[::-1]
+    running: dict[int, LokyProcess] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < count:
+                index, arguments = waiting.pop()
+                running[index] = LokyProcess(target=work, args=arguments, env=ONE_THREAD)
+                with _deaf():
+                    running[index].start()
+            ended = set(wait([process.sentinel for process in running.values()]))
+            for index in [index for index, process in running.items() if process.sentinel in ended]:
+                process = running.pop(index)
+                process.join()
+                yield index, _how(process.exitcode)
+    finally:
+        started = [process for process in running.values() if process.pid is not None]
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.join()
+
+
+def _how(code: int) -> str | None:
+    if code >= 0:
+        return f"ended with exit code {code}" if code else None
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = f"signal {-code}"
+    return f"was ended from outside ({name})"
+
+
+@lru_cache(maxsize=8)
+def threads(count: int) -> ThreadPoolExecutor:
+    """So many threads, which stay: a search simulates thousands of times. Work given to them gives them none itself."""
+    return ThreadPoolExecutor(count, "simulate")
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes started in here do not hear Ctrl-C: who started them ends them, and hears it when they have started."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    masks = hasattr(signal, "pthread_sigmask")
+    if masks:
+        resource_tracker.ensure_running()  # which would end the blocking of signals where it begins only below
+    heard = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    # A blocked signal stays so in the new process; here another thread may still hear it.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
+    try:
+        yield
+    finally:
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+        if heard:
+            signal.raise_signal(signal.SIGINT)

@@ -75,10 +75,10 @@ def test_a_worker_writes_what_it_finds_and_what_it_took(
 
 
 def test_ground_truths_reports_and_truths_come_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def here(work: Any, tasks: Any, workers: int) -> Iterator[tuple[int, int]]:
+    def here(work: Any, tasks: Any, workers: int) -> Iterator[tuple[int, None]]:
         for k, task in enumerate(tasks):
             work(*task)
-            yield k, 0
+            yield k, None
 
     monkeypatch.setattr(workflow, "each_apart", here)
     said = SimpleNamespace(to_dict=lambda: report(SAID_LAG), base=None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +9,8 @@ import pytest
 from morphologies import integrate as integrate_alone
 from morphologies import newton_acceleration, random_morphology
 
-from equimus_ctrl.computer import processes
+from equimus_ctrl.computer import workers
 from equimus_ctrl.engines.steps import step_divisor
-from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.elastic.morphology import Phase
@@ -171,23 +169,7 @@ def test_processes_change_nothing() -> None:
     near = np.array([True, False, True, False, False, True])
     alone = reference_runs(runs, near)
     told: list[float] = []
-    with processes(2) as pool:
-        assert pool is not None
+    with workers(2) as pool:
         np.testing.assert_array_equal(reference_runs(runs, near, told.append, pool=pool), alone)
     assert told == sorted(told)
     assert told[-1] == 1.0
-
-
-def test_one_process_is_this_one() -> None:
-    with processes(1) as pool:
-        assert pool is None
-
-
-def test_a_process_that_was_ended_is_told_in_a_sentence() -> None:
-    def ended() -> None:
-        with processes(2) as pool:
-            assert pool is not None
-            pool.submit(os._exit, 9).result()
-
-    with pytest.raises(NotAvailable, match="2 processes .* ended from outside"):
-        ended()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.computer import processors
+from equimus_ctrl import computer
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.sensors import SCALE
 from equimus_ctrl.effects.valves import (
@@ -94,7 +93,7 @@ def _simulated(
     results = [Predicted(np.empty((k, len(trial.sample_times), nj)), np.zeros(k, dtype=np.int64)) for trial in trials]
     tasks: list[tuple[_Block, list[int]]] = []
     histories = _Histories()
-    count = threads or processors()
+    count = computer.worker_count(threads, name="threads")
     for condition in dict.fromkeys(trial.condition for trial in trials):
         own_trials = [index for index, trial in enumerate(trials) if trial.condition == condition]
         groups = grouped(models, trials[own_trials[0]]) if coded is None else [(list(range(k)), coded)]
@@ -124,7 +123,7 @@ def _simulated(
                 first_task = next(task for task in tasks if task[0].kernel is kernel)
                 tasks.remove(first_task)
                 work(first_task)
-        list(_threads(count).map(work, tasks))
+        list(computer.threads(count).map(work, tasks))
     poses = [trial.position for trial in trials]
     robot = changed_bodies(models[0].effects, models[0].robot)
     # A divergence tells by itself.
@@ -132,12 +131,6 @@ def _simulated(
         reached = [found.position[0] for found in results]
         warn_if_coarse(robot, models[0].phase, poses, dt, reached, MOST_DIVISOR)
     return results
-
-
-@lru_cache(maxsize=8)
-def _threads(count: int) -> ThreadPoolExecutor:
-    """So many threads, which stay: a search simulates thousands of times."""
-    return ThreadPoolExecutor(count, "simulate")
 
 
 def _shared(trials: Sequence[Trial], chosen: Sequence[int]) -> list[list[int]]:

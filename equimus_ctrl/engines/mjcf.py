@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -16,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.computer import processors
+from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
@@ -334,7 +333,7 @@ def simulate_mjcf(
     nj, k = len(models[0].robot.joint_names), len(models)
     results = [Predicted(np.empty((k, len(t.sample_times), nj)), np.zeros(k, dtype=np.int64)) for t in trials]
     histories: dict[tuple[int, tuple[Effect, ...], bytes, float], Array] = {}
-    count = max(threads or processors(), 1)
+    count = computer.worker_count(threads, name="threads")
     parts = max(math.ceil(count / k), 1)
     chunks = [list(range(len(trials)))[p::parts] for p in range(min(parts, len(trials)))]
 
@@ -372,8 +371,7 @@ def simulate_mjcf(
             for task in tasks:
                 work(task)
         else:
-            with ThreadPoolExecutor(count) as pool:
-                list(pool.map(work, tasks))
+            list(computer.threads(count).map(work, tasks))
     return results
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.computer import processors
+from equimus_ctrl.computer import processors, threads
 from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, follow, measured_of, realise
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.engines.trials import Condition, Trial
@@ -79,9 +78,9 @@ class SimulatedResponse:
                     if reached == len(seen):
                         found[i][:, :, column] = (seen - plain) / factor
 
-        threads = processors()
-        with quietly(), ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, [range(k, count, threads) for k in range(threads)]))
+        parts = processors()
+        with quietly():
+            list(threads(parts).map(work, [range(k, count, parts) for k in range(parts)]))
         return found
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import ArrayLike, NDArray
 
-from equimus_ctrl.computer import processors
+from equimus_ctrl.computer import worker_count
 from equimus_ctrl.engines.limits import FOLLOWED, MAX_SPEED
 from equimus_ctrl.engines.steps import STABLE, rates_at
 from equimus_ctrl.errors import ConfigError, ModelError
@@ -73,12 +73,10 @@ class MujocoBatch:
         settings: SolverSettings | None = None,
         threads: int | None = None,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise ConfigError(f"threads is {threads}, expected at least 1")
         self.morphologies: tuple[Morphology, ...] = (morphology,)
         self.phase: Phase = phase
         self.settings = settings or FAST_SETTINGS
-        self.threads = threads or processors()
+        self.threads = worker_count(threads, name="threads")
         self._model_of = morphology
         self.mujoco_model = compile_model(morphology, phase, self.settings)
         # A reset would hide a divergence; there is only one island to find.

@@ -11,15 +11,13 @@ A case is complete when its seal is there, for that is written last.
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from equimus_ctrl import computer
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
@@ -210,35 +208,21 @@ def make_cases(
         request: what of.
         cases: their numbers.
         workers: processes; 1 makes them in this one.
-        notify: told of each case as it is done.
+        notify: told of each case as it is done; those are kept, whatever ends the work.
 
     Returns:
         All of them by number.
+
+    Raises:
+        NotAvailable: where one of the processes was ended from outside.
     """
+    tasks = [(request, case) for case in cases]
     made = []
-    for done in _each(request, list(cases), workers):
-        notify(done)
-        made.append(done)
+    with computer.workers(workers, len(tasks)) as pool:
+        for _, done in pool.each(make_case, tasks):
+            notify(done)
+            made.append(done)
     return sorted(made, key=lambda m: m.case)
-
-
-def _each(request: Request, cases: list[int], workers: int) -> Iterator[Made]:
-    if workers <= 1:
-        yield from (make_case(request, case) for case in cases)
-        return
-    others = set(multiprocessing.active_children())
-    # A fork would copy locks that threads of the numerical libraries may hold.
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, spawn, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        tasks = [pool.submit(make_case, request, case) for case in cases]
-        try:
-            for task in as_completed(tasks):
-                yield task.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
-            raise
 
 
 def recorded(folder: Path, model: Model) -> tuple[Recording, ...]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from equimus_ctrl.computer import processors
+from equimus_ctrl.computer import worker_count
 from equimus_ctrl.controllers.pid import PidController, PidSettings
 from equimus_ctrl.effects import AsymmetricLag, FillingFlow, RateLimit, TransportDelay
 from equimus_ctrl.effects.base import Effect
@@ -220,7 +220,7 @@ def autotune(
     interrupted = False
     # Linear algebra keeps to one thread each: the cores are busy with candidates, and the bits stay the same on any
     # number of them.
-    threads = workers or processors()
+    threads = worker_count(workers)
     with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
         search.evaluate = lambda batch: problem.evaluate([study.settings(v, channels) for v in batch], pool, threads)
         try:

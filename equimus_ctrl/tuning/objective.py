@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.computer import processors
+from equimus_ctrl.computer import worker_count
 from equimus_ctrl.controllers import precompile
 from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.pid import PidSettings
@@ -422,7 +422,7 @@ class Problem:
 
         def submit(runs: Sequence[tuple[PidSettings, int]]) -> list[Future[list[LegOutcome]]]:
             # Few runs are shared out over all threads rather than put side by side.
-            size = max(min(LANES, math.ceil(len(runs) / (workers or processors()))), 1)
+            size = max(min(LANES, math.ceil(len(runs) / worker_count(workers))), 1)
             own = [pool.submit(self.leg_outcomes, runs[k : k + size], False) for k in range(0, len(runs), size)]
             jobs.extend(own)
             return own

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, as_completed
 from functools import lru_cache
 
 import casadi as ca
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from equimus_ctrl.computer import Workers
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.models.symbolic_model import SymbolicModel
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
@@ -161,7 +161,7 @@ def reference_runs(
     near_stop: NDArray[np.bool_] | None = None,
     progress: Callable[[float], None] = lambda share: None,
     factor: float = 1.0,
-    pool: Executor | None = None,
+    pool: Workers | None = None,
 ) -> Array:
     """(n, m, nj) angles of all runs [rad], integrated in blocks; where they are integrated makes no difference.
 
@@ -191,15 +191,12 @@ _Rows = NDArray[np.int64]
 
 
 def _integrated(
-    experiment: Experiment, blocks: list[tuple[_Rows, float]], pool: Executor | None
+    experiment: Experiment, blocks: list[tuple[_Rows, float]], pool: Workers | None
 ) -> Iterator[tuple[_Rows, Array]]:
     """Each block's rows and their angles, as they are ready."""
-    if pool is None or len(blocks) < 2:
-        yield from ((rows, _angles(experiment.part(rows), slack)) for rows, slack in blocks)
-        return
-    tasks = {pool.submit(_angles, experiment.part(rows), slack): rows for rows, slack in blocks}
-    for task in as_completed(tasks):
-        yield tasks[task], task.result()
+    tasks = [(experiment.part(rows), slack) for rows, slack in blocks]
+    for index, q in (pool or Workers()).each(_angles, tasks):
+        yield blocks[index][0], q
 
 
 def _angles(runs: Experiment, slack: float) -> Array:
@@ -219,7 +216,7 @@ def own_error(
     q: Array,
     rows: NDArray[np.int64],
     near_stop: NDArray[np.bool_] | None = None,
-    pool: Executor | None = None,
+    pool: Workers | None = None,
 ) -> float:
     """The largest difference [rad] between some of ``reference_runs`` q and the same at a hundredth of the tolerances.
 

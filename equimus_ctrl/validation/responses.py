@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.computer import Workers
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 from equimus_ctrl.validation.engines import Progress, mujoco_runs, native_runs, reduced_runs, silent
@@ -89,7 +89,7 @@ def swing_case(
     dt: float,
     *,
     threads: int | None = None,
-    pool: Executor | None = None,
+    pool: Workers | None = None,
     progress: Progress = silent,
 ) -> Responses:
     """Step responses: from rest at one random pose, under the pressures that hold another.
@@ -183,7 +183,7 @@ def stance_case(
     dt: float,
     *,
     threads: int | None = None,
-    pool: Executor | None = None,
+    pool: Workers | None = None,
     progress: Progress = silent,
 ) -> StanceResult:
     """Runs on the pinned foot: the published one first, then random starts under random pressures.
@@ -204,7 +204,7 @@ def stance_case(
 
 
 def _stance_runs(
-    runs: Experiment, plan: Plan, dt: float, threads: int | None, pool: Executor | None, progress: Progress
+    runs: Experiment, plan: Plan, dt: float, threads: int | None, pool: Workers | None, progress: Progress
 ) -> Responses:
     found = {"mujoco": mujoco_runs(runs, threads=threads)}
     if plan.more_kernels:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from equimus_ctrl.computer import Workers
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.robots.elastic.morphology import Morphology
@@ -94,7 +94,7 @@ def three_dof_case(
     dt: float,
     *,
     threads: int | None = None,
-    pool: Executor | None = None,
+    pool: Workers | None = None,
     progress: Progress = silent,
 ) -> Responses:
     """Random robots of three joints under pulses, all runs together.
@@ -119,7 +119,7 @@ def robots_case(
     *,
     shapes: Sequence[str] = tuple(SHAPES),
     threads: int | None = None,
-    pool: Executor | None = None,
+    pool: Workers | None = None,
     ready: Callable[[str], None] = lambda shape: None,
     progress: Progress = silent,
 ) -> RobotsResult:
@@ -152,7 +152,7 @@ def robots_case(
 
 
 def _responses(
-    runs: Experiment, plan: Plan, dt: float, threads: int | None, pool: Executor | None, progress: Progress
+    runs: Experiment, plan: Plan, dt: float, threads: int | None, pool: Workers | None, progress: Progress
 ) -> Responses:
     exact = reference_runs(runs, progress=lambda share: progress(0.6 * share), pool=pool)
     scored = (shortest(runs, exact) >= SHORTEST) & (_turned(exact) <= MOST_ANGLE)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.computer import processors
+from equimus_ctrl.computer import worker_count
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch
@@ -113,7 +113,7 @@ def speed_case(
         threads: what "all threads" means; all usable processors by default.
         progress: called with the share done.
     """
-    all_threads = threads or processors()
+    all_threads = worker_count(threads, name="threads")
     clear = np.flatnonzero(swing.clear)
     runs = swing.experiment.part(clear[np.arange(plan.timed) % len(clear)])
     one = mujoco_speed(runs, FAST_SETTINGS, 1, plan.repeats)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.computer import processes
+from equimus_ctrl.computer import workers
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.engines.batch import compile_kernel
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
@@ -229,12 +229,12 @@ def validate(
     def done(stage: str, error: float | None) -> None:
         notify(stage, 1.0, error)
 
-    with processes(threads) as pool:
-        compiled = {name: pool.submit(compile_kernel, m) for name, m in _kernels(robot, plan).items()} if pool else {}
+    with workers(threads) as pool:
+        compiled = {name: pool.start(compile_kernel, m) for name, m in _kernels(robot, plan).items()}
 
         def ready(name: str) -> None:
             if name in compiled:
-                compiled[name].result()
+                compiled[name]()
 
         static = static_case(robot, plan.poses, rngs["static"], threads=threads, progress=telling("static"))
         done("static", float(static.errors.rmse.max()))

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from equimus_ctrl import presets
-from equimus_ctrl.computer import processors
+from equimus_ctrl.computer import each_apart, worker_count
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
 from equimus_ctrl.proof.mjcf import Experiment
-from equimus_ctrl.proof.processes import each_apart
 from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import seal_of_all
 from equimus_ctrl.proof.store import Request, make_cases, open_truth
@@ -101,10 +100,10 @@ def put_to_proof(
         EquimusError: where a diagnosis' process ended without an answer.
     """
     begun = time.perf_counter()
-    _check(cases, seed, trials, duration, workers)
+    _check(cases, seed, trials, duration)
     if experiment is not None and baselines:
         raise ConfigError("the simpler methods are for legs; an MJCF robot is put to the proof without them")
-    workers, baselines = workers or processors(), experiment is None if baselines is None else baselines
+    workers, baselines = worker_count(workers), experiment is None if baselines is None else baselines
     presets.check_folder(folder)
     if experiment is None:
         request = Request(folder, seed, kind, trials, duration)
@@ -119,7 +118,7 @@ def put_to_proof(
         progress(STAGES[0], done, cases)
 
     progress(STAGES[0], 0, cases)
-    seals = [made.seal for made in make_cases(request, range(cases), min(workers, cases), told)]
+    seals = [made.seal for made in make_cases(request, range(cases), workers, told)]
     whole = seal_of_all(seals)
     lines = "".join(f"{one}  case_{case:04d}\n" for case, one in enumerate(seals))
     presets.write_text(folder / "seals.txt", f"{whole}  all\n{lines}")
@@ -136,12 +135,10 @@ def put_to_proof(
     return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun)
 
 
-def _check(cases: int, seed: int, trials: int, duration: float, workers: int | None) -> None:
+def _check(cases: int, seed: int, trials: int, duration: float) -> None:
     for name, value, least in (("cases", cases, 1), ("seed", seed, 0), ("trials", trials, 1)):
         if value < least:
             raise ConfigError(f"{name} is {value}, expected at least {least}")
-    if workers is not None and workers < 1:
-        raise ConfigError(f"workers is {workers}, expected at least 1")
     if not LEAST_DURATION <= duration < float("inf"):
         raise ConfigError(f"duration is {duration:g} s, expected at least {LEAST_DURATION:g} s")
 
@@ -217,19 +214,19 @@ def _diagnose(
             say(f"{count} {kind} were made by another version of the program, or of other recordings: made again")
     if len(tasks) < len(seals):
         say(f"{len(seals) - len(tasks)} of {len(seals)} cases were diagnosed before")
-    finished, ended = len(seals) - len(tasks), {}
+    finished, ended = len(seals) - len(tasks), dict[str, str]()
     progress(STAGES[1], finished, len(seals))
-    for index, code in each_apart(blind.answer, tasks, workers):
+    for index, how in each_apart(blind.answer, tasks, workers):
         finished += 1
-        if code != 0:
-            ended[tasks[index][0].name] = code
+        if how is not None:
+            ended[tasks[index][0].name] = how
         progress(STAGES[1], finished, len(seals))
     if ended:
-        name, code = min(ended.items())
+        name, how = min(ended.items())
         more = f" and {len(ended) - 1} more" if len(ended) > 1 else ""
         raise EquimusError(
-            f"the process that diagnosed {name}{more} ended with exit code {code} before it had an answer; run it "
-            "again, with fewer workers where memory is short"
+            f"the process that diagnosed {name}{more} {how} before it had an answer; run it again, with fewer "
+            "workers where memory is short"
         )
     changed = _Current(seals)
     mixed = sum(not changed.holds(request.report(case), case, "report") for case in cases)

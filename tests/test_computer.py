@@ -1,0 +1,173 @@
+"""Processors, processes and threads: who does the work changes nothing, and what ends it is told."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from equimus_ctrl import computer
+from equimus_ctrl.computer import Workers, each_apart, worker_count, workers
+from equimus_ctrl.errors import ConfigError, NotAvailable
+
+
+def script(text: str) -> subprocess.Popen[str]:
+    """A user's script, in a process group of its own as in a terminal."""
+    return subprocess.Popen(
+        [sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+
+
+# --- how many
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system knows no affinity")
+def test_processors_are_those_that_may_be_used() -> None:
+    text = (
+        "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); "
+        "from equimus_ctrl.computer import processors, worker_count; print(processors(), worker_count(), worker_count(3))"
+    )
+    assert script(text).communicate() == ("1 1 3\n", "")
+
+
+def test_workers_are_no_more_than_asked_for_and_no_more_than_there_is_to_do() -> None:
+    assert worker_count() == computer.processors() >= 1
+    assert (worker_count(7), worker_count(7, 3), worker_count(2, 3), worker_count(2, 0)) == (7, 3, 2, 1)
+    with pytest.raises(ConfigError, match="threads is 0, expected at least 1"):
+        worker_count(0, name="threads")
+    with pytest.raises(ConfigError, match="workers is -1, expected at least 1"), workers(-1):
+        pass
+
+
+# --- processes
+
+
+def who(_: int = 0) -> tuple[int, int]:
+    """The process, and the threads that its linear algebra has."""
+    import numpy as np
+    from threadpoolctl import threadpool_info
+
+    assert np.ones((2, 2)).sum() == 4
+    return os.getpid(), max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+
+
+def first_waits_for_second(index: int, file: Path) -> int:
+    """What is begun first ends last."""
+    if index:
+        file.touch()
+    else:
+        while not file.exists():
+            time.sleep(0.01)
+    return 10 * index
+
+
+def fail(index: int) -> int:
+    if index == 0:
+        raise ConfigError("index is 0, expected more")
+    return index
+
+
+def test_results_come_as_they_are_done(tmp_path: Path) -> None:
+    with workers(2) as pool:
+        assert pool.count == 2
+        done = pool.each(first_waits_for_second, [(index, tmp_path / "second") for index in range(2)])
+        assert list(done) == [(1, 10), (0, 0)]
+        assert sorted(pool.each(fail, [(1,), (2,), (3,)])) == [(0, 1), (1, 2), (2, 3)]
+        assert list(pool.each(fail, [])) == []
+
+
+def test_linear_algebra_has_one_thread_whoever_works() -> None:
+    own = os.getpid()
+    assert dict(Workers().each(who, [(0,), (1,)])) == {0: (own, 1), 1: (own, 1)}
+    with workers(2) as pool:
+        beside = pool.start(who)
+        seen = [*dict(pool.each(who, [(0,), (1,)])).values(), beside()]
+    assert own not in {process for process, _ in seen}
+    assert {threads for _, threads in seen} == {1}
+
+
+def test_one_worker_is_this_process_which_works_when_it_is_asked() -> None:
+    calls: list[int] = []
+    with workers(1) as pool:
+        result = pool.start(lambda: calls.append(1) or len(calls))
+        assert calls == []
+        assert (result(), result()) == (1, 1)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_an_error_in_a_piece_of_work_is_that_of_the_whole(count: int) -> None:
+    with pytest.raises(ConfigError, match="index is 0, expected more"), workers(count) as pool:
+        list(pool.each(fail, [(1,), (0,), (2,)]))
+
+
+def test_a_process_that_was_ended_is_told_in_a_sentence() -> None:
+    with pytest.raises(NotAvailable, match="2 processes .* ended from outside"), workers(2) as pool:
+        pool.start(os._exit, 9)()
+
+
+STOPPED = """
+import os, sys, time
+from equimus_ctrl.computer import each_apart, workers
+
+def work(seconds):
+    time.sleep(seconds)
+    return os.getpid()
+
+try:
+    {begin}
+        print(done, flush=True)
+except KeyboardInterrupt:
+    print("stopped", flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        "with workers(2) as pool:\n      for done in pool.each(work, [(0.0,), (600.0,), (600.0,), (600.0,)]):",
+        "if True:\n      for done in each_apart(time.sleep, [(0.0,), (600.0,), (600.0,)], 2):",
+    ],
+    ids=["shared", "apart"],
+)
+def test_ctrl_c_ends_them_at_once_and_leaves_what_is_done(begin: str) -> None:
+    """Also in a script without ``if __name__ == "__main__"``; nobody but the script speaks."""
+    process = script(STOPPED.format(begin=begin))
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline().startswith("(0, ")
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=30)  # pipes end with the last of the processes that hold them
+    except BaseException:
+        os.killpg(process.pid, signal.SIGKILL)
+        raise
+    assert (out, err, process.returncode) == ("stopped\n", "", 0)
+
+
+def test_pieces_of_work_end_in_processes_of_their_own() -> None:
+    assert dict(each_apart(sys.exit, [(0,), (3,)], 2)) == {0: None, 1: "ended with exit code 3"}
+    assert list(each_apart(sys.exit, [], 2)) == []
+    killed = list(each_apart(signal.raise_signal, [(signal.SIGKILL,)], 1))
+    assert killed == [(0, "was ended from outside (SIGKILL)")]
+
+
+def test_what_still_runs_when_nobody_wants_more_is_ended() -> None:
+    running = each_apart(time.sleep, [(0.0,), (600.0,)], 2)
+    begun = time.perf_counter()
+    assert next(running) == (0, None)
+    running.close()  # type: ignore[attr-defined]
+    assert time.perf_counter() - begun < 60
+
+
+# --- threads
+
+
+def test_threads_stay() -> None:
+    pool = computer.threads(2)
+    assert computer.threads(2) is pool
+    assert list(pool.map(fail, [3, 4])) == [3, 4]
