@@ -9,6 +9,7 @@ import pytest
 
 from equimus_ctrl.diagnosis.candidates import Part, candidates, uncertain
 from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.hypothesis_moves import Tried
 from equimus_ctrl.diagnosis.residual_force import followed
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import Remainder, remainder
@@ -33,9 +34,9 @@ def left(
     pool = {c.label: c for c in candidates(model, segments)}
     base = data.base()
     search = Search(data, list(pool.values()))
-    best = search.refit(base, tuple(Part(pool[label], values) for label, values in named.items()))
+    best, tried = search.refit(Tried(), base, tuple(Part(pool[label], values) for label, values in named.items()))
     parts = best.hypothesis
-    without = [search.refit(best, parts[:k] + parts[k + 1 :]) for k in range(len(parts))]
+    without = [search.refit(tried, best, parts[:k] + parts[k + 1 :])[0] for k in range(len(parts))]
     return tuple(part.candidate.label for part in parts), remainder(data, base, best, without)
 
 

@@ -15,7 +15,7 @@ from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
 from equimus_ctrl.diagnosis.localization import where_off
 from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
 from equimus_ctrl.diagnosis.search import Search
@@ -245,8 +245,8 @@ def test_an_effect_is_named_where_it_shows_and_nowhere_else(largest: float, plac
     search = Search(data, pool)
     both = next(c for c in pool if c.label == "saturation:maa+baa")
     base = data.base()
-    best = search.refit(base, (Part(both, level),))
-    found = search.go_on(Searched(base, best, (base,), ((),), (), ()))
+    best, tried = search.refit(Tried(), base, (Part(both, level),))
+    found = search.go_on(Searched(base, best, (base,), ((),), tried))
     (part,) = found.best.hypothesis
     assert part.candidate.locations == places
     assert part.values["level"] == pytest.approx(14e3, rel=1e-2)

@@ -19,7 +19,7 @@ from equimus_ctrl.diagnosis.confounding import restates
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group
 from equimus_ctrl.diagnosis.holdout import split, window_length
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
 from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.screening import screen
@@ -278,14 +278,18 @@ class Searching:
         self.pool = candidates(nominal, self.split.train)
         self.search = Search(data, self.pool, SearchSettings(many_minima=True))
         self.base = data.base()
+        self.tried = Tried()
 
     def fitted(self, *labels: str) -> Fitted:
         """A hypothesis of effects, each at its weakest guess, fitted and remembered."""
         chosen = [next(c for c in self.pool if c.label == label) for label in labels]
-        return self.search.refit(self.base, tuple(Part(c, dict(c.guesses[0])) for c in chosen))
+        found, self.tried = self.search.refit(self.tried, self.base, tuple(Part(c, dict(c.guesses[0])) for c in chosen))
+        return found
 
     def end(self, best: Fitted) -> Searched:
-        return self.search.moved(Searched(self.base, self.base, (), (), (), ()), best)
+        end = self.search.moved(Searched(self.base, self.base, tried=self.tried), best)
+        self.tried = end.tried
+        return end
 
 
 @pytest.mark.slow
@@ -296,7 +300,7 @@ def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the
     best = own.fitted("coulomb_friction:hinge", "sensor_offset:hinge")
     found = own.end(best)
     assert not found.rivals[1]
-    rivals = in_place(own.search, found, 1, 30.0)
+    rivals, _ = in_place(own.search, found, 1, 30.0)
     assert [r.label for r in rivals] == ["coulomb_friction:hinge gravity_tilt:base"]
     assert own.search.score(rivals[0]) < own.search.score(best) + ALIKE
 
@@ -304,11 +308,12 @@ def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the
 def test_another_hypothesis_takes_the_place_of_one_that_trials_left_out_refuse() -> None:
     own = Searching([CoulombFriction("hinge", 0.05), ViscousFriction("hinge", 0.03)])
     poor = own.end(own.fitted("coulomb_friction:hinge", "sensor_scale:hinge"))
-    assert _another(own.search, poor, 1, own.split) is None
+    kept, confirms = _another(own.search, poor, 1, own.split)
+    assert not confirms and kept.best is poor.best
     true = own.fitted("coulomb_friction:hinge", "viscous_friction:hinge")
-    better = _another(own.search, poor, 1, own.split)
-    assert better is not None and better.best.label == true.label
-    assert all(own.search.believed(without, better.best) for without in better.without)
+    better, confirms = _another(own.search, replace(poor, tried=own.tried), 1, own.split)
+    assert confirms and better.best.label == true.label
+    assert all(own.search.accepts(without, better.best) for without in better.without)
 
 
 def test_short_windows_go_with_how_quick_a_motion_is() -> None:

@@ -14,7 +14,7 @@ from equimus_ctrl.diagnosis import confirmation, stages
 from equimus_ctrl.diagnosis.alternatives import in_place, instead, less, listed, simplified
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, SearchSettings
+from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, SearchSettings, Tried
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
@@ -55,30 +55,31 @@ class Known:
 class OnPaper(Search):
     """A search whose fits are looked up."""
 
+    known: Known
+
     def __init__(self, known: Known, settings: SearchSettings | None = None) -> None:
         free = SimpleNamespace(free=[], model=object())
         data: Any = SimpleNamespace(
             n=1000, free=free, strong=lambda f: False, excessive=lambda f: False, settle=lambda f: f,
             base=lambda: known(),
         )  # fmt: skip
-        super().__init__(data, list(POOL.values()), settings)
-        self.known = known
+        super().__init__(data, list(POOL.values()), settings or SearchSettings())
+        object.__setattr__(self, "known", known)
 
-    def refit(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> Fitted:
+    def refit(self, tried: Tried, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[Fitted, Tried]:
         found = self.known(*(part.candidate.label for part in hypothesis))
-        self.fitted.append(found)
-        return found
+        return found, tried.having(found)
 
-    def challenge(self, fitted: Fitted, instead_of: str = "") -> list[Fitted]:
-        out = {instead_of, *self.barred}
+    def challenge(self, tried: Tried, fitted: Fitted, instead_of: str = "") -> tuple[list[Fitted], Tried]:
+        out = {instead_of, *tried.rejected}
         return [
             f
             for labels, f in self.known.fits.items()
             if labels > fitted.labels and len(labels) == len(fitted.labels) + 1 and out.isdisjoint(labels)
-        ]
+        ], tried
 
-    def _beside(self, base: Fitted, best: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
-        return []
+    def _beside(self, now: Searched) -> tuple[list[Fitted], Tried]:
+        return [], now.tried
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
         return False
@@ -99,18 +100,18 @@ def ended(known: Known, *labels: str) -> Searched:
     """An end with these parts; rivals are those with another in a part's place."""
     rest = [[other for other in labels if other != label] for label in labels]
     own = OnPaper(known)
-    rivals = tuple(tuple(own.challenge(known(*r), label)) for r, label in zip(rest, labels, strict=True))
-    return Searched(known(), known(*labels), tuple(known(*r) for r in rest), rivals, (), ())
+    rivals = tuple(tuple(own.challenge(Tried(), known(*r), label)[0]) for r, label in zip(rest, labels, strict=True))
+    return Searched(known(), known(*labels), tuple(known(*r) for r in rest), rivals)
 
 
 def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none() -> None:
     known = Known({(): 5000.0, (RUB,): 2000.0, (STICK,): 1800.0})
 
     class Found(OnPaper):
-        def challenge(self, fitted: Fitted, instead_of: str = "") -> list[Fitted]:
+        def challenge(self, tried: Tried, fitted: Fitted, instead_of: str = "") -> tuple[list[Fitted], Tried]:
             # One more part is Stribeck's friction, which leaves no other at that joint.
             own = {(): [RUB], (RUB,): [STICK], (STICK,): []}[tuple(fitted.labels)]
-            return [known(label) for label in own if label != instead_of]
+            return [known(label) for label in own if label != instead_of], tried
 
     end = Found(known).run(known())
     assert end.best.labels == {STICK}
@@ -137,24 +138,21 @@ def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pyt
     known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (RUB, OFF): 1000.0})
     split = judged(monkeypatch, [(frozenset(), frozenset({RUB}))])
     search = OnPaper(known, SearchSettings(many_minima=True))
-    search.fitted += known.fits.values()
-    alone = less(search, ended(known, RUB, OFF), [1])
-    search.barred.add(OFF)
-    assert not confirmation.confirmed(search, alone, split).best.hypothesis
-    search.barred.clear()
+    begun = ended(known, RUB, OFF)
+    alone = less(search, replace(begun, tried=begun.tried.having(*known.fits.values())), [1])
+    assert not confirmation.confirmed(search, alone.rejecting([OFF]), split).best.hypothesis
     assert confirmation.confirmed(search, alone, split).best.labels == {RUB, OFF}
 
 
 def test_a_withdrawn_name_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
     search = OnPaper(known, SearchSettings(many_minima=True, valleys=20.0))
-    found = replace(ended(known, STICK), rivals=((),))
-    search.fitted += known.fits.values()
+    found = replace(ended(known, STICK), rivals=((),), tried=Tried(tuple(known.fits.values())))
     assert simplified(search, found).best.labels == {RUB}
-    assert {r.label for r in in_place(search, found, 0, 50.0)} == {OFF}
-    search.barred |= {RUB, OFF}
+    assert {r.label for r in in_place(search, found, 0, 50.0)[0]} == {OFF}
+    found = found.rejecting([RUB, OFF])
     assert simplified(search, found).best.labels == {STICK}
-    assert in_place(search, found, 0, 50.0) == []
+    assert in_place(search, found, 0, 50.0)[0] == []
 
 
 def test_parts_are_known_by_what_they_are_and_where() -> None:
@@ -191,5 +189,5 @@ def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_
     data: Any = SimpleNamespace(
         free=SimpleNamespace(free=[None], start=np.ones(1), model=model), rough=rough, settle=lambda f: f, segments=()
     )
-    found = Moves(data, []).refit(fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),))
+    found, _ = Moves(data, []).refit(Tried(), fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),))
     assert found.deviance == 10.0 and begun == [0.0, 1.0]

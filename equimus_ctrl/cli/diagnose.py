@@ -25,7 +25,7 @@ from equimus_ctrl.cli.common import (
     print_json,
     tell_files,
 )
-from equimus_ctrl.cli.progress import stage_bar
+from equimus_ctrl.cli.progress import best_so_far, stage_bar
 
 
 def diagnose(
@@ -80,6 +80,10 @@ def diagnose(
     ] = None,
     engine: EngineName = None,
     threads: Annotated[int | None, typer.Option(help="Of the simulations; all cores by default.")] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Give the best so far after this time, with what was not looked at."),
+    ] = None,
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
@@ -89,11 +93,14 @@ def diagnose(
     effect is tried at every place, alone and together, and believed only if trials that were left out agree. What no
     effect explains is said to be unexplained, and drawn over what it depends on.
 
+    Ctrl-C gives the best so far (exit code 130), and pressed again ends at once.
+
     \b
     [bold]Examples[/bold]
     equimus-ctrl diagnose concealed --report report --write-model corrected.toml
     equimus-ctrl diagnose triangle.csv --until 20 --json
     equimus-ctrl diagnose concealed --exclude creep --exclude hysteresis
+    equimus-ctrl diagnose concealed --budget 60
     equimus-ctrl diagnose runs --model robot.xml --parameters free.toml --write-model corrected.toml
     """  # noqa: D301
     from equimus_ctrl import presets
@@ -105,7 +112,7 @@ def diagnose(
     limits = parse_bounds(bound)
     console = people()
     files: list[Path] = []
-    with stage_bar(console, "getting ready", width=34, bar_width=24) as show:
+    with stage_bar(console, "getting ready", width=34, bar_width=24) as show, best_so_far(console) as asked:
         from equimus_ctrl import workflow
 
         workflow.load_effects(effects or ())
@@ -125,7 +132,9 @@ def diagnose(
             exclude=exclude or (),
             engine=engine,  # type: ignore[arg-type]
             threads=threads,
+            budget=budget,
             progress=show,
+            asked=asked,
         )
         record = found.to_dict()
         if report is not None:
@@ -147,3 +156,5 @@ def diagnose(
     tell_files(console, files)
     if as_json:
         print_json(record)
+    if asked():
+        raise typer.Exit(130)

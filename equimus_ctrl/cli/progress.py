@@ -47,6 +47,27 @@ def times() -> tuple[ProgressColumn, ...]:
 
 
 @contextmanager
+def best_so_far(console: Console) -> Iterator[Callable[[], bool]]:
+    """Ctrl-C asks for the best so far, and pressed again ends at once; what is yielded tells whether it was pressed."""
+    import signal
+
+    asked = False
+
+    def pressed(number: int, frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+        console.print("the best so far follows after this step; Ctrl-C again ends at once", markup=False)
+
+    before = signal.signal(signal.SIGINT, pressed)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
 def share_bar(console: Console, name: str) -> Iterator[Callable[[float], None]]:
     """One bar that takes the share done, and is gone at the end."""
     with bars(console, transient=True) as progress:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import Ended, Moves, Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, Tried
 
 Kind = tuple[str, tuple[str, ...]]
 """What a part is: its law, or what it shares with those that exclude it, and where."""
@@ -17,31 +17,48 @@ CONTESTS, CONTENDERS = 2, 2
 """How often the best so many of each part's rivals are fitted beside the other parts."""
 
 
-def contested(
-    search: Moves, best: Fitted, without: tuple[Fitted, ...], rivals: tuple[tuple[Fitted, ...], ...]
-) -> Ended:
+def contested(search: Moves, found: Searched) -> Searched:
     """The nearest rivals of each of several parts fitted beside the others where these are now; the best of all.
 
     Without the part the others went elsewhere, and a rival that is fitted beside them from there may end in a
     local minimum of its own. Where fits have many, rivals are looked at more widely, see ``in_place``.
     """
-    if len(best.hypothesis) < 2 or search.settings.many_minima:
-        return best, without, rivals
+    if len(found.best.hypothesis) < 2 or search.settings.many_minima:
+        return found
     for _ in range(CONTESTS):
-        rivals = tuple((*own, *_beside_others(search, best, k, without[k], own)) for k, own in enumerate(rivals))
-        same_size = [r for own in rivals for r in own if len(r.hypothesis) <= len(best.hypothesis)]
-        top = min(same_size, key=search.score, default=best)
-        if search.score(top) >= search.score(best) - 1.0:
+        found = _with_contenders(search, found, found)
+        size = len(found.best.hypothesis)
+        same_size = [r for own in found.rivals for r in own if len(r.hypothesis) <= size]
+        top = min(same_size, key=search.score, default=found.best)
+        if search.score(top) >= search.score(found.best) - 1.0:
             break
-        best, without, rivals = search.exchanged(top)
-    return best, without, rivals
+        found = search.exchanged(replace(found, best=top))
+    return found
 
 
-def _beside_others(search: Moves, best: Fitted, k: int, without: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
+def _with_contenders(search: Moves, to: Searched, rivalled: Searched) -> Searched:
+    """A search's hypothesis with the nearest rivals of each part refitted from where its other parts are.
+
+    Args:
+        search: that found it.
+        to: the search; its rivals are these, beside those it has.
+        rivalled: the search whose parts' rivals are taken.
+    """
+    tried, rivals = to.tried, []
+    for k, own in enumerate(rivalled.rivals):
+        more, tried = _beside_others(search, tried, to.best, k, rivalled.without[k], own)
+        rivals.append((*to.rivals[k], *more))
+    return replace(to, rivals=tuple(rivals), tried=tried)
+
+
+def _beside_others(
+    search: Moves, tried: Tried, best: Fitted, k: int, without: Fitted, rivals: Sequence[Fitted]
+) -> tuple[list[Fitted], Tried]:
     """The nearest rivals of a part, refitted from where a hypothesis' other parts are.
 
     Args:
         search: that found it.
+        tried: so far.
         best: the hypothesis.
         k: the part's place.
         without: what the rivals were added to.
@@ -50,13 +67,22 @@ def _beside_others(search: Moves, best: Fitted, k: int, without: Fitted, rivals:
     others = (instead(rival, without) for rival in sorted(rivals, key=search.score))
     room = best.n_parameters - sum(p.candidate.n_parameters for j, p in enumerate(best.hypothesis) if j != k)
     nearest = [other for other in others if other is not None and other.candidate.n_parameters <= room]
-    beside = (best.hypothesis[:k], best.hypothesis[k + 1 :])
-    return [
-        fitted for other in nearest[:CONTENDERS] for fitted in search.refitted(best, (*beside[0], other, *beside[1]))
-    ]
+    fits = [(*best.hypothesis[:k], other, *best.hypothesis[k + 1 :]) for other in nearest[:CONTENDERS]]
+    return _all_refitted(search, tried, best, fits)
 
 
-def in_place(search: Moves, found: Searched, k: int, margin: float) -> list[Fitted]:
+def _all_refitted(
+    search: Moves, tried: Tried, best: Fitted, hypotheses: Iterable[tuple[Part, ...]]
+) -> tuple[list[Fitted], Tried]:
+    """Those of some hypotheses that can be fitted from where one is."""
+    found: list[Fitted] = []
+    for hypothesis in hypotheses:
+        more, tried = search.refitted(tried, best, hypothesis)
+        found += more
+    return found, tried
+
+
+def in_place(search: Moves, found: Searched, k: int, margin: float) -> tuple[list[Fitted], Tried]:
     """Hypotheses with another in a part's place.
 
     Where fits may end in one of many valleys, what fitted about as well in the part's place beside any other parts
@@ -70,7 +96,7 @@ def in_place(search: Moves, found: Searched, k: int, margin: float) -> list[Fitt
     """
     rivals = list(found.rivals[k])
     if not search.settings.many_minima:
-        return rivals
+        return rivals, found.tried
     parts = found.best.hypothesis
     own, rest = _kind(parts[k]), {_kind(part) for j, part in enumerate(parts) if j != k}
     near = search.score(found.best) + margin
@@ -79,16 +105,20 @@ def in_place(search: Moves, found: Searched, k: int, margin: float) -> list[Fitt
         left = [part for part in rival.hypothesis if _kind(part) not in rest]
         if len(left) == 1 and search.score(rival) < near:
             others[_kind(left[0])] = left[0]
-    met = [known for fitted in (search.fitted, search.otherwise) for known in _beside_the_same(search, fitted).values()]
+    met = [
+        known
+        for fitted in (found.tried.fitted, search.otherwise)
+        for known in _beside_the_same(search, fitted).values()
+    ]
     for known in met:
         for kind, (score, part) in known.items():
             if own in known and kind not in rest and abs(score - known[own][0]) < margin:
                 others.setdefault(kind, part)
     others.pop(own, None)
-    for other in others.values():
-        if search.allows([other.candidate.label]):
-            rivals += search.refitted(found.best, (*parts[:k], *parts[k + 1 :], other))
-    return rivals
+    allowed = [other for other in others.values() if found.tried.allows([other.candidate.label])]
+    hypotheses = [(*parts[:k], *parts[k + 1 :], other) for other in allowed]
+    more, tried = _all_refitted(search, found.tried, found.best, hypotheses)
+    return [*rivals, *more], tried
 
 
 def _beside_the_same(search: Moves, fits: Sequence[Fitted]) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
@@ -109,9 +139,12 @@ def listed(search: Moves, found: Searched) -> Searched:
     """
     if search.settings.many_minima:
         return found
-    parts = zip(found.best.hypothesis, found.without, found.rivals, strict=True)
-    rivals = [own or tuple(search.challenge(without, part.candidate.label)) for part, without, own in parts]
-    return replace(found, rivals=tuple(rivals))
+    tried, rivals = found.tried, list(found.rivals)
+    for k, (part, without) in enumerate(zip(found.best.hypothesis, found.without, strict=True)):
+        if not rivals[k]:
+            own, tried = search.challenge(tried, without, part.candidate.label)
+            rivals[k] = tuple(own)
+    return replace(found, rivals=tuple(rivals), tried=tried)
 
 
 def narrowed(search: Moves, found: Searched) -> Searched:
@@ -122,29 +155,32 @@ def narrowed(search: Moves, found: Searched) -> Searched:
     if search.settings.many_minima:
         return found
     limit = search.score(found.best) + ALIKE
-    while (least := _in_fewer_places(search, found, limit)) is not None:
-        found = least
-    return found
+    while True:
+        found, moved = _in_fewer_places(search, found, limit)
+        if not moved:
+            return found
 
 
-def _in_fewer_places(search: Moves, found: Searched, limit: float) -> Searched | None:
+def _in_fewer_places(search: Moves, found: Searched, limit: float) -> tuple[Searched, bool]:
+    """A search with one of its effects in one place less, if one fits as well, and whether one does."""
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
         kind, sites = part.candidate.effect, part.candidate.locations
-        fewer = [
-            fitted
-            for own in search.left
+        smaller = [
+            own
+            for own in search.left(found.tried)
             if own.effect is kind and len(own.locations) == len(sites) - 1 and set(own.locations) < set(sites)
-            for fitted in search.refitted(found.best, (*hypothesis[:k], Part(own, part.values), *hypothesis[k + 1 :]))
         ]
+        fits = [(*hypothesis[:k], Part(own, part.values), *hypothesis[k + 1 :]) for own in smaller]
+        fewer, tried = _all_refitted(search, found.tried, found.best, fits)
+        found = replace(found, tried=tried)
         least = min(fewer, key=search.score, default=None)
-        if least is None or search.score(least) >= limit or not search.believed(found.without[k], least):
+        if least is None or search.score(least) >= limit or not search.accepts(found.without[k], least):
             continue
-        moved = search.moved(found, least)
-        rivals = [tuple(_beside_others(search, least, j, found.without[j], own)) for j, own in enumerate(found.rivals)]
-        rivals[k] = (found.best, *found.rivals[k])
-        return replace(moved, rivals=tuple(rivals))
-    return None
+        moved = _with_contenders(search, search.moved(found, least), found)
+        rivals = [*moved.rivals[:k], (found.best, *found.rivals[k]), *moved.rivals[k + 1 :]]
+        return replace(moved, rivals=tuple(rivals)), True
+    return found, False
 
 
 def simplified(search: Moves, found: Searched) -> Searched:
@@ -155,26 +191,29 @@ def simplified(search: Moves, found: Searched) -> Searched:
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
         own = part.candidate
-        for other in search.left:
+        for other in search.left(found.tried):
             same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
             if not same or other.n_parameters >= own.n_parameters:
                 continue
             begins = [dict(guess) for guess in other.guesses]
             shared = {key: part.values[key] for key in begins[0] if key in part.values}
             values = {**begins[len(begins) // 2], **shared}
-            simple = search.refit(found.best, (*hypothesis[:k], Part(other, values), *hypothesis[k + 1 :]))
-            if not search.believed(simple, found.best):
+            fit = (*hypothesis[:k], Part(other, values), *hypothesis[k + 1 :])
+            simple, tried = search.refit(found.tried, found.best, fit)
+            found = replace(found, tried=tried)
+            if not search.accepts(simple, found.best):
                 return simplified(search, search.moved(found, simple))
     return found
 
 
 def less(search: Moves, found: Searched, places: Sequence[int]) -> Searched:
-    """The search's end without some parts, and without those that are believed no more then."""
+    """The search's end without some parts, and without those that are accepted no more then."""
     while places:
         kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)
-        found = search.moved(found, search.refit(found.best, kept) if kept else found.base)
+        fit, tried = search.refit(found.tried, found.best, kept) if kept else (found.base, found.tried)
+        found = search.moved(replace(found, tried=tried), fit)
         pairs = enumerate(found.without)
-        places = [k for k, without in pairs if not search.believed(without, found.best)][:1]
+        places = [k for k, without in pairs if not search.accepts(without, found.best)][:1]
     return found
 
 

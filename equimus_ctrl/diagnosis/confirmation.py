@@ -16,6 +16,7 @@ from equimus_ctrl.diagnosis.localization import excess_of
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.identification.noise import Noise, log_likelihood, whiten
 from equimus_ctrl.identification.residuals import residuals_of
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 SILENT, PLAIN = 16.0, 5.0
@@ -40,10 +41,14 @@ def confirmed(search: Search, found: Searched, split: Split) -> Searched:
         place = int(np.argmin(ratios))
         if ratios[place] >= CARRIES_OVER:
             return found
-        if search.settings.many_minima and (other := _another(search, found, place, split)) is not None:
-            return other
-        if len(found.best.hypothesis) == 1 and (other := _rival(search, judge, listed(search, found))) is not None:
-            return other
+        if search.settings.many_minima:
+            found, confirms = _another(search, found, place, split)
+            if confirms:
+                return found
+        if len(found.best.hypothesis) == 1:
+            found = listed(search, found)
+            if (other := _rival(search, judge, found)) is not None:
+                return other
         found = search.moved(found, found.without[place])
     return found
 
@@ -58,30 +63,31 @@ def _rival(search: Search, judge: Judge, found: Searched) -> Searched | None:
     return None
 
 
-def _another(search: Search, found: Searched, place: int, split: Split) -> Searched | None:
-    """The best hypothesis that fits better than the one less a part, every part of which what was held out bears out.
+def _another(search: Search, found: Searched, place: int, split: Split) -> tuple[Searched, bool]:
+    """The best hypothesis that fits better than the one less a part, all of whose parts are confirmed; whether one is.
 
     One part of a kind too many may be all that trials left out refuse: a friction of two sizes that has taken an
     offset's place, say.
     """
     known = {found.best.labels}
     limit = search.score(found.without[place])
-    for fitted in sorted(search.fitted, key=search.score):
+    for fitted in sorted(found.tried.fitted, key=search.score):
         if len(known) > OTHERS or search.score(fitted) >= limit:
-            return None
-        if fitted.labels in known or not search.allows(fitted.labels):
+            break
+        if fitted.labels in known or not found.tried.allows(fitted.labels):
             continue
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue
         known.add(fitted.labels)
         moved = search.moved(found, search.data.settle(fitted))
+        found = replace(found, tried=moved.tried)
         judge = Judge(search.data, split, moved)
         if all(
-            search.believed(without, moved.best) and _carried_over(search, judge, without, moved.best) >= CARRIES_OVER
+            search.accepts(without, moved.best) and _carried_over(search, judge, without, moved.best) >= CARRIES_OVER
             for without in moved.without
         ):
-            return moved
-    return None
+            return moved, True
+    return found, False
 
 
 def _carried_over(search: Search, judge: Judge, simple: Fitted, rich: Fitted) -> float:
@@ -105,19 +111,18 @@ class Judge:
 
     def __init__(self, data: Data, split: Split, found: Searched) -> None:
         self.data, self.split, self.found = data, split, found
-        self._known: dict[int, list[Array]] = {}
+        self._known: dict[Model, list[Array]] = {}
 
     @property
     def noise(self) -> Noise:
         """That of the best hypothesis."""
         return self.found.best.noise
 
-    def heldout(self, model: object) -> list[Array]:
+    def heldout(self, model: Model) -> list[Array]:
         """For each segment held out (m, nj) measured − predicted [rad]."""
-        key = id(model)
-        if key not in self._known:
-            self._known[key] = residuals_of(model, self.split.heldout, self.data.simulator)  # type: ignore[arg-type]
-        return self._known[key]
+        if model not in self._known:
+            self._known[model] = residuals_of(model, self.split.heldout, self.data.simulator)
+        return self._known[model]
 
     def nominal(self) -> list[Array]:
         """For each segment fitted, of the model as it came."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,6 +10,7 @@ from dataclasses import replace
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.diagnosis import stages
+from equimus_ctrl.diagnosis.budget import Asked, Budget, BudgetSpent, never
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split
@@ -32,6 +34,7 @@ def diagnose(
     simulator: Simulator | None = None,
     designs: Sequence[Design] = (),
     progress: Progress = lambda stage, share, best: None,
+    asked: Asked = never,
 ) -> Diagnosis:
     """Find what a model leaves out of recordings.
 
@@ -43,13 +46,18 @@ def diagnose(
             default.
         designs: experiments to choose from where something cannot be told apart.
         progress: see ``Progress``.
+        asked: whether its best so far is to be given now; asked after each step of a fit.
 
     Raises:
         SimulationDiverged: where the model diverges on every trial.
-        ConfigError: where an effect is to be excluded that is not known.
+        ConfigError: where an effect is to be excluded that is not known, or the budget does not do for the first refit.
+        KeyboardInterrupt: where the best so far is asked for before there is any.
     """
     begun = time.perf_counter()
     settings = settings or DiagnosisSettings()
+    if settings.budget is not None and not 0 < settings.budget < math.inf:
+        raise ConfigError(f"the budget is {settings.budget:g} s, expected a time above 0")
+    budget = Budget(begun + (settings.budget or math.inf), asked)
     for name in settings.exclude:
         if name not in REGISTRY:
             raise ConfigError(unknown_name("effect", name, REGISTRY))
@@ -58,30 +66,42 @@ def diagnose(
             policy = SearchPolicy.of(free.model.robot.traits, simulator.engine)
             # What was handed in is taken for exact and cheap.
             policy = replace(policy, coarse_derivatives=False, rescaled_guesses=False)
-            data = Data(free, split.train, simulator, policy=policy)
+            data = Data(free, split.train, simulator, policy=policy, budget=budget)
         else:
             positions = [s.measured for s in (*split.train, *split.heldout)]
             engine = engine_for(free.model, settings.engine, positions=positions)
             own, others = Simulator(engine, settings.threads), (engine.coarser(), engine.finer())
             coarse, fine = (None if e is None else replace(own, engine=e) for e in others)
-            data = Data(free, split.train, own, coarse, fine, SearchPolicy.of(free.model.robot.traits, engine))
+            policy = SearchPolicy.of(free.model.robot.traits, engine)
+            data = Data(free, split.train, own, coarse, fine, policy, budget)
         question = Question(data, split, settings, designs, progress, begun)
-        left = _worked_out(question)
-        state = stages.validation(left)
+        try:
+            left = _worked_out(question)
+        except BudgetSpent:
+            if asked():
+                raise KeyboardInterrupt from None
+            raise ConfigError(
+                f"the budget of {settings.budget:g} s ended before the model was refitted once; expected more time"
+            ) from None
+        state = stages.or_ended(stages.validation, left)
         if state.rest.unexplained and not left.rest.unexplained and (other := stages.other_question(question)):
             try:
-                second = stages.report(stages.validation(_worked_out(other)))
-            except SimulationDiverged:  # so the first stands
-                return stages.report(state)
-            if not second.unexplained:
+                second = _reported(stages.or_ended(stages.validation, _worked_out(other)))
+            except (SimulationDiverged, BudgetSpent):  # so the first stands
+                return _reported(state)
+            if not second.unexplained and not second.not_done:
                 return stages.on_others(question, other, second)
-        return stages.report(state)
+        return _reported(state)
 
 
 def _worked_out(question: Question) -> stages.State:
     """What is known before held-out trials are asked whether anything is left."""
     state, near = stages.refit(question)
     state = stages.search(state, near)
-    for stage in (stages.confirmation, stages.unexplained, stages.discretization, stages.alternatives):
-        state = stage(state)
+    for stage in (stages.confirmation, stages.unexplained, stages.discretization):
+        state = stages.or_ended(stage, state)
     return state
+
+
+def _reported(state: stages.State) -> Diagnosis:
+    return stages.report(stages.or_ended(stages.alternatives, state))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from equimus_ctrl.diagnosis.alternatives import less
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import Remainder, remainder
 from equimus_ctrl.errors import SimulationDiverged
@@ -44,14 +44,14 @@ def without_step_error(
         return None
     own = replace(data, fine=data.simulator)
     exact_best = own.settle_finely(best)
-    needless = [k for k in doubted if not search.believed(own.settle_finely(found.without[k]), exact_best)]
+    needless = [k for k in doubted if not search.accepts(own.settle_finely(found.without[k]), exact_best)]
     if not needless and not rest.unexplained:
         return None
-    other = Search(data, search.pool, search.settings, otherwise=search.fitted)
-    other.barred |= search.barred
+    other = Search(data, search.pool, search.settings, otherwise=found.tried.fitted)
     base = own.settle_finely(found.base)
     # Rivals were fitted with the XML's step, so their likelihoods are not to be compared with what follows.
-    start = replace(found, base=base, rivals=tuple(() for _ in best.hypothesis))
+    anew = Tried(first=found.tried.first, rejected=found.tried.rejected)
+    start = replace(found, base=base, rivals=tuple(() for _ in best.hypothesis), tried=anew)
     exact = other.moved(start, exact_best if best.hypothesis else base)
     exact = less(other, exact, needless[:1])
     saved = max(best.n_parameters - exact.best.n_parameters, 1)

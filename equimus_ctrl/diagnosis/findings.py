@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -13,7 +14,7 @@ from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.confirmation import Judge
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
 from equimus_ctrl.diagnosis.results import Detectable, Estimate, Evidence, Finding, Named, Ranked, Verdict
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
@@ -25,38 +26,81 @@ BLUR = 60.0
 """So far the errors of the physics step may take deviances apart."""
 BLURRED = 0.05
 """Where something stays unexplained, rivals within this share of a finding's gain cannot be told apart either."""
+IN_WORDS = {
+    "search": "more effects",
+    "confirmation": "whether held-out trials confirm the effects",
+    "unexplained": "what remains unexplained",
+    "discretization": "the error of the physics step",
+    "validation": "whether the error on held-out trials is above the noise",
+    "alternatives": "what fits as well in an effect's place",
+}
+"""What each stage of a diagnosis looks at."""
 Finely = Callable[[Fitted], Fitted]
 
 
-def verdict(findings: Sequence[Finding], rest: Remainder) -> Verdict:
-    """In one word."""
+def verdict(findings: Sequence[Finding], rest: Remainder, decided: bool) -> Verdict:
+    """In one word.
+
+    Args:
+        findings: effects named.
+        rest: what they leave.
+        decided: whether all that decides what is named and what is left was carried out.
+    """
+    if not decided:
+        return "unfinished"
     if rest.unexplained:
         return "partly_explained" if findings else "unexplained"
     return "explained" if findings else "consistent"
 
 
-def named(part: Part) -> Named:
+def named_part(part: Part) -> Named:
     """What a part is and where."""
     return Named(part.candidate.effect.name, part.candidate.locations)
 
 
-def finding(search: Search, found: Searched, judge: Judge, k: int, left: bool, finely: Finely) -> Finding:
-    """One part of the hypothesis with its intervals, its evidence and what fits as well in its place.
+def equivalents(search: Search, found: Searched, left: bool, finely: Finely) -> tuple[tuple[Named, ...], ...]:
+    """For each part of the hypothesis what fits as well in its place.
+
+    Args:
+        search: that ended there.
+        found: its end.
+        left: whether something stays unexplained beside them.
+        finely: fits with steps whose errors tell less apart.
+    """
+    alike = []
+    for k, without in enumerate(found.without):
+        gain = without.deviance - found.best.deviance
+        margin = max(ALIKE, BLURRED * gain) if left else ALIKE
+        own, tried = _equivalent(search, found, k, margin, finely)
+        found = replace(found, tried=tried)
+        alike.append(own)
+    return tuple(alike)
+
+
+def findings(search: Search, found: Searched, judge: Judge, alike: Sequence[tuple[Named, ...]]) -> tuple[Finding, ...]:
+    """The parts of the hypothesis with their intervals and their evidence, the one that gains most first.
 
     Args:
         search: that ended there.
         found: its end.
         judge: of what was held out.
-        k: which part.
-        left: whether something stays unexplained beside it.
-        finely: fits with steps whose errors tell less apart.
+        alike: see ``equivalents``; empty where nobody looked.
     """
+    parts = enumerate(found.best.hypothesis)
+    named = [
+        Finding(
+            part, _estimates(search.data, found.best, k), _evidence(search, found, judge, k), alike[k] if alike else ()
+        )
+        for k, part in parts
+    ]
+    return tuple(sorted(named, key=lambda f: -f.evidence.gain))
+
+
+def _evidence(search: Search, found: Searched, judge: Judge, k: int) -> Evidence:
     best, without = found.best, found.without[k]
-    part = best.hypothesis[k]
-    gain = without.deviance - best.deviance
-    count = part.candidate.n_parameters
+    gain, count = without.deviance - best.deviance, best.hypothesis[k].candidate.n_parameters
     chance = (_log_chance(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
-    evidence = Evidence(
+    return Evidence(
         gain,
         search.threshold(count),
         min(chance, 0.0),
@@ -64,8 +108,6 @@ def finding(search: Search, found: Searched, judge: Judge, k: int, left: bool, f
         judge.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
         judge.share(*(judge.heldout(f.fit.model) for f in (without, best, found.base))),
     )
-    alike = max(ALIKE, BLURRED * gain) if left else ALIKE
-    return Finding(part, _estimates(search.data, best, k), evidence, _equivalent(search, found, k, alike, finely))
 
 
 def _log_chance(gain: float, count: int) -> float:
@@ -91,7 +133,9 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
     return found
 
 
-def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: Finely) -> tuple[Named, ...]:
+def _equivalent(
+    search: Search, found: Searched, k: int, margin: float, finely: Finely
+) -> tuple[tuple[Named, ...], Tried]:
     """What could stand in the part's place as well; not what takes more numbers, which can imitate anything simpler.
 
     What is near is looked at with fine steps: where commands jump, the errors of longer ones can tell alike from alike.
@@ -100,7 +144,8 @@ def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: 
     own = found.best.hypothesis[k].candidate.label
     others: dict[str, Named] = {}
     near = search.score(found.best) + margin + BLUR
-    for rival in sorted(in_place(search, found, k, margin + BLUR), key=search.score):
+    rivals, tried = in_place(search, found, k, margin + BLUR)
+    for rival in sorted(rivals, key=search.score):
         other = instead(rival, found.without[k])
         if rival.n_parameters > found.best.n_parameters or other is None or search.score(rival) >= near:
             continue
@@ -110,14 +155,14 @@ def _equivalent(search: Search, found: Searched, k: int, margin: float, finely: 
             and label not in others
             and search.score(finely(rival)) < search.score(finely(found.best)) + margin
         ):
-            others[label] = named(other)
-    return tuple(others.values())
+            others[label] = named_part(other)
+    return tuple(others.values()), tried
 
 
 def ranking(search: Search, found: Searched) -> tuple[Ranked, ...]:
     """All candidates alone, best first."""
     alone: dict[str, float] = {}
-    for fitted in found.fitted:
+    for fitted in found.tried.fitted:
         if len(fitted.hypothesis) == 1:
             label = fitted.label
             alone[label] = max(alone.get(label, -math.inf), found.base.deviance - fitted.deviance)
@@ -128,7 +173,7 @@ def ranking(search: Search, found: Searched) -> tuple[Ranked, ...]:
             alone.get(s.candidate.label),
             search.threshold(s.candidate.n_parameters),
         )
-        for s in found.first
+        for s in found.tried.first
     ]
     return tuple(sorted(ranked, key=lambda r: -max(r.fitted or 0.0, r.screened if r.fitted is None else 0.0)))
 
@@ -136,7 +181,7 @@ def ranking(search: Search, found: Searched) -> tuple[Ranked, ...]:
 def detectable(search: Search, found: Searched) -> tuple[Detectable, ...]:
     """The smallest size of each effect that would have been accepted."""
     smallest = []
-    for s in found.first:
+    for s in found.tried.first:
         size = _smallest(s, search.threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))
         unit = s.candidate.effect.parameter_info()[key]["unit"]
@@ -160,9 +205,11 @@ def _smallest(screened: Screened, threshold: float) -> float:
     return float(values[seen][np.argmin(strength[seen])])
 
 
-def notes(found: Searched, split: Split, excluded: Sequence[str]) -> list[str]:
+def notes(found: Searched, split: Split, excluded: Sequence[str], not_done: Sequence[str]) -> list[str]:
     """What else a person ought to know of how the search went."""
     said = []
+    if not_done:
+        said.append(f"Ended before its end; not looked at: {', '.join(IN_WORDS[stage] for stage in not_done)}.")
     if excluded:
         said.append(f"Not looked for, as was asked: {', '.join(excluded)}.")
     if not split.heldout:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.candidates import Hypothesis, parameters_of, refined
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.errors import SimulationDiverged
@@ -89,6 +90,7 @@ class Data:
             by default.
         fine: a slower one whose errors tell hypotheses less apart; the same by default.
         policy: how they are fitted and searched.
+        budget: after each step of a fit it is asked whether to go on.
     """
 
     free: FreeParameters
@@ -97,6 +99,7 @@ class Data:
     coarse: Simulator | None = None
     fine: Simulator | None = None
     policy: SearchPolicy = field(default_factory=SearchPolicy)
+    budget: Budget = field(default_factory=Budget)
 
     @property
     def times(self) -> list[Array]:
@@ -153,12 +156,13 @@ class Data:
         first_look: bool = False,
         earlier: Fit | None = None,
     ) -> Fit:
+        self.budget.check()
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
         coarse = self.coarse if self.policy.coarse_derivatives and first_look else None
         found = fit(
             parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside,
-            coarse=coarse, earlier=earlier,
+            coarse=coarse, earlier=earlier, notify=self._after_step,
         )  # fmt: skip
         jumps = self.jumps(hypothesis)
         for _ in range((1 if first_look else TURNS) if jumps else 0):
@@ -167,12 +171,15 @@ class Data:
                 break
             again = fit(
                 parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise,
-                begin=[(after, found.starts)], coarse=coarse,
+                begin=[(after, found.starts)], coarse=coarse, notify=self._after_step,
             )  # fmt: skip
             if again.cost >= found.cost:
                 break
             found = again
         return found
+
+    def _after_step(self, evaluations: int, rmse: float) -> None:
+        self.budget.check()
 
     def jumps(self, hypothesis: Hypothesis) -> list[int]:
         """Where parameters that act in steps stand among all that are free."""
@@ -201,6 +208,7 @@ class Data:
 
     def _profile(self, found: Fit, noise: Noise, place: int, values: Array) -> Array:
         """(k,) sums of squares with one parameter at other values and all others moved along, these to first order."""
+        self.budget.check()
         own = found.parameters
         inside = np.clip(values, own.low[place], own.high[place])
         models = [own.model_at(np.where(np.arange(len(found.theta)) == place, v, found.theta)) for v in inside]

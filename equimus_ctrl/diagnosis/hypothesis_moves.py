@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,28 +20,57 @@ from equimus_ctrl.types import Array
 
 
 @dataclass(frozen=True, eq=False)
+class Tried:
+    """What a search has tried so far.
+
+    Attributes:
+        fitted: all hypotheses fitted, to whatever end.
+        first: what every candidate would do to the refitted model, alone.
+        rejected: labels of candidates that are not to be part of a hypothesis any more.
+        extended: for a hypothesis' labels, and that of a candidate left out or "", the fit that was extended and those
+            with one more part.
+    """
+
+    fitted: tuple[Fitted, ...] = ()
+    first: tuple[Screened, ...] = ()
+    rejected: frozenset[str] = frozenset()
+    extended: Mapping[tuple[frozenset[str], str], tuple[Fitted, tuple[Fitted, ...]]] = field(default_factory=dict)
+
+    def allows(self, labels: Iterable[str]) -> bool:
+        """Whether none of some candidates was rejected."""
+        return self.rejected.isdisjoint(labels)
+
+    def having(self, *fitted: Fitted) -> Tried:
+        """The same with more fits."""
+        return replace(self, fitted=(*self.fitted, *fitted))
+
+
+@dataclass(frozen=True, eq=False)
 class Searched:
-    """Where a search ended.
+    """Where a search is.
 
     Attributes:
         base: the model without any effect, refitted.
-        best: the hypothesis believed in.
+        best: the hypothesis accepted.
         without: for each of its parts the best fit that does without it.
         rivals: for each of its parts the hypotheses with another in its place that were fitted to the end.
-        first: what every candidate would do to the refitted model, alone.
-        fitted: all hypotheses fitted on the way, to whatever end.
+        tried: all that was tried on the way.
     """
 
     base: Fitted
     best: Fitted
-    without: tuple[Fitted, ...]
-    rivals: tuple[tuple[Fitted, ...], ...]
-    first: tuple[Screened, ...]
-    fitted: tuple[Fitted, ...]
+    without: tuple[Fitted, ...] = ()
+    rivals: tuple[tuple[Fitted, ...], ...] = ()
+    tried: Tried = field(default_factory=Tried)
+
+    def rejecting(self, labels: Iterable[str]) -> Searched:
+        """The same, some candidates to be no part of it any more."""
+        tried = replace(self.tried, rejected=self.tried.rejected | set(labels))
+        return replace(
+            self, rivals=tuple(tuple(r for r in own if tried.allows(r.labels)) for own in self.rivals), tried=tried
+        )
 
 
-Ended = tuple[Fitted, tuple[Fitted, ...], tuple[tuple[Fitted, ...], ...]]
-"""The best hypothesis, what it is without each of its parts, and with others in their places."""
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
 NEAR, CLOSE = 0.5, 50.0
@@ -54,10 +83,11 @@ MOVES = 8
 """How often parts are exchanged at most."""
 
 
+@dataclass(frozen=True, eq=False)
 class Moves:
     """What a search over sets of candidates can do.
 
-    Args:
+    Attributes:
         data: what was measured.
         pool: the candidates.
         settings: how it goes.
@@ -66,40 +96,22 @@ class Moves:
         otherwise: those that were fitted to the same trials with another engine, which tell what may fit as well.
     """
 
-    def __init__(
-        self,
-        data: Data,
-        pool: Sequence[Candidate],
-        settings: SearchSettings | None = None,
-        notify: Notify = lambda stage, best: None,
-        elsewhere: Sequence[Fitted] = (),
-        otherwise: Sequence[Fitted] = (),
-    ) -> None:
-        self.data = data
-        self.pool = list(pool)
-        self.settings = settings or SearchSettings()
-        self.notify = notify
-        self.elsewhere = sorted(elsewhere, key=self.score)
-        self.otherwise = tuple(otherwise)
-        self.fitted: list[Fitted] = []
-        self.barred: set[str] = set()
-        self._first: tuple[Screened, ...] = ()
-        self._challenged: dict[tuple[frozenset[str], str], tuple[Fitted, list[Fitted]]] = {}
+    data: Data
+    pool: Sequence[Candidate]
+    settings: SearchSettings = field(default_factory=SearchSettings)
+    notify: Notify = lambda stage, best: None
+    elsewhere: Sequence[Fitted] = ()
+    otherwise: Sequence[Fitted] = ()
 
-    @property
-    def left(self) -> list[Candidate]:
-        """The candidates that were not withdrawn."""
-        return [c for c in self.pool if self.allows([c.label])]
-
-    def allows(self, labels: Iterable[str]) -> bool:
-        """Whether none of some candidates was withdrawn."""
-        return self.barred.isdisjoint(labels)
+    def left(self, tried: Tried) -> list[Candidate]:
+        """The candidates that were not rejected."""
+        return [c for c in self.pool if tried.allows([c.label])]
 
     def score(self, fitted: Fitted) -> float:
         """Deviance and what the hypothesis' numbers cost (Schwarz, 1978)."""
         return fitted.deviance + fitted.n_parameters * float(np.log(self.data.n))
 
-    def believed(self, simple: Fitted, rich: Fitted) -> bool:
+    def accepts(self, simple: Fitted, rich: Fitted) -> bool:
         """Whether the richer hypothesis gains more than chance and other simulations' errors would."""
         more = max(rich.n_parameters - simple.n_parameters, 1)
         return simple.deviance - rich.deviance > self.threshold(more)
@@ -109,30 +121,42 @@ class Moves:
         chance = float(chi2.isf(self.settings.level / max(len(self.pool), 1), parameters))
         return max(chance, self.settings.least_share * self.data.n) + self.settings.valleys
 
-    def challenge(self, fitted: Fitted, instead_of: str = "") -> list[Fitted]:
+    def challenge(self, tried: Tried, fitted: Fitted, instead_of: str = "") -> tuple[list[Fitted], Tried]:
         """Hypotheses with one more part, the most promising ones fitted to the end.
 
         Args:
+            tried: so far.
             fitted: what they add to.
             instead_of: label of a candidate that is left out, for what others could do in its place.
         """
-        whole = fitted.labels
         for left_out in ("", instead_of):
-            known = self._challenged.get((whole, left_out))
+            known = tried.extended.get((fitted.labels, left_out))
             if known and known[0].deviance <= fitted.deviance + SETTLED:
-                return [o for o in known[1] if instead_of not in o.labels and self.allows(o.labels)]
-        options = self._options(fitted, instead_of)
-        self._challenged[whole, instead_of] = fitted, options
-        return options
+                return [o for o in known[1] if instead_of not in o.labels and tried.allows(o.labels)], tried
+        options, tried = self.extensions(tried, fitted, instead_of)
+        entry = {(fitted.labels, instead_of): (fitted, tuple(options))}
+        return options, replace(tried, extended={**tried.extended, **entry})
 
-    def _options(self, fitted: Fitted, left_out: str, known: Sequence[str] | None = None) -> list[Fitted]:
-        """Hypotheses with one more part: the promising ones, or with some that are known all others."""
-        pool = [c for c in self.left if c.label not in {left_out, *(known or ())}]
-        tried = min(self.settings.tried, INSTEAD) if left_out else self.settings.tried
-        tried = tried if known is None else len(pool)
+    def extensions(
+        self, tried: Tried, fitted: Fitted, left_out: str = "", known: Sequence[str] | None = None
+    ) -> tuple[list[Fitted], Tried]:
+        """Hypotheses with one more part: the promising ones, or with some that are known all others.
+
+        Args:
+            tried: so far.
+            fitted: what they add to.
+            left_out: label of a candidate that is left out.
+            known: labels of those that are known; None where only promising ones are to be fitted.
+        """
+        pool = [c for c in self.left(tried) if c.label not in {left_out, *(known or ())}]
+        most = min(self.settings.tried, INSTEAD) if left_out else self.settings.tried
+        most = most if known is None else len(pool)
         weights = white_noise(fitted.fit.residuals)
+        screened = screen(self.data, fitted, pool)
+        if not fitted.hypothesis and not tried.first:
+            tried = replace(tried, first=tuple(screened))
         first = []
-        for hypothesis, begin in self._promising(fitted, pool, tried, hopeless=known is not None):
+        for hypothesis, begin in self._promising(tried, fitted, pool, screened, most, known is not None):
             try:
                 first.append(self.data.rough(hypothesis, begin, weights, ROUGH))
             except SimulationDiverged:  # so it cannot be what happened
@@ -146,35 +170,37 @@ class Moves:
                 longer = self.data.rough(option.hypothesis, [option.begin], white_noise(option.fit.residuals), LONG)
                 option = self.data.settle(min(option, longer, key=lambda f: f.deviance))
             ends.append(option)
-            self.fitted.append(option)
-        return ends
+        return ends, tried.having(*ends)
 
     def _promising(
-        self, fitted: Fitted, pool: Sequence[Candidate], tried: int, hopeless: bool = False
+        self,
+        tried: Tried,
+        fitted: Fitted,
+        pool: Sequence[Candidate],
+        screened: Sequence[Screened],
+        most: int,
+        hopeless: bool,
     ) -> list[tuple[tuple[Part, ...], list[Begin]]]:
         """Hypotheses with one more part, and where their fits can begin; those without a gain if they are wanted."""
         base = len(self.data.free.free)
-        screened = screen(self.data, fitted, pool)
-        if not fitted.hypothesis and not self._first:
-            self._first = tuple(screened)
         lists = [sorted(screened, key=_by_gain(way)) for way in range(2)]
         if not fitted.hypothesis and self.data.strong(fitted):
             # What is missing may have led the refitted model far astray.
             lists.append(sorted(screen(self.data, self.given, pool), key=lambda s: -s.gains[0]))
         chosen: dict[str, tuple[tuple[Part, ...], list[Begin]]] = {}
         for ranked in lists:
-            for s in ranked[:tried]:
+            for s in ranked[:most]:
                 if hopeless or max(s.gains) > 0:
                     starts: list[Begin] = [(s.begin, fitted.fit.starts)]
                     if not fitted.hypothesis:
                         starts.append((np.concatenate([self.data.free.start, s.begin[base:]]), fitted.fit.starts))
                     old = chosen.get(s.candidate.label)
                     chosen[s.candidate.label] = (s.hypothesis, starts + (old[1] if old else []))
-        for hypothesis, begin in self._from_elsewhere(fitted, {c.label for c in pool}, tried):
+        for hypothesis, begin in self._from_elsewhere(fitted, {c.label for c in pool}, most):
             label = hypothesis[-1].candidate.label
             old = chosen.get(label)
             chosen[label] = (hypothesis, [begin, *(old[1] if old else [])])
-        return [*chosen.values(), *((h, [b]) for h, b in self._splits(fitted))]
+        return [*chosen.values(), *((h, [b]) for h, b in self._splits(tried, fitted))]
 
     def _from_elsewhere(
         self, fitted: Fitted, labels: Collection[str], most: int
@@ -183,7 +209,7 @@ class Moves:
         base = len(self.data.free.free)
         own = [part.candidate.label for part in fitted.hypothesis]
         met: set[str] = set()
-        for other in self.elsewhere:
+        for other in sorted(self.elsewhere, key=self.score):
             parts = {part.candidate.label: part for part in other.hypothesis}
             more = parts.keys() - set(own)
             if len(parts) != len(own) + 1 or len(more) != 1 or more & met or not more <= set(labels):
@@ -200,7 +226,7 @@ class Moves:
         """The model as it came."""
         return self.data.as_it_came()
 
-    def _splits(self, fitted: Fitted) -> list[tuple[tuple[Part, ...], Begin]]:
+    def _splits(self, tried: Tried, fitted: Fitted) -> list[tuple[tuple[Part, ...], Begin]]:
         """For each part that acts alike in several places the same with numbers of their own."""
         found: list[tuple[tuple[Part, ...], Begin]] = []
         base = len(self.data.free.free)
@@ -209,7 +235,7 @@ class Moves:
             if len(sites) < 2:
                 continue
             parts = tuple(Part(replace(part.candidate, locations=(site,)), part.values) for site in sites)
-            if not self.allows(p.candidate.label for p in parts):
+            if not tried.allows(p.candidate.label for p in parts):
                 continue
             hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
             values = [v for p in hypothesis for v in p.values.values()]
@@ -217,20 +243,20 @@ class Moves:
             found.append((hypothesis, (theta, fitted.fit.starts)))
         return found
 
-    def exchanged(self, best: Fitted) -> Ended:
+    def exchanged(self, found: Searched) -> Searched:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
+        best, tried = found.best, found.tried
         for _ in range(MOVES):
             moved = False
             withouts: list[Fitted] = []
             all_rivals: list[tuple[Fitted, ...]] = []
             for k, part in enumerate(best.hypothesis):
                 self.notify(f"without {part.candidate.label}", best.label)
-                rest = best.hypothesis[:k] + best.hypothesis[k + 1 :]
-                without = self.refit(best, rest)
-                if not self.believed(without, best):
+                without, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
+                if not self.accepts(without, best):
                     best, moved = without, True
                     break
-                rivals = self.challenge(without, part.candidate.label)
+                rivals, tried = self.challenge(tried, without, part.candidate.label)
                 withouts.append(without)
                 all_rivals.append(tuple(rivals))
                 same_size = [r for r in rivals if len(r.hypothesis) <= len(best.hypothesis)]
@@ -239,25 +265,28 @@ class Moves:
                     best, moved = min(better, key=self.score), True
                     break
             if not moved or not best.hypothesis:
-                return best, tuple(withouts), tuple(all_rivals)
-        found = [self.refit(best, best.hypothesis[:k] + best.hypothesis[k + 1 :]) for k in range(len(best.hypothesis))]
-        return best, tuple(found), tuple(() for _ in found)
+                return replace(found, best=best, without=tuple(withouts), rivals=tuple(all_rivals), tried=tried)
+        return self.moved(replace(found, tried=tried), best)
 
-    def refitted(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> list[Fitted]:
+    def refitted(self, tried: Tried, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[list[Fitted], Tried]:
         """As ``refit``; nothing where parts exclude each other or it cannot have happened."""
         try:
-            return [self.refit(fitted, hypothesis)]
+            found, tried = self.refit(tried, fitted, hypothesis)
         except (ConfigError, SimulationDiverged):
-            return []
+            return [], tried
+        return [found], tried
 
     def moved(self, found: Searched, best: Fitted) -> Searched:
-        """A search's end moved to another hypothesis, with what it would be without each part."""
-        parts = best.hypothesis
-        without = tuple(self.refit(best, parts[:k] + parts[k + 1 :]) for k in range(len(parts)))
+        """A search moved to another hypothesis, with what it would be without each part."""
+        parts, tried = best.hypothesis, found.tried
+        withouts: list[Fitted] = []
+        for k in range(len(parts)):
+            without, tried = self.refit(tried, best, parts[:k] + parts[k + 1 :])
+            withouts.append(without)
         # What others were fitted beside is not what stays, so rivals are looked for anew, see ``alternatives.listed``.
-        return Searched(found.base, best, without, tuple(() for _ in parts), found.first, tuple(self.fitted))
+        return replace(found, best=best, without=tuple(withouts), rivals=tuple(() for _ in parts), tried=tried)
 
-    def refit(self, fitted: Fitted, hypothesis: tuple[Part, ...]) -> Fitted:
+    def refit(self, tried: Tried, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[Fitted, Tried]:
         """A part of a fitted hypothesis, fitted to the end from there.
 
         Where it diverges without the rest, with what the model came with.
@@ -273,8 +302,7 @@ class Moves:
             plain: Array = np.concatenate([self.data.free.start, values])
             found = self.data.rough(hypothesis, [(plain, [s.start for s in self.data.segments])], weights, LONG)
         found = self.data.settle(found)
-        self.fitted.append(found)
-        return found
+        return found, tried.having(found)
 
 
 def _by_gain(way: int) -> Callable[[Screened], float]:

@@ -17,7 +17,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 SCHEMA = "equimus-ctrl/diagnosis/1"
-Verdict = Literal["consistent", "explained", "partly_explained", "unexplained"]
+Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
 STATES = ("nominal", "refitted", "corrected")
 """The model as it came, all its parameters refitted, and with what was found."""
 
@@ -321,6 +321,7 @@ class Diagnosis:
         notes: what else a person ought to know.
         seconds: how long it took.
         decisions: of the stages, in order.
+        not_done: stages that it was ended before or in, by its budget or by whoever asked for its best so far.
     """
 
     verdict: Verdict
@@ -343,6 +344,7 @@ class Diagnosis:
     notes: tuple[str, ...]
     seconds: float
     decisions: tuple[Decision, ...] = ()
+    not_done: tuple[str, ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -400,6 +402,7 @@ class Diagnosis:
                 "heldout": [s.trial.name for s in self.heldout],
             },
             "decisions": [decision.to_dict() for decision in self.decisions],
+            "not_done": list(self.not_done),
             "notes": list(self.notes),
             "seconds": self.seconds,
         }

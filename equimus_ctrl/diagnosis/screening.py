@@ -236,6 +236,7 @@ def _changes(
         entries: what to.
         thetas: for each entry the model's own free numbers, those of ``fitted`` by default.
     """
+    data.budget.check()
     names = data.free.names
     own = fitted.fit.theta[: len(names)]
     robots: dict[bytes, Model] = {}

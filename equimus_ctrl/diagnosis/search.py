@@ -7,12 +7,12 @@ simulations of one leg differ.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from equimus_ctrl.diagnosis.alternatives import contested, narrowed, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, whitened
-from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, Tried
 from equimus_ctrl.diagnosis.residual_force import flexible, linear
 from equimus_ctrl.diagnosis.screening import screen
 
@@ -25,104 +25,108 @@ BESIDE, SECOND = 0.7, 2
 class Search(Moves):
     """A search over sets of candidates, from where one begins to where it ends."""
 
-    @cached_property
-    def _compared(self) -> dict[tuple[Fitted, Fitted], bool]:
-        return {}
-
     def run(self, base: Fitted) -> Searched:
         """Search from a model without effects that was refitted."""
-        return self.go_on(Searched(base, base, (), (), (), ()))
+        return self.go_on(Searched(base, base))
 
     def beginning(self, base: Fitted, start: Fitted) -> Searched:
         """A hypothesis to go on from, less what is not needed and with what fits better in its parts' places."""
-        self._first = tuple(screen(self.data, base, self.pool))
-        best, without, rivals = self.exchanged(start)
-        return simplified(self, Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
+        first = Tried(first=tuple(screen(self.data, base, self.pool)))
+        return simplified(self, self.exchanged(Searched(base, start, tried=first)))
 
-    def go_on(self, found: Searched, barred: Sequence[str] = (), further: bool = True) -> Searched:
-        """Search from where one ended.
+    def go_on(self, found: Searched, rejected: Sequence[str] = (), further: bool = True) -> Searched:
+        """Search from where one ended; see ``steps``."""
+        for now in self.steps(found, rejected, further):
+            found = now
+        return found
+
+    def steps(self, found: Searched, rejected: Sequence[str] = (), further: bool = True) -> Iterator[Searched]:
+        """Search from where one ended, step by step; the last step is the end.
 
         Args:
             found: there.
-            barred: labels of candidates that are not to be part of it.
+            rejected: labels of candidates that are not to be part of it.
             further: whether more parts are looked for, or only others in the places of those that are there.
         """
-        self.barred |= set(barred)
-        base, best, without = found.base, found.best, found.without
-        rivals = tuple(tuple(r for r in own if self.allows(r.labels)) for own in found.rivals)
-        sure, outdone = (best, without, rivals) if further else self.exchanged(best), 0
+        now = found.rejecting(rejected)
+        now = now if further else self.exchanged(now)
+        sure, outdone = now, 0
         for depth in range(2 * self.settings.most_parts if further else 0):
-            self.notify(f"what could be missing, round {depth + 1}", best.label)
-            options = [o for o in self.challenge(best) if len(o.hypothesis) <= self.settings.most_parts]
-            if self._may_try_all(best) and self._leads_nowhere(sure[0], best, options):
-                self.notify("what could be missing, all there is", best.label)
-                options += self._options(best, "", [o.hypothesis[-1].candidate.label for o in options])
-            if not options:
+            self.notify(f"what could be missing, round {depth + 1}", now.best.label)
+            options, tried = self._small(*self.challenge(now.tried, now.best))
+            top = self._top(now.best, options)
+            push = top is not None and self._outdone(sure.best, top)
+            if self._may_try_all(now.best) and (top is None or push):
+                self.notify("what could be missing, all there is", now.best.label)
+                known = [o.hypothesis[-1].candidate.label for o in options]
+                more, tried = self.extensions(tried, now.best, known=known)
+                options += more
+                before, top = top, self._top(now.best, options)
+                push = push if top is before else top is not None and self._outdone(sure.best, top)
+            now = replace(now, tried=tried)
+            if top is None:
                 break
-            top = min(options, key=self.score)
-            if not self._better(best, top):
+            outdone = outdone + 1 if push else 0
+            if outdone > self.settings.patience:
                 break
-            if self._outdone(sure[0], top):
-                outdone += 1
-                if outdone > self.settings.patience:
-                    break
-            else:
-                outdone = 0
-            if len(best.hypothesis) == 1:
-                options += self._beside(base, best, rivals[0])
-                top = min(options, key=self.score)
-            others = tuple(o for o in options if o is not top)
-            before, best = best, top
-            if self.settings.many_minima and not before.hypothesis:
-                # The first fit of the model alone may have ended in a worse minimum than it has.
-                plain = self.refit(best, ())
-                if plain.deviance < before.deviance:
-                    base = before = plain
-                if not self.believed(plain, best):
-                    best, without, rivals = plain, (), ()
-                    sure = best, without, rivals
-                    continue
-            without, rivals = (before,), (others,)
-            if before.hypothesis:
-                best, without, rivals = self.exchanged(best)
-            if self.settings.many_minima:
-                least = simplified(self, Searched(base, best, without, rivals, (), ()))
-                best, without, rivals = least.best, least.without, least.rivals
-            if not outdone:
-                sure = best, without, rivals
-            if not best.hypothesis:
+            if len(now.best.hypothesis) == 1:
+                more, tried = self._beside(now)
+                options, now = [*options, *more], replace(now, tried=tried)
+            had = bool(now.best.hypothesis)
+            now = self._with_one_more(now, options)
+            none = not now.best.hypothesis
+            if not outdone or (none and not had):
+                sure = now
+            if none and had:
                 break
-        best, without, rivals = contested(self, *sure)
-        return narrowed(self, Searched(base, best, without, rivals, self._first, tuple(self.fitted)))
+            yield replace(sure, tried=now.tried)
+        yield narrowed(self, contested(self, replace(sure, base=now.base, tried=now.tried)))
 
-    def _better(self, best: Fitted, top: Fitted) -> bool:
-        return self.believed(best, top) and self.score(top) < self.score(best)
+    def _with_one_more(self, now: Searched, options: Sequence[Fitted]) -> Searched:
+        """A search with the best of some larger hypotheses, its parts exchanged where others fit better."""
+        before, best = now.best, min(options, key=self.score)
+        others = tuple(o for o in options if o is not best)
+        if self.settings.many_minima and not before.hypothesis:
+            # The first fit of the model alone may have ended in a worse minimum than it has.
+            plain, tried = self.refit(now.tried, best, ())
+            now = replace(now, tried=tried)
+            if plain.deviance < before.deviance:
+                before, now = plain, replace(now, base=plain)
+            if not self.accepts(plain, best):
+                return replace(now, best=plain, without=(), rivals=())
+        had = bool(before.hypothesis)
+        now = replace(now, best=best, without=(before,), rivals=(others,))
+        now = self.exchanged(now) if had else now
+        return simplified(self, now) if self.settings.many_minima else now
 
-    def _leads_nowhere(self, sure: Fitted, best: Fitted, options: Sequence[Fitted]) -> bool:
-        """Whether none of some options is one to go on with."""
+    def _small(self, options: Sequence[Fitted], tried: Tried) -> tuple[list[Fitted], Tried]:
+        """Options that have no more parts than are looked for."""
+        return [o for o in options if len(o.hypothesis) <= self.settings.most_parts], tried
+
+    def _top(self, best: Fitted, options: Sequence[Fitted]) -> Fitted | None:
+        """The best of some options, if it is better than what they extend."""
         top = min(options, key=self.score, default=None)
-        return top is None or not self._better(best, top) or self._outdone(sure, top)
+        better = top is not None and self.accepts(best, top) and self.score(top) < self.score(best)
+        return top if better else None
 
     def _may_try_all(self, best: Fitted) -> bool:
         return self.settings.many_minima and len(best.hypothesis) < self.settings.most_parts and self.data.strong(best)
 
-    def _beside(self, base: Fitted, best: Fitted, rivals: Sequence[Fitted]) -> list[Fitted]:
+    def _beside(self, now: Searched) -> tuple[list[Fitted], Tried]:
         """What the second part could be beside others than the best first one: of two together the lesser may lead."""
-        least = BESIDE * (self.score(base) - self.score(best))
-        near = [r for r in sorted(rivals, key=self.score) if self.score(base) - self.score(r) > least]
-        found = []
+        tried, whole = now.tried, self.score(now.base) - self.score(now.best)
+        near = [
+            r for r in sorted(now.rivals[0], key=self.score) if self.score(now.base) - self.score(r) > BESIDE * whole
+        ]
+        found: list[Fitted] = []
         for rival in near[:SECOND]:
             self.notify("what could be missing beside another", rival.label)
-            found += [o for o in self.challenge(rival) if len(o.hypothesis) <= self.settings.most_parts]
-        return found
+            more, tried = self._small(*self.challenge(tried, rival))
+            found += more
+        return found, tried
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
         """Whether a flexible push would explain far more than the next effect: then that is not what is missing."""
-        if (best, top) not in self._compared:
-            self._compared[best, top] = self._is_outdone(best, top)
-        return self._compared[best, top]
-
-    def _is_outdone(self, best: Fitted, top: Fitted) -> bool:
         at = linear(self.data, best, best.noise)
         if at is None:
             return False

@@ -1,8 +1,8 @@
 """A diagnosis, stage by stage: each takes what is known and returns what is known after it.
 
-    refit → search → confirmation → unexplained → discretization → alternatives → validation → report
+    refit → search → confirmation → unexplained → discretization → validation → alternatives → report
 
-``diagnose.diagnose`` runs them in this order.
+``diagnose.diagnose`` runs them in this order. Where a budget ends one of them, what was known before it is reported.
 """
 
 from __future__ import annotations
@@ -10,17 +10,28 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import less, listed
+from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import Judge, confirmed
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
 from equimus_ctrl.diagnosis.experiment import Design, separating
-from equimus_ctrl.diagnosis.findings import beyond_range, detectable, finding, named, notes, ranking, verdict
+from equimus_ctrl.diagnosis.findings import (
+    beyond_range,
+    detectable,
+    equivalents,
+    findings,
+    named_part,
+    notes,
+    ranking,
+    verdict,
+)
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import LONG, Searched
@@ -42,6 +53,8 @@ WINDOW = r" from [0-9.]+ s$"
 """What windows' names have beyond those of their recordings."""
 ROUNDS = 12
 """So many steps of a search divide its share of the progress."""
+STAGES = ("search", "confirmation", "unexplained", "discretization", "validation", "alternatives")
+"""What follows the refit, in order."""
 Progress = Callable[[str, float, str], None]
 """Called with the stage, the share of the whole that is done, and the best hypothesis so far."""
 
@@ -55,12 +68,14 @@ class DiagnosisSettings:
         threads: of the simulations; all cores by default.
         engine: by its name; by default see ``engines.choice.engine_for``.
         exclude: names of effects that are not looked for.
+        budget: how long it may take [s]; its best so far is given then. As long as it needs by default.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)
     threads: int | None = None
     engine: EngineName | None = None
     exclude: tuple[str, ...] = ()
+    budget: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +111,9 @@ class State:
         doubtful: names that were rejected, for a residual force does as much.
         ranking: all candidates, alone.
         coarse: a sentence on the engine's step, where its error was taken off; "" else.
+        equivalent: for each part of the hypothesis what fits as well in its place; empty where nobody looked.
         decisions: of the stages so far.
+        ended_in: the stage in which the budget ended; "" where it did not.
     """
 
     question: Question
@@ -106,7 +123,14 @@ class State:
     doubtful: tuple[Named, ...] = ()
     ranking: tuple[Ranked, ...] = ()
     coarse: str = ""
+    equivalent: tuple[tuple[Named, ...], ...] = ()
     decisions: tuple[Decision, ...] = ()
+    ended_in: str = ""
+
+    @property
+    def not_done(self) -> tuple[str, ...]:
+        """Stages that were not carried out to their end."""
+        return STAGES[STAGES.index(self.ended_in) :] if self.ended_in else ()
 
     @property
     def data(self) -> Data:
@@ -121,6 +145,12 @@ class State:
     def told(self, stage: str, share: float) -> None:
         """Say which stage begins, and what is best so far."""
         self.question.progress(stage, share, self.label)
+
+    def ended(self, stage: str) -> State:
+        """The same, its budget having ended in a stage."""
+        return replace(self, ended_in=stage).decided(
+            stage, "ended", "the time was up, or the best so far was asked for"
+        )
 
     def decided(self, stage: str, decision: str, reason: str) -> State:
         """The same with one more decision."""
@@ -142,8 +172,10 @@ def refit(question: Question) -> tuple[State, Fitted | None]:
     data, split = question.data, question.split
     question.progress("refitting the model", 0.02, "")
     base = data.base()
-    near = _near_base(data, split) if data.excessive(base) else None
-    base = base if near is None else data.base_from(near, base)
+    near: Fitted | None = None
+    with suppress(BudgetSpent):  # the search's first step meets it again
+        near = _near_base(data, split) if data.excessive(base) else None
+        base = base if near is None else data.base_from(near, base)
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in question.settings.exclude}
     pool = candidates(data.free.model, split.train, looked_for)
     shares: Iterator[float] = iter(np.linspace(0.15, 0.8, ROUNDS))
@@ -152,7 +184,7 @@ def refit(question: Question) -> tuple[State, Fitted | None]:
         question.progress(stage, float(next(shares, 0.8)), best)
 
     search = Search(data, pool, data.policy.applied(question.settings.search), notify)
-    state = State(question, search, Searched(base, base, (), (), (), ()), Remainder((), ()))
+    state = State(question, search, Searched(base, base), Remainder((), ()))
     excess = ", ".join(
         f"{joint} {own:.3g}"
         for joint, own in zip(data.free.model.robot.joint_names, excess_of(base.fit.residuals, base.noise), strict=True)
@@ -167,10 +199,25 @@ def search(state: State, near: Fitted | None) -> State:
         state: after the refit.
         near: the model fitted to short windows; where much is left, a second search begins with what these tell.
     """
-    own, found = state.search, state.search.run(state.found.base)
-    if near is not None and state.data.excessive(found.best):
-        own, found = _from_near(own, found, state.question.split, near)
+    own, found = state.search, state.found
+    try:
+        for now in own.steps(found):
+            found = now
+        if near is not None and state.data.excessive(found.best):
+            own, found = _from_near(own, found, state.question.split, near)
+    except BudgetSpent:
+        return _searched(replace(state, found=found), "search").ended("search")
     return _searched(replace(state, search=own, found=found), "search")
+
+
+def or_ended(stage: Callable[[State], State], state: State) -> State:
+    """What is known after a stage; what was known before it where the budget ends, or ended earlier."""
+    if state.ended_in:
+        return state
+    try:
+        return stage(state)
+    except BudgetSpent:
+        return state.ended(stage.__name__)
 
 
 def _searched(state: State, stage: str) -> State:
@@ -207,7 +254,7 @@ def unexplained(state: State) -> State:
     again, confounded = AGAIN, set[str]()
     while rest.superfluous:
         dropped = [found.best.hypothesis[k] for k in rest.superfluous]
-        doubtful += tuple(named(part) for part in dropped)
+        doubtful += tuple(named_part(part) for part in dropped)
         confounded |= {part.candidate.label for part in dropped}
         found = less(own, found, rest.superfluous)
         if found.best.hypothesis:
@@ -240,15 +287,6 @@ def discretization(state: State) -> State:
     )
 
 
-def alternatives(state: State) -> State:
-    """What fits as well in each effect's place; intervals in which the error of the engine's step is counted."""
-    state.told("evidence", 0.94)
-    found = listed(state.search, state.found)
-    if not state.coarse:
-        found = step_counted(state.data, found, state.question.settings.threads)
-    return replace(state, found=found)
-
-
 def validation(state: State) -> State:
     """Joints whose error on held-out trials is far above the noise, whatever numbers the effects have."""
     if state.rest.unexplained:
@@ -261,18 +299,28 @@ def validation(state: State) -> State:
     return replace(state, rest=rest)
 
 
+def alternatives(state: State) -> State:
+    """What fits as well in each effect's place; intervals in which the error of the engine's step is counted."""
+    state.told("evidence", 0.94)
+    found = listed(state.search, state.found)
+    if not state.coarse:
+        found = step_counted(state.data, found, state.question.settings.threads)
+    finely = cache(state.data.settle_finely)
+    alike = equivalents(state.search, found, bool(state.rest.unexplained), finely)
+    return replace(state, found=found, equivalent=alike)
+
+
 def report(state: State) -> Diagnosis:
     """The findings with evidence and intervals, and all else that is told."""
     question, own, found, rest = state.question, state.search, state.found, state.rest
     data, split, model = state.data, question.split, question.data.free.model
-    judge, finely = Judge(data, split, found), cache(data.settle_finely)
-    parts = range(len(found.best.hypothesis))
-    findings = tuple(finding(own, found, judge, k, bool(rest.unexplained), finely) for k in parts)
-    findings = tuple(sorted(findings, key=lambda f: -f.evidence.gain))
-    experiment = separating(data, found, findings, question.designs) if question.designs else None
+    judge = Judge(data, split, found)
+    named = findings(own, found, judge, state.equivalent)
+    asked = question.designs and not state.ended_in
+    experiment = separating(data, found, named, question.designs) if asked else None
     residuals = {
-        state: Residuals(train, tuple(judge.heldout(model)))
-        for state, model, train in zip(
+        name: Residuals(train, tuple(judge.heldout(own_model)))
+        for name, own_model, train in zip(
             STATES,
             (model, found.base.fit.model, found.best.fit.model),
             (tuple(judge.nominal()), found.base.fit.residuals, found.best.fit.residuals),
@@ -282,7 +330,7 @@ def report(state: State) -> Diagnosis:
     noise = found.best.noise
     question.progress("done", 1.0, found.best.label)
     return Diagnosis(
-        verdict(findings, rest),
+        verdict(named, rest, state.ended_in in ("", "alternatives")),
         model,
         found.base.fit.model,
         found.best.fit.model,
@@ -292,20 +340,21 @@ def report(state: State) -> Diagnosis:
         tuple(split.heldout),
         residuals,
         where_off(model, split.train, found.base.fit.residuals, noise),
-        findings,
+        named,
         rest.unexplained,
         state.doubtful,
-        state.ranking,
-        () if findings or rest.unexplained else detectable(own, found),
+        state.ranking or ranking(own, found),
+        () if named or rest.unexplained or state.ended_in else detectable(own, found),
         experiment,
-        {state: float(excess_of(residuals[state].train, noise).mean()) for state in STATES},
+        {name: float(excess_of(residuals[name].train, noise).mean()) for name in STATES},
         (
-            *notes(found, split, question.settings.exclude),
+            *notes(found, split, question.settings.exclude, state.not_done),
             *beyond_range(model, split),
             *([state.coarse] if state.coarse else []),
         ),
         time.perf_counter() - question.begun,
         state.decisions,
+        state.not_done,
     )
 
 
@@ -354,13 +403,13 @@ def _from_near(search: Search, found: Searched, split: Split, base: Fitted) -> t
     data, settings, notify = search.data, search.settings, search.notify
     near = Search(replace(data, segments=split.near), search.pool, settings, notify)
     try:
-        best = near.run(base).best
+        near_end = near.run(base)
     except SimulationDiverged:  # so short windows tell nothing
         return search, found
-    labels = [sorted(part.candidate.label for part in fitted.hypothesis) for fitted in (best, found.best)]
-    if not best.hypothesis or labels[0] == labels[1]:
+    best = near_end.best
+    if not best.hypothesis or best.labels == found.best.labels:
         return search, found
-    other = Search(data, search.pool, settings, notify, near.fitted)
+    other = Search(data, search.pool, settings, notify, near_end.tried.fitted)
     begin = (best.fit.theta, [s.start for s in data.segments])
     try:
         start = data.settle(data.rough(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
@@ -368,5 +417,5 @@ def _from_near(search: Search, found: Searched, split: Split, base: Fitted) -> t
         return search, found
     end = other.go_on(other.beginning(found.base, start))
     best_search, best_end = (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
-    best_search.fitted = [*search.fitted, *other.fitted]
-    return best_search, best_end
+    whole = replace(best_end.tried, fitted=(*found.tried.fitted, *end.tried.fitted))
+    return best_search, replace(best_end, tried=whole)

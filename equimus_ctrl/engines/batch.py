@@ -135,11 +135,9 @@ def _simulated(
 
 def _shared(trials: Sequence[Trial], chosen: Sequence[int]) -> list[list[int]]:
     """Trials, as indices, that share one history of commands: such as windows of one recording."""
-    groups: dict[tuple[int, int, bytes], list[int]] = {}
+    groups: dict[Hashable, list[int]] = {}
     for index in chosen:
-        trial = trials[index]
-        # By which arrays they are: those live as long as the trials that are simulated.
-        groups.setdefault((id(trial.times), id(trial.commands), trial.before.tobytes()), []).append(index)
+        groups.setdefault(trials[index].history, []).append(index)
     return list(groups.values())
 
 
@@ -151,8 +149,7 @@ class _Histories:
 
     def of(self, model: Model, counting: Array, trial: Trial) -> Array:
         """(1 + n, na) what reaches a model's valves: before the first row, then row by row, between (2, na)."""
-        # By which array it is: it lives as long as the trials that are simulated.
-        key = (id(trial.commands), trial.before.tobytes(), *shaping_of(model, counting))
+        key = (*trial.history, *shaping_of(model, counting))
         if key not in self._known:
             self._known[key] = np.clip(shaped_for(model, trial), *counting)
         return self._known[key]
@@ -194,7 +191,7 @@ class _Block:
 
     def commands(self, trial: Trial) -> tuple[Array, Array]:
         """(k, n, na) what reaches the valves, and (k, na) before the first row."""
-        key = (id(trial.commands), trial.before.tobytes())
+        key = trial.history
         if key not in self._commands:
             whole = np.array([self.histories.of(model, counting, trial) for model, counting in self.shaped])[self.kinds]
             self._commands[key] = np.ascontiguousarray(whole[:, 1:]), np.ascontiguousarray(whole[:, 0])

@@ -167,8 +167,8 @@ def _channels(model: Model, own: Mechanics) -> tuple[Array, Array, Array]:
 def grouped(models: Sequence[Model], trial: Trial) -> list[tuple[list[int], Encoded]]:
     """Models by their structure: which, and their arrays."""
     groups: dict[tuple[Structure, str], list[int]] = {}
-    known = {id(model): mechanics_of(model, trial) for model in {id(model): model for model in models}.values()}
-    mechanics = [known[id(model)] for model in models]
+    known = {model: mechanics_of(model, trial) for model in dict.fromkeys(models)}
+    mechanics = [known[model] for model in models]
     for i, (model, own) in enumerate(zip(models, mechanics, strict=True)):
         groups.setdefault((own.form, model.phase), []).append(i)
     return [(g, encoded([models[i] for i in g], [mechanics[i] for i in g])) for g in groups.values()]

@@ -13,6 +13,21 @@ from equimus_ctrl.types import Array, Recording
 Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
 
 
+class Same:
+    """An array as a key: equal to itself alone, whatever it holds, and alive as long as the key is."""
+
+    __slots__ = ("array",)
+
+    def __init__(self, array: Array) -> None:
+        self.array = array
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.array is self.array
+
+    def __hash__(self) -> int:
+        return object.__hash__(self.array)
+
+
 @dataclass(frozen=True, eq=False)
 class Trial:
     """A command history and the times at which the angles are wanted.
@@ -47,6 +62,11 @@ class Trial:
     def condition(self) -> Condition:
         """What tells apart trials in which a model has other numbers."""
         return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))
+
+    @property
+    def history(self) -> tuple[Same, Same, bytes]:
+        """Which commands these are, the same for windows of one recording: a key."""
+        return Same(self.times), Same(self.commands), self.before.tobytes()
 
     @classmethod
     def of(cls, recording: Recording, position: ArrayLike, window: tuple[float, float] | None = None) -> Trial:

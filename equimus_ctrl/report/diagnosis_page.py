@@ -39,7 +39,7 @@ h3 { font-size: 16px; margin: 24px 0 6px; }
 p, ul, ol { margin: 8px 0; max-width: 80ch; overflow-wrap: anywhere; }
 .verdict { font-size: 18px; font-weight: 600; border-left: 5px solid #0072b2; padding: 6px 14px; background: #f4f8fb;
   max-width: none; }
-.verdict.unexplained, .verdict.partly_explained { border-color: #d55e00; background: #fdf6f1; }
+.verdict.unexplained, .verdict.partly_explained, .verdict.unfinished { border-color: #d55e00; background: #fdf6f1; }
 .faint { color: #666; font-size: 14px; }
 nav { font-size: 14px; margin: 14px 0; }
 nav a { color: #0060a0; margin-right: 14px; white-space: nowrap; }

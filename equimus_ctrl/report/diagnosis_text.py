@@ -46,6 +46,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         return "Unexplained: the model leaves something out, and it is none of the known effects."
     what = listed([short(f.named) for f in diagnosis.findings])
     found = f"{COUNTS[n] if n < len(COUNTS) else n} {'effect' if n == 1 else 'effects'} left out of the model: {what}"
+    if diagnosis.verdict == "unfinished":
+        return f"Unfinished: so far {found if n else 'no effect left out of the model was found'}, not confirmed."
     if diagnosis.verdict == "explained":
         return f"Explained: {found}."
     return f"Partly explained: {found}; something more remains that is none of the known effects."

@@ -168,8 +168,8 @@ def _responses(
 
 def _stepped(runs: Experiment, dt: float, simulate: Callable[[Experiment, int], Array]) -> Array:
     """(n, m, nj) of all runs, each robot at the step that ``engines.steps.step_divisor`` finds for it."""
-    factors = {id(m): robot_factor(m, dt) for m in runs.morphologies}
-    own = np.array([factors[id(m)] for m in runs.morphologies])
+    factors = {m: robot_factor(m, dt) for m in dict.fromkeys(runs.morphologies)}
+    own = np.array([factors[m] for m in runs.morphologies])
     out = np.empty((runs.size, len(runs.times), runs.start.shape[1]))
     for factor in np.unique(own):
         rows = np.flatnonzero(own == factor)

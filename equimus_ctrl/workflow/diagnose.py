@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from equimus_ctrl.diagnosis.budget import Asked, never
 from equimus_ctrl.diagnosis.candidates import uncertain
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
@@ -44,7 +45,9 @@ def diagnose_recordings(
     exclude: Sequence[str] = (),
     engine: EngineName | None = None,
     threads: int | None = None,
+    budget: float | None = None,
     progress: Progress = lambda stage, share, best: None,
+    asked: Asked = never,
 ) -> Diagnosis:
     """Find what a model leaves out of recordings: where, what, how much, and how sure.
 
@@ -66,7 +69,9 @@ def diagnose_recordings(
         exclude: names of effects that are not looked for.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         threads: all cores by default.
+        budget: how long it may take [s]; its best so far is given then. As long as it needs by default.
         progress: called with the stage, the share done and the best hypothesis so far.
+        asked: whether its best so far is to be given now.
 
     Raises:
         EquimusError: where something given cannot be used.
@@ -84,8 +89,8 @@ def diagnose_recordings(
     chosen = uncertain(model, free, bounds, fix)
     parts = split(model, trials, heldout=heldout, until=until, window=window, shoot=shoot)
     check_settings(chosen, parts)
-    settings = DiagnosisSettings(SearchSettings(most_parts=most), threads, engine, tuple(exclude))
-    return diagnose(chosen, parts, settings=settings, designs=sweeps(model), progress=progress)
+    settings = DiagnosisSettings(SearchSettings(most_parts=most), threads, engine, tuple(exclude), budget)
+    return diagnose(chosen, parts, settings=settings, designs=sweeps(model), progress=progress, asked=asked)
 
 
 def sweeps(model: Model) -> list[Design]:
