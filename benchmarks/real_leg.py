@@ -50,7 +50,7 @@ def diagnosed(folder: Path | None) -> Diagnosis:
     steps = [t for t in read_set(releases) if t.name != AWAY_FROM_REST]
     return workflow.diagnose_recordings(
         [*read_set(triangle), *steps],
-        heldout=[trial.name for trial in steps[::2]],
+        validation=[trial.name for trial in steps[::2]],
         until=UNTIL,
         most=MOST,
         progress=lambda stage, share, best: print(f"  {share:4.0%} {stage}: {best}", flush=True),
@@ -61,10 +61,10 @@ def held_out(found: Diagnosis) -> dict[str, dict[str, list[float]]]:
     """Kind of the recording → state of the model → RMSE of its trials held out, hip and knee [rad]."""
     rows: dict[str, dict[str, list[float]]] = {}
     for kind in (TRIANGLE, STEPS):
-        own = [k for k, segment in enumerate(found.heldout) if segment.trial.name.startswith(kind)]
+        own = [k for k, segment in enumerate(found.validation) if segment.trial.name.startswith(kind)]
         rows[kind] = {
             state: np.sqrt(
-                np.mean(np.concatenate([found.residuals[state].heldout[k] for k in own]) ** 2, axis=0)
+                np.mean(np.concatenate([found.residuals[state].validation[k] for k in own]) ** 2, axis=0)
             ).tolist()
             for state in STATES
         }
@@ -76,7 +76,7 @@ def tell(found: Diagnosis, rows: dict[str, dict[str, list[float]]]) -> None:
     print(f"\n{found.verdict}, {found.seconds:.0f} s")
     for finding in found.findings:
         e = finding.evidence
-        print(f"  {finding.named}: −2 log likelihood falls by {e.gain:.0f}, held out by {e.heldout_gain:.0f}")
+        print(f"  {finding.named}: −2 log likelihood falls by {e.gain:.0f}, in validation by {e.validation_gain:.0f}")
         for key, number in finding.parameters.items():
             print(f"    {key} {number.value:.4g} ({number.low:.4g} to {number.high:.4g}) {number.unit}")
         if finding.equivalent:

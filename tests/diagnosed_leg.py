@@ -172,7 +172,8 @@ def assembled(
         base=base,
         best=best,
         train=train,
-        heldout=heldout,
+        validation=heldout,
+        test=(),
         residuals=residuals,
         where=(
             Where(

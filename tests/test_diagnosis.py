@@ -104,9 +104,9 @@ def test_one_effect_is_named_sized_and_confirmed_by_trials_left_out(text: str) -
         assert estimate.value == pytest.approx(value, rel=0.1)
         assert estimate.low < estimate.value < estimate.high
     evidence = finding.evidence
-    assert evidence.gain > evidence.threshold and evidence.heldout_gain > 0 and evidence.log10_chance < -3
-    assert evidence.share > 0.9 and evidence.heldout_share > 0.8
-    assert np.all(found.rmse("corrected", "heldout") < 1.2e-3)
+    assert evidence.gain > evidence.threshold and evidence.validation_gain > 0 and evidence.log10_chance < -3
+    assert evidence.share > 0.9 and evidence.validation_share > 0.8
+    assert np.all(found.rmse("corrected", "validation") < 1.2e-3)
     assert found.corrected.effects[0].name == effect.name
 
 
@@ -176,7 +176,7 @@ def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.Mo
     monkeypatch.setattr("equimus_ctrl.diagnosis.stages.remainder", refusing)
     model = nominal_model()
     effects = (parse("dead_zone:baa:threshold=2000"), parse("coulomb_friction:knee:friction=0.01"))
-    parts = split(model, recordings(effects), heldout=["trial_3"])
+    parts = split(model, recordings(effects), validation=["trial_3"])
     found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
     assert set(ends[0]) == {"dead_zone:baa", "coulomb_friction:knee"}
     # What stands in for the friction the next time is withdrawn as well, and nothing looked for in its place.
@@ -189,23 +189,23 @@ def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_une
     model = nominal_model()
     changed = recordings((parse("payload_mass:foot:mass=0.3"),))
     trials = [*recordings(())[:3], replace(changed[3], name="loaded")]
-    parts = split(model, trials, heldout=["loaded"])
+    parts = split(model, trials, validation=["loaded"])
     found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
     assert found.verdict == "unexplained" and not found.findings
-    assert found.unexplained and all(left.heldout and left.gain > 3 for left in found.unexplained)
+    assert found.unexplained and all(left.on_validation and left.gain > 3 for left in found.unexplained)
     assert np.all(found.rmse("corrected", "train") < 1.2e-3)
-    assert "the noise on trials held out, whatever its numbers" in " ".join(remains(found))
-    assert found.to_dict()["unexplained"][0]["heldout"] is True
+    assert "the noise on validation trials, whatever its numbers" in " ".join(remains(found))
+    assert found.to_dict()["unexplained"][0]["on_validation"] is True
 
 
 @pytest.mark.slow
 def test_trials_held_out_that_show_what_the_others_could_not_are_no_mismatch() -> None:
     model = nominal_model()
     # Nothing that is fitted presses on baa: the last trial alone tells its area.
-    parts = split(model, recordings((), commanded=lambda k, p: p * [1.0, k == 3]), heldout=["trial_3"])
+    parts = split(model, recordings((), commanded=lambda k, p: p * [1.0, k == 3]), validation=["trial_3"])
     settings = DiagnosisSettings(threads=2, exclude=("creep", "hysteresis"))
     found = diagnose(uncertain(model), parts, settings=settings)
-    assert found.rmse("corrected", "heldout").max() > 3e-3
+    assert found.rmse("corrected", "validation").max() > 3e-3
     assert found.verdict == "consistent" and not found.unexplained
     ranked = {r.named.effect for r in found.ranking}
     assert "dead_zone" in ranked and ranked.isdisjoint(settings.exclude)
@@ -224,13 +224,14 @@ def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> Non
     found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
     assert found.verdict == "explained"
     assert [str(f.named) for f in found.findings] == ["dead_zone at baa"]
-    assert {s.trial.name for s in found.heldout} == {"trial_2", "trial_6"}
-    assert any(note.startswith("trial_3, trial_7, held out at first, showed") for note in found.notes)
+    assert {s.trial.name for s in found.validation} == {"trial_2", "trial_6"}
+    assert {s.trial.name for s in found.test} == {"trial_7"}
+    assert any(note.startswith("trial_3, held out at first, showed") for note in found.notes)
     said = diagnose(
-        uncertain(model), split(model, trials, heldout=["trial_[37]"]), settings=DiagnosisSettings(threads=2)
+        uncertain(model), split(model, trials, validation=["trial_[37]"]), settings=DiagnosisSettings(threads=2)
     )  # whoever says which judge is not overruled
-    assert said.verdict == "unexplained" and said.unexplained[0].heldout
-    assert {s.trial.name for s in said.heldout} == {"trial_3", "trial_7"}
+    assert said.verdict == "unexplained" and said.unexplained[0].on_validation
+    assert {s.trial.name for s in said.validation} == {"trial_3", "trial_7"}
 
 
 @pytest.mark.slow
@@ -278,8 +279,8 @@ def test_the_report_is_plain_data_of_the_schema() -> None:
     finding = record["findings"][0]
     assert set(finding) == {"effect", "locations", "parameters", "evidence", "equivalent"}
     assert finding["parameters"]["threshold"]["unit"] == "Pa"
-    assert set(record["rmse_rad"]) == {"train", "heldout"}
-    assert set(record["rmse_rad"]["heldout"]) == {"nominal", "refitted", "corrected"}
+    assert set(record["rmse_rad"]) == {"train", "validation", "test"}
+    assert set(record["rmse_rad"]["validation"]) == {"nominal", "refitted", "corrected"}
     assert record["where"][0]["share"] >= record["where"][1]["share"]
 
 
@@ -358,18 +359,28 @@ def test_which_trials_are_held_out() -> None:
     model = nominal_model()
     trials = recordings((), count=5)
     usual = split(model, trials)
-    assert [s.trial.name for s in usual.heldout] == ["trial_3"]
-    chosen = split(model, trials, heldout=["trial_[01]"])
-    assert [s.trial.name for s in chosen.heldout] == ["trial_0", "trial_1"]
-    (train,), (heldout,) = (getattr(split(model, trials[:1]), key) for key in ("train", "heldout"))
+    assert [s.trial.name for s in usual.validation] == ["trial_3"]
+    chosen = split(model, trials, validation=["trial_[01]"])
+    assert [s.trial.name for s in chosen.validation] == ["trial_0", "trial_1"]
+    assert not usual.test  # too few trials
+    more = split(model, recordings((), count=8))
+    assert [[s.trial.name for s in part] for part in (more.validation, more.test)] == [["trial_3"], ["trial_7"]]
+    assert more.other is not None and [s.trial.name for s in more.other.test] == ["trial_7"]
+    named = split(model, trials, test=["trial_0"])
+    assert [[s.trial.name for s in part] for part in (named.validation, named.test)] == [["trial_4"], ["trial_0"]]
+    with pytest.raises(ConfigError, match="trial trial_1 is for validation and for the test"):
+        split(model, trials, validation=["trial_1"], test=["trial_[12]"])
+    with pytest.raises(ConfigError, match="every trial is for the test"):
+        split(model, trials, test=["*"])
+    (train,), (heldout,) = (getattr(split(model, trials[:1]), key) for key in ("train", "validation"))
     assert train.trial.sample_times[-1] < heldout.trial.sample_times[0]
     assert heldout.trial.start == 0.0  # the motion is followed from the beginning
     late = split(model, trials, until=3.0)
-    assert len(late.train) == len(late.heldout) == 5
-    with pytest.raises(ConfigError, match=r"held out: there is no trial 'trial_9'; did you mean 'trial_4'"):
-        split(model, trials, heldout=["trial_9"])
+    assert len(late.train) == len(late.validation) == 5
+    with pytest.raises(ConfigError, match=r"for validation: there is no trial 'trial_9'; did you mean 'trial_4'"):
+        split(model, trials, validation=["trial_9"])
     with pytest.raises(ConfigError, match="every trial is held out"):
-        split(model, trials, heldout=["*"])
+        split(model, trials, validation=["*"])
     with pytest.raises(ConfigError, match="fitted is what comes before 100 s, but the last trial ends at "):
         split(model, trials, until=100.0)
     end = float(trials[0].time[-1])

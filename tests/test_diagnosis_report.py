@@ -36,12 +36,12 @@ def test_all_figures_of_every_verdict_can_be_drawn(diagnosis: Diagnosis, verdict
 
 @pytest.mark.slow
 def test_figures_without_held_out_trials_show_those_fitted(diagnosis: Diagnosis) -> None:
-    residuals = {state: replace(r, heldout=()) for state, r in diagnosis.residuals.items()}
-    d = replace(diagnosis, heldout=(), residuals=residuals)
+    residuals = {state: replace(r, validation=()) for state, r in diagnosis.residuals.items()}
+    d = replace(diagnosis, validation=(), residuals=residuals)
     figures = diagnosis_figures(d)
     texts = [t.get_text() for axes in figures["before_after"].axes for t in (axes.title, axes._left_title)]
     assert any("first (fitted)" in text for text in texts)
-    assert story.heldout(d) == ""
+    assert story.headline(d) == ""
     assert "trials that were fitted" in page(d, "no judges")
 
 
@@ -129,7 +129,7 @@ def test_the_terminal_is_told_every_verdict(diagnosis: Diagnosis, verdict: str, 
     assert story.verdict(d) in text
     for one in d.findings:
         assert sentence(one, d.model) in text
-    assert ("held out the error changes by" in text or "the trial held out the error" in text) == bool(d.findings)
+    assert ("the error changes by" in text) == bool(d.findings)
     assert ("Where the refitted model is off" in text) == (verdict != "consistent")
     assert ("What remains unexplained" in text) == bool(d.unexplained)
     assert ("equimus-ctrl run hold --set p1=12 --set p2=2.5" in text) == (d.experiment is not None)
@@ -142,6 +142,6 @@ def test_names_are_not_taken_for_markup(diagnosis: Diagnosis) -> None:
 
 
 def test_the_fall_on_held_out_trials_is_that_of_the_rmse(diagnosis: Diagnosis) -> None:
-    before, after = (diagnosis.rmse(s, "heldout")[1] for s in ("refitted", "corrected"))
+    before, after = (diagnosis.rmse(s, "validation")[1] for s in ("refitted", "corrected"))
     change = round(100 * (1 - after / before))
-    assert f"−{change} % at the knee" in story.heldout(diagnosis)
+    assert f"−{change} % at the knee" in story.headline(diagnosis)

@@ -74,7 +74,7 @@ def test_friction_of_a_hinge_is_found_with_its_size_and_told_whole(tmp_path: Pat
     assert found.verdict == "explained" and named(found) == [("coulomb_friction", ("hinge",))]
     estimate = found.findings[0].parameters["friction"]
     assert estimate.value == pytest.approx(0.08, rel=0.02) and estimate.low <= 0.08 <= estimate.high
-    assert estimate.unit == "N·m" and found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
+    assert estimate.unit == "N·m" and found.rmse("corrected", "validation")[0] < 1.2 * NOISE
     text = page(found, "robot")
     assert "angle of hinge" not in text.split("<img")[0]
     text = re.sub(r'src="data:[^"]*"', "", text)
@@ -159,7 +159,7 @@ def test_the_error_of_a_long_step_is_taken_for_no_physics() -> None:
     assert found.engine.name == "mujoco" and found.verdict == "consistent" and not found.findings
     (told,) = [note for note in found.notes if "physics step of the XML, 10 ms, is too long" in note]
     assert "without that error, from simulations with 2.5 ms too" in told
-    assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
+    assert found.rmse("corrected", "validation")[0] < 1.2 * NOISE
 
 
 @pytest.mark.slow
@@ -170,7 +170,7 @@ def test_what_a_finer_step_fits_far_worse_stays_named() -> None:
     found = workflow.diagnose_recordings(trials, Model(coarse), most=1, engine="mujoco")
     group = set(named(found)) | {(o.effect, o.locations) for f in found.findings for o in f.equivalent}
     assert ("sensor_delay", ("hinge",)) in group
-    assert found.rmse("corrected", "heldout")[0] < 1.2 * NOISE
+    assert found.rmse("corrected", "validation")[0] < 1.2 * NOISE
 
 
 @pytest.mark.slow
@@ -209,7 +209,7 @@ def test_a_limit_that_the_trial_held_out_never_reaches_is_named() -> None:
     loud, quiet = recorded(real, count=2, seed=1), recorded(real, count=1, seed=2, size=0.35)
     trials = [*loud, replace(quiet[0], name="quiet")]
     assert np.abs(quiet[0].command).max() < 0.6 < np.abs(loud[0].command).max()
-    found = workflow.diagnose_recordings(trials, Model(robot), heldout=["quiet"], most=1)
+    found = workflow.diagnose_recordings(trials, Model(robot), validation=["quiet"], most=1)
     assert named(found) == [("torque_saturation", ("drive",))] and value(found) == pytest.approx(0.6, rel=0.02)
 
 

@@ -57,7 +57,7 @@ def test_a_worker_writes_what_it_finds_and_what_it_took(
         return {"bic": {"findings": [], "failed": ""}}
 
     def fake(free: Any, data: Any, settings: Any) -> Any:
-        seen.append((free.model, [s.trial.name for s in (*data.train, *data.heldout)], settings.threads))
+        seen.append((free.model, [s.trial.name for s in (*data.train, *data.validation, *data.test)], settings.threads))
         return SimpleNamespace(
             to_dict=lambda: {**report(SAID_LAG), "nan": math.nan}, base="fit", train=data.train if same else ()
         )
@@ -138,7 +138,7 @@ def test_baselines_name_what_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
     free = free_parameters(nominal_model())
     data = split(free.model, made_case(("sensor_scale", "hip", {"scale": 1.1})))
     own = Data(free, data.train, reduced_simulator(threads=1))
-    found = baselines(own, data.heldout)
+    found = baselines(own, data.validation)
     assert set(found) == set(TITLES)
     for name in ("bic", "validation"):
         named = {(f["effect"], *f["locations"]) for f in found[name]["findings"]}

@@ -258,7 +258,7 @@ def test_each_goal_is_met_and_missed(name: str) -> None:
 
 def test_held_out_error_and_coverage_are_goals_too() -> None:
     poor = report(SAID_LAG)
-    poor["rmse_rad"]["heldout"]["corrected"] = poor["rmse_rad"]["heldout"]["refitted"]
+    poor["rmse_rad"]["test"]["corrected"] = poor["rmse_rad"]["test"]["refitted"]
     narrow = report({**SAID_LAG, "parameters": {"time_constant": {"value": 0.3, "low": 0.29, "high": 0.31}}})
     for own in narrow["parameters"].values():
         own["low"] = own["value"] = own["high"]

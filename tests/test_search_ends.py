@@ -93,7 +93,7 @@ def judged(monkeypatch: pytest.MonkeyPatch, refused: Sequence[tuple[frozenset[st
 
     monkeypatch.setattr(confirmation, "Judge", lambda *a: None)
     monkeypatch.setattr(confirmation, "_carried_over", borne_out)
-    return SimpleNamespace(heldout=[1], train=(), near=(), other=None)
+    return SimpleNamespace(validation=[1], train=(), near=(), other=None)
 
 
 def ended(known: Known, *labels: str) -> Searched:

@@ -139,7 +139,7 @@ def diagnosed(name: str, folder: Path, output: Path) -> Diagnosis:
     source = HERE / case.model if case.model.endswith(".xml") else output / case.model / "corrected.toml"
     model = workflow.load_model(source)
     found = workflow.diagnose_recordings(
-        [folder / case.recordings], model, free=case.free, heldout=case.heldout,
+        [folder / case.recordings], model, free=case.free, validation=case.heldout,
         progress=lambda stage, share, best: print(f"  {share:4.0%} {stage}: {best}", flush=True),
     )  # fmt: skip
     own = output / name
@@ -162,7 +162,7 @@ def summary(name: str, found: Diagnosis) -> dict[str, Any]:
         "unexplained": [(left["location"], left["depends_on"]) for left in record["unexplained"]],
         "parameters": record["parameters"],
         "heldout": {
-            state: dict(record["rmse_rad"]["heldout"][state]) for state in ("nominal", "refitted", "corrected")
+            state: dict(record["rmse_rad"]["validation"][state]) for state in ("nominal", "refitted", "corrected")
         },
         "units": {joint.name: "m" if joint.slides else "rad" for joint in machine.joints},
         "figures": dict(CASES[name].figures(found)),

@@ -37,12 +37,21 @@ def diagnose(
     report: Annotated[
         Path | None, typer.Option("--report", metavar="DIR", help="Write report.html, record.json and figures there.")
     ] = None,
-    heldout: Annotated[
+    validation: Annotated[
         list[str] | None,
         typer.Option(
-            "--heldout",
+            "--validation",
             metavar="PATTERN",
-            help="Trials that only judge, by name; every fourth by default, the end of a single one.",
+            help="Trials by which effects are confirmed or rejected, by name; every fourth by default, the end of a "
+            "single one.",
+        ),
+    ] = None,
+    test: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--test",
+            metavar="PATTERN",
+            help="Trials that no fit and no choice sees, by name; by default half of every fourth, from 8 trials on.",
         ),
     ] = None,
     until: Annotated[
@@ -123,7 +132,8 @@ def diagnose(
             fix=fix or (),
             bounds=limits,
             select=select,
-            heldout=heldout or (),
+            validation=validation or (),
+            test=test or (),
             until=until,
             window=window,
             shoot=shoot,

@@ -33,7 +33,7 @@ def confirmed(search: Search, found: Searched, split: Split) -> Searched:
 
     Where another part fits as well in such a part's place and does improve it, that one is believed instead.
     """
-    if not split.heldout:
+    if not split.validation:
         return found
     while found.best.hypothesis:
         judge = Judge(search.data, split, found)
@@ -118,10 +118,10 @@ class Judge:
         """That of the best hypothesis."""
         return self.found.best.noise
 
-    def heldout(self, model: Model) -> list[Array]:
-        """For each segment held out (m, nj) measured − predicted [rad]."""
+    def left(self, model: Model) -> list[Array]:
+        """For each validation segment (m, nj) measured − predicted [rad]."""
         if model not in self._known:
-            self._known[model] = residuals_of(model, self.split.heldout, self.data.simulator)
+            self._known[model] = residuals_of(model, self.split.validation, self.data.simulator)
         return self._known[model]
 
     def nominal(self) -> list[Array]:
@@ -130,21 +130,21 @@ class Judge:
 
     def gain(self, simple: Fitted, rich: Fitted) -> float:
         """Fall of the deviance of what was held out, under one noise; nan where nothing was."""
-        if not self.split.heldout:
+        if not self.split.validation:
             return math.nan
-        times = [s.trial.sample_times for s in self.split.heldout]
-        before, after = (log_likelihood(self.noise, times, self.heldout(f.fit.model)) for f in (simple, rich))
+        times = [s.trial.sample_times for s in self.split.validation]
+        before, after = (log_likelihood(self.noise, times, self.left(f.fit.model)) for f in (simple, rich))
         return 2.0 * (after - before)
 
     def carried_over(self, simple: Fitted, rich: Fitted) -> float:
         """The fall of the deviance of what was held out, over that of what was fitted for as many samples."""
-        share = sum(s.measured.size for s in self.split.heldout) / self.data.n
+        share = sum(s.measured.size for s in self.split.validation) / self.data.n
         return self.gain(simple, rich) / max((simple.deviance - rich.deviance) * share, 1e-300)
 
     def apart(self, simple: Fitted, rich: Fitted) -> float:
         """χ² by which two models differ on what was held out: what the better one would gain there if it were true."""
-        before, after = (self.heldout(f.fit.model) for f in (simple, rich))
-        times = [s.trial.sample_times for s in self.split.heldout]
+        before, after = (self.left(f.fit.model) for f in (simple, rich))
+        times = [s.trial.sample_times for s in self.split.validation]
         moved = (whiten(self.noise, t, a - b) for t, a, b in zip(times, before, after, strict=True))
         return sum(float((w**2).sum()) for w in moved)
 

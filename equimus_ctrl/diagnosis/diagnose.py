@@ -68,7 +68,7 @@ def diagnose(
             policy = replace(policy, coarse_derivatives=False, rescaled_guesses=False)
             data = Data(free, split.train, simulator, policy=policy, budget=budget)
         else:
-            positions = [s.measured for s in (*split.train, *split.heldout)]
+            positions = [s.measured for s in (*split.train, *split.validation, *split.test)]
             engine = engine_for(free.model, settings.engine, positions=positions)
             own, others = Simulator(engine, settings.threads), (engine.coarser(), engine.finer())
             coarse, fine = (None if e is None else replace(own, engine=e) for e in others)

@@ -106,7 +106,7 @@ def _evidence(search: Search, found: Searched, judge: Judge, k: int) -> Evidence
         min(chance, 0.0),
         judge.gain(without, best),
         judge.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
-        judge.share(*(judge.heldout(f.fit.model) for f in (without, best, found.base))),
+        judge.share(*(judge.left(f.fit.model) for f in (without, best, found.base))),
     )
 
 
@@ -212,8 +212,10 @@ def notes(found: Searched, split: Split, excluded: Sequence[str], not_done: Sequ
         said.append(f"Ended before its end; not looked at: {', '.join(IN_WORDS[stage] for stage in not_done)}.")
     if excluded:
         said.append(f"Not looked for, as was asked: {', '.join(excluded)}.")
-    if not split.heldout:
+    if not split.validation:
         said.append("Nothing was held out, so nothing judged what was found but the trials that it was fitted to.")
+    elif not split.test:
+        said.append("There are too few trials for a test set: errors are told of validation trials, which chose too.")
     fit = found.best.fit
     held = [f.name for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
     if held:
@@ -231,7 +233,7 @@ def beyond_range(model: Model, split: Split) -> list[str]:
     said = []
     for name, (low, high) in model.robot.clipped_commands().items():
         column = model.robot.actuator_names.index(name)
-        commands = np.concatenate([s.trial.commands[:, column] for s in (*split.train, *split.heldout)])
+        commands = np.concatenate([s.trial.commands[:, column] for s in (*split.train, *split.validation, *split.test)])
         if commands.min() < low or commands.max() > high:
             said.append(
                 f"Commands of {name} go from {commands.min():.4g} to {commands.max():.4g}, beyond the XML's "

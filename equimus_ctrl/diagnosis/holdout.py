@@ -1,4 +1,4 @@
-"""Which trials are fitted and which judge."""
+"""Which trials are fitted, which confirm or reject effects, and which are touched for the report alone."""
 
 from __future__ import annotations
 
@@ -38,18 +38,20 @@ ONCE = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Trials to fit and to judge by.
+    """Training, validation and test set (Hastie, Tibshirani & Friedman, *The Elements of Statistical Learning*, 7.2).
 
     Attributes:
         train: fitted.
-        heldout: not seen by any fit or choice.
+        validation: not fitted; effects are confirmed or rejected by them.
+        test: not seen by any fit or choice, for the error that is reported; empty where there are too few trials.
         near: what is fitted, in windows so short that errors do not grow in them; nothing where that is no difference.
         other: the same trials with others of them held out, for where those show what the rest does not; None where
             somebody said which judge, or there are too few.
     """
 
     train: tuple[Segment, ...]
-    heldout: tuple[Segment, ...]
+    validation: tuple[Segment, ...]
+    test: tuple[Segment, ...] = ()
     near: tuple[Segment, ...] = ()
     other: Split | None = None
 
@@ -99,20 +101,22 @@ def split(
     model: Model,
     recordings: Sequence[Recording],
     *,
-    heldout: Sequence[str] = (),
+    validation: Sequence[str] = (),
+    test: Sequence[str] = (),
     until: float | None = None,
     window: tuple[float, float] | None = None,
     shoot: float | None = None,
     simulator: Simulator | None = None,
 ) -> Split:
-    """Decide which trials are fitted and which judge.
+    """Decide which trials are fitted, which are for validation and which for the test.
 
     Args:
         model: whose names the recordings must have.
         recordings: all of them.
-        heldout: patterns of names of trials that judge; every fourth by default, of two or three the last, of a single
-            one its end.
-        until: of every trial only what comes before this time is fitted, and the rest judges too [s].
+        validation: patterns of names of trials; every fourth by default, of two or three the last, of a single one
+            its end.
+        test: patterns of names of trials; by default the later half of every fourth, where these are two or more.
+        until: of every trial only what comes before this time is fitted, and the rest is for validation too [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of the windows that trials are cut into [s]; by default whole trials, or where nothing holds the
             robot in place see ``window_length``.
@@ -128,19 +132,24 @@ def split(
     if window is not None and not window[0] < window[1]:
         raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
     names, asked = [r.name for r in recordings], until
-    for pattern in heldout:
-        if not fnmatch.filter(names, pattern):
-            raise ConfigError(unknown_name("trial", pattern, names, "held out"))
-    judging = {k for k, name in enumerate(names) if any(fnmatch.fnmatchcase(name, p) for p in heldout)}
+    judging, unseen = _matching(names, validation, "for validation"), _matching(names, test, "for the test")
+    if both := sorted(judging & unseen):
+        raise ConfigError(f"trial {names[both[0]]} is for validation and for the test, expected one of them")
     others: set[int] = set()
-    if not heldout and until is None:
+    if not validation and until is None:
+        left = [k for k in range(len(recordings)) if k not in unseen]
+        if not left:
+            raise ConfigError("every trial is for the test, so there is nothing to fit; name fewer")
         if len(recordings) == 1:
             low, high = window or (float(recordings[0].time[0]), float(recordings[0].time[-1]))
             until = high - LAST * (high - low)
-        elif len(recordings) < EVERY:
-            judging = {len(recordings) - 1}
+        elif len(left) < EVERY:
+            judging = {left[-1]} if len(left) > 1 else set()
         else:
-            judging, others = (set(range(EVERY - back, len(recordings), EVERY)) for back in (1, 2))
+            judging, others = (set(left[EVERY - back :: EVERY]) for back in (1, 2))
+            if not test:
+                unseen = set(sorted(judging)[len(judging) - len(judging) // 2 :])
+                judging, others = judging - unseen, others - unseen
     elif until is not None:
         spans = [window or (float(r.time[0]), float(r.time[-1])) for r in recordings]
         first, last = min(low for low, _ in spans), max(high for _, high in spans)
@@ -149,50 +158,62 @@ def split(
             whose = "what counts" if window else f"the {'first' if until <= first else 'last'} trial"
             raise ConfigError(f"fitted is what comes before {until:g} s, but {whose} {what}")
     if not model.robot.traits.held_in_place and shoot is None:
-        shoot = window_length(model, recordings, window, simulator)
-    found = _parted(model, recordings, judging, until, window, shoot)
-    if asked is not None and not found.heldout:
+        shoot = window_length(model, [r for k, r in enumerate(recordings) if k not in unseen], window, simulator)
+    found = _parted(model, recordings, (judging, unseen), until, window, shoot)
+    if asked is not None and not found.validation:
         raise ConfigError(
             f"fitted is what comes before {asked:g} s, and no trial has {LEAST_SAMPLES} samples after that, too few to "
             "judge by"
         )
-    return replace(found, other=_parted(model, recordings, others, until, window, shoot)) if others else found
+    return replace(found, other=_parted(model, recordings, (others, unseen), until, window, shoot)) if others else found
+
+
+def _matching(names: Sequence[str], patterns: Sequence[str], purpose: str) -> set[int]:
+    """Which of some trials' names patterns fit; ConfigError where one fits none."""
+    for pattern in patterns:
+        if not fnmatch.filter(names, pattern):
+            raise ConfigError(unknown_name("trial", pattern, names, purpose))
+    return {k for k, name in enumerate(names) if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
 
 
 def _parted(
     model: Model,
     recordings: Sequence[Recording],
-    judging: Collection[int],
+    apart: tuple[Collection[int], Collection[int]],
     until: float | None,
     window: tuple[float, float] | None,
     shoot: float | None,
 ) -> Split:
-    """Recordings parted by the numbers of those that judge."""
-    train, unseen = [], []
+    """Recordings parted by the numbers of those for validation and of those for the test."""
+    train: list[Segment] = []
+    validation: list[Segment] = []
+    test: list[Segment] = []
+    judging, unseen = apart
     fitted: list[tuple[int, tuple[float, float]]] = []
     for k, r in enumerate(recordings):
         low, high = window or (float(r.time[0]), float(r.time[-1]))
-        if k in judging:
-            unseen += _cut(model, r, k, (low, high), shoot)
+        if k in judging or k in unseen:
+            into = test if k in unseen else validation
+            into += _cut(model, r, k, (low, high), shoot)
             continue
         edge = high if until is None else min(until, high)
         if edge > low:
             train += _cut(model, r, k, (low, edge), shoot, fit_start=True)
             fitted.append((k, (low, edge)))
         if edge < high and np.count_nonzero((r.time > edge) & (r.time <= high)) >= LEAST_SAMPLES:
-            unseen += _cut(model, r, k, (float(np.nextafter(edge, high)), high), shoot)
+            validation += _cut(model, r, k, (float(np.nextafter(edge, high)), high), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
     near: list[Segment] = []
     add_up = not model.robot.traits.held_in_place
     if add_up and (short := _motion_length(model, train)) < (shoot or math.inf):
         near = [s for k, span in fitted for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
-    return Split(tuple(train), tuple(unseen), tuple(near))
+    return Split(tuple(train), tuple(validation), tuple(test), tuple(near))
 
 
 def check_settings(free: FreeParameters, parts: Split) -> None:
     """Raise ConfigError where a number is free that every recording gives by itself."""
-    segments = (*parts.train, *parts.heldout)
+    segments = (*parts.train, *parts.validation, *parts.test)
     for name in free.names:
         if all(name in s.trial.settings for s in segments):
             raise ConfigError(

@@ -18,6 +18,8 @@ from equimus_ctrl.types import Array
 
 SCHEMA = "equimus-ctrl/diagnosis/1"
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
+PARTS: tuple[Literal["train"], Literal["validation"], Literal["test"]] = ("train", "validation", "test")
+"""Of the trials: fitted, by which effects were confirmed or rejected, and not touched before the report."""
 STATES = ("nominal", "refitted", "corrected")
 """The model as it came, all its parameters refitted, and with what was found."""
 
@@ -73,17 +75,17 @@ class Evidence:
         gain: by how much −2 log likelihood of the trials fitted falls with it, all other parameters free without it.
         threshold: the least gain that would have been believed.
         log10_chance: log₁₀ of the chance of such a gain where nothing is left out, all candidates counted.
-        heldout_gain: the same fall on trials that took no part, the noise being the same.
+        validation_gain: the same fall on validation trials, the noise being the same.
         share: of the mean squared error in excess of the noise that it takes away, on the trials fitted.
-        heldout_share: the same on trials that took no part.
+        validation_share: the same on validation trials.
     """
 
     gain: float
     threshold: float
     log10_chance: float
-    heldout_gain: float
+    validation_gain: float
     share: float
-    heldout_share: float
+    validation_share: float
 
     def to_dict(self) -> dict[str, Any]:
         """For machines."""
@@ -160,7 +162,8 @@ class Unexplained:
         x: (n,) the coordinate.
         push: (n,) the push there.
         band: (n,) half width of its 95 % interval.
-        heldout: whether it is an error far above the noise on trials held out alone, whatever numbers the effects have.
+        on_validation: whether it is an error far above the noise on validation trials alone, whatever numbers the
+            effects have.
     """
 
     location: str
@@ -175,7 +178,7 @@ class Unexplained:
     x: Array
     push: Array
     band: Array
-    heldout: bool = False
+    on_validation: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """For machines."""
@@ -190,7 +193,7 @@ class Unexplained:
             "gain": self.gain,
             "threshold": self.threshold,
             "curve": curve if self.axis else None,
-            "heldout": self.heldout,
+            "on_validation": self.on_validation,
         }
 
 
@@ -269,11 +272,13 @@ class Residuals:
 
     Attributes:
         train: for each segment fitted (m, nj) [rad].
-        heldout: for each segment held out (m, nj) [rad].
+        validation: for each validation segment (m, nj) [rad].
+        test: for each test segment.
     """
 
     train: tuple[Array, ...]
-    heldout: tuple[Array, ...]
+    validation: tuple[Array, ...]
+    test: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -307,7 +312,8 @@ class Diagnosis:
         base: the fit of the refitted model.
         best: the fit of the corrected one.
         train: segments fitted.
-        heldout: segments that took no part.
+        validation: segments that were not fitted, and by which effects were confirmed or rejected.
+        test: segments that took no part in any fit or choice.
         residuals: of each of ``STATES``.
         where: the refitted model is off, worst first.
         findings: strongest first.
@@ -331,7 +337,8 @@ class Diagnosis:
     base: Fitted
     best: Fitted
     train: tuple[Segment, ...]
-    heldout: tuple[Segment, ...]
+    validation: tuple[Segment, ...]
+    test: tuple[Segment, ...]
     residuals: Mapping[str, Residuals]
     where: tuple[Where, ...]
     findings: tuple[Finding, ...]
@@ -356,8 +363,8 @@ class Diagnosis:
         """That simulated."""
         return self.best.fit.problem.simulator.engine
 
-    def rmse(self, state: str, part: Literal["train", "heldout"]) -> Array:
-        """(nj,) root mean square error of a state of the model [rad]; nan where there is nothing held out."""
+    def rmse(self, state: str, part: Literal["train", "validation", "test"]) -> Array:
+        """(nj,) root mean square error of a state of the model [rad]; nan where there are no such trials."""
         residuals = getattr(self.residuals[state], part)
         if not residuals:
             return np.full(len(self.joints), np.nan)
@@ -378,10 +385,7 @@ class Diagnosis:
             "noise_correlation_s": {
                 j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.best.noise, strict=True)
             },
-            "rmse_rad": {
-                part: {state: self._by_joint(self.rmse(state, part)) for state in STATES}
-                for part in ("train", "heldout")
-            },
+            "rmse_rad": {part: {state: self._by_joint(self.rmse(state, part)) for state in STATES} for part in PARTS},
             "excess": dict(self.excess),
             "parameters": {
                 name: {
@@ -399,7 +403,8 @@ class Diagnosis:
             "ranking": [ranked.to_dict() for ranked in self.ranking],
             "trials": {
                 "train": [s.trial.name for s in self.train],
-                "heldout": [s.trial.name for s in self.heldout],
+                "validation": [s.trial.name for s in self.validation],
+                "test": [s.trial.name for s in self.test],
             },
             "decisions": [decision.to_dict() for decision in self.decisions],
             "not_done": list(self.not_done),

@@ -44,6 +44,7 @@ from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import Segment
 
 AGAIN = 1
@@ -292,7 +293,7 @@ def validation(state: State) -> State:
     if state.rest.unexplained:
         return state
     split, best = state.question.split, state.found.best
-    rest = not_borne_out(state.data, best, split.heldout, Judge(state.data, split, state.found).heldout(best.fit.model))
+    rest = not_borne_out(state.data, best, split.validation, Judge(state.data, split, state.found).left(best.fit.model))
     for left in rest.unexplained:
         reason = f"held-out error {left.gain:.3g} times the noise's variance"
         state = state.decided("validation", f"unexplained at {left.location}", reason)
@@ -319,7 +320,7 @@ def report(state: State) -> Diagnosis:
     asked = question.designs and not state.ended_in
     experiment = separating(data, found, named, question.designs) if asked else None
     residuals = {
-        name: Residuals(train, tuple(judge.heldout(own_model)))
+        name: Residuals(train, tuple(judge.left(own_model)), tuple(residuals_of(own_model, split.test, data.simulator)))
         for name, own_model, train in zip(
             STATES,
             (model, found.base.fit.model, found.best.fit.model),
@@ -337,7 +338,8 @@ def report(state: State) -> Diagnosis:
         found.base,
         found.best,
         tuple(split.train),
-        tuple(split.heldout),
+        tuple(split.validation),
+        tuple(split.test),
         residuals,
         where_off(model, split.train, found.base.fit.residuals, noise),
         named,
@@ -372,7 +374,7 @@ def other_question(question: Question) -> Question | None:
 
 def on_others(question: Question, other: Question, found: Diagnosis) -> Diagnosis:
     """A diagnosis with other trials held out, which says so."""
-    before, now = (", ".join(_trials(q.split.heldout)) for q in (question, other))
+    before, now = (", ".join(_trials(q.split.validation)) for q in (question, other))
     note = f"{before}, held out at first, showed what the other trials do not; so they were fitted, and {now} judged."
     return replace(found, notes=(*found.notes, note))
 

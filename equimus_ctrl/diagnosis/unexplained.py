@@ -119,7 +119,7 @@ def _much(data: Data, best: Fitted) -> tuple[Unexplained, ...]:
     return _far_off(data, best.fit.residuals, best.noise)
 
 
-def not_borne_out(data: Data, best: Fitted, heldout: Sequence[Segment], residuals: Sequence[Array]) -> Remainder:
+def not_borne_out(data: Data, best: Fitted, validation: Sequence[Segment], residuals: Sequence[Array]) -> Remainder:
     """Joints whose error on trials held out is far above the noise, whatever numbers the best hypothesis is given.
 
     Enough effects at their bounds can imitate what was fitted; what was held out then tells that they are not it.
@@ -127,13 +127,13 @@ def not_borne_out(data: Data, best: Fitted, heldout: Sequence[Segment], residual
     Args:
         data: what was fitted.
         best: the hypothesis.
-        heldout: what was not.
+        validation: what was not.
         residuals: for each of these (m, nj) what the hypothesis leaves there [rad].
     """
-    if not heldout or not _far_off(data, residuals, best.noise):
+    if not validation or not _far_off(data, residuals, best.noise):
         return Remainder((), ())
-    whole = replace(data, segments=[*data.segments, *heldout])
-    starts, _ = followed(best.fit.model, heldout, data.simulator)
+    whole = replace(data, segments=[*data.segments, *validation])
+    starts, _ = followed(best.fit.model, validation, data.simulator)
     begin = (best.fit.theta, [*best.fit.starts, *starts])
     try:
         refitted = whole.rough(best.hypothesis, [begin], best.noise, REFIT, 1e-5)
@@ -141,7 +141,7 @@ def not_borne_out(data: Data, best: Fitted, heldout: Sequence[Segment], residual
         left = residuals
     else:
         left = refitted.fit.residuals[len(data.segments) :]
-    return Remainder(tuple(replace(o, heldout=True) for o in _far_off(data, left, best.noise)), ())
+    return Remainder(tuple(replace(o, on_validation=True) for o in _far_off(data, left, best.noise)), ())
 
 
 def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Unexplained, ...]:

@@ -63,7 +63,7 @@ def answer(recordings: Path, model: Model, report: Path | None, others: Path | N
             simulator = reduced_simulator(threads=1)
             own = Data(free, data.train, simulator)
             same = found is not None and found.train == data.train
-            answers = baselines(own, data.heldout, found.base if found is not None and same else None)
+            answers = baselines(own, data.validation, found.base if found is not None and same else None)
         write_text(others, _text({"answers": answers, **made, "seconds": time.perf_counter() - begun}))
 
 

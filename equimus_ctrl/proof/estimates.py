@@ -149,7 +149,8 @@ def held_out(cases: Sequence[Case]) -> list[HeldOut]:
 
 def heldout_excess(case: Case, state: str) -> float:
     """Mean over the joints of rmse²/noise² − 1 on held-out trials; nan where there are none."""
-    noise, rmse = case.truth["noise_rad"], case.report["rmse_rad"]["heldout"][state]
+    noise, parts = case.truth["noise_rad"], case.report["rmse_rad"]
+    rmse = parts["test" if case.report["trials"]["test"] else "validation"][state]
     if any(rmse.get(joint) is None for joint in noise):
         return math.nan
     return float(sum((rmse[joint] / size) ** 2 - 1.0 for joint, size in noise.items())) / len(noise)

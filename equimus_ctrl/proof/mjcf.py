@@ -57,7 +57,7 @@ class Experiment(CaseSource):
     def segments(self) -> tuple[Segment, ...]:
         """As a diagnosis of these recordings would cut them."""
         parts = split(self.model, self.recordings)
-        return (*parts.train, *parts.heldout)
+        return (*parts.train, *parts.validation, *parts.test)
 
     @cached_property
     def draws(self) -> Draws:

@@ -17,7 +17,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.localization import commands, speeds
-from equimus_ctrl.diagnosis.results import STATES, Diagnosis
+from equimus_ctrl.diagnosis.results import PARTS, STATES, Diagnosis
 from equimus_ctrl.identification.residuals import DIVERGED
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.report import diagnosis_text as story
@@ -67,7 +67,10 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
 
 
 def _part(diagnosis: Diagnosis) -> tuple[str, Sequence[Segment]]:
-    return ("heldout", diagnosis.heldout) if diagnosis.heldout else ("train", diagnosis.train)
+    for part in ("test", "validation"):
+        if own := getattr(diagnosis, part):
+            return part, own
+    return "train", diagnosis.train
 
 
 def _residual(diagnosis: Diagnosis, state: str, k: int) -> Array:
@@ -93,7 +96,7 @@ def _trial_name(diagnosis: Diagnosis, k: int) -> str:
     part, segments = _part(diagnosis)
     name = segments[k].trial.name
     name = name if len(name) <= LONG_NAME else f"…{name[-LONG_NAME:]}"
-    return f"{name} ({'held out' if part == 'heldout' else 'fitted'})"
+    return f"{name} ({'fitted' if part == 'train' else part})"
 
 
 def _draw_angles(axes: Axes, diagnosis: Diagnosis, k: int, j: int, states: Sequence[str]) -> None:
@@ -177,8 +180,8 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
     """Size and mean of the residuals against time since a step, the joint's angle and speed, and the commands."""
     m = diagnosis.model.robot
     states = story.states(diagnosis)[1:]
-    segments = (*diagnosis.train, *diagnosis.heldout)
-    rows = {s: (*diagnosis.residuals[s].train, *diagnosis.residuals[s].heldout) for s in states}
+    segments = (*diagnosis.train, *diagnosis.validation, *diagnosis.test)
+    rows = {s: [r for part in PARTS for r in getattr(diagnosis.residuals[s], part)] for s in states}
     model = diagnosis.model
     residuals = {s: np.concatenate(r) for s, r in rows.items()}
     angles = np.concatenate([s.measured for s in segments])

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.results import PARTS, Diagnosis
 from equimus_ctrl.identification.results import together
 from equimus_ctrl.report import diagnosis_text as story
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
@@ -139,11 +139,12 @@ def _size(diagnosis: Diagnosis) -> str:
     rows: list[tuple[str, ...]] = []
     shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     factors, alike = np.array([u.factor for u in shown]), len({u.unit for u in shown}) == 1
-    for part, words in (("train", "fitted"), ("heldout", "held out")):
+    for part in PARTS:
+        words = "fitted" if part == "train" else part
         if not getattr(diagnosis, part):
             continue
         for state in story.states(diagnosis):
-            values = diagnosis.rmse(state, part) * factors  # type: ignore[arg-type]
+            values = diagnosis.rmse(state, part) * factors
             whole = (number(together(values)),) if alike else ()
             rows.append((f"{words}: {WORDS[state]}", *(number(v) for v in values), *whole))
     sigma = [own.sigma * u.factor for own, u in zip(diagnosis.best.noise, shown, strict=True)]
@@ -172,18 +173,26 @@ def _where(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
 def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     if not diagnosis.findings:
         return ""
-    head = ("effect", "gain", "believed from", "chance", "gain held out", "share of the excess", "share held out")
+    head = (
+        "effect",
+        "gain",
+        "believed from",
+        "chance",
+        "gain in validation",
+        "share of the excess",
+        "share in validation",
+    )
     rows = []
     for finding in diagnosis.findings:
         e = finding.evidence
-        gains = (number(e.gain), number(e.threshold), power_of_ten(e.log10_chance), number(e.heldout_gain))
-        rows.append((short(finding.named), *gains, percent(e.share), percent(e.heldout_share)))
+        gains = (number(e.gain), number(e.threshold), power_of_ten(e.log10_chance), number(e.validation_gain))
+        rows.append((short(finding.named), *gains, percent(e.share), percent(e.validation_share)))
     told = [sentence(finding, diagnosis.model) for finding in diagnosis.findings]
     shown = [
         f"<h3>{escape(text)}</h3>{_figure(figures[f'finding_{k + 1}'], f'Curves of {short(finding.named)}: {text}')}"
         for k, (finding, text) in enumerate(zip(diagnosis.findings, told, strict=True))
     ]
-    improved = f"<p>{escape(story.heldout(diagnosis))}</p>"
+    improved = f"<p>{escape(story.headline(diagnosis))}</p>"
     explained = (
         '<p class="faint">Gain: fall of −2 log likelihood with the effect, everything else free without it. Share: of '
         "the mean squared error in excess of the noise.</p>"
@@ -192,8 +201,8 @@ def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
 
 
 def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
-    which = "that took no part" if diagnosis.heldout else "that were fitted"
-    text = f"<p>The trials {which} of which the refitted model is worst.</p>"
+    which = "test" if diagnosis.test else "validation" if diagnosis.validation else "fitted"
+    text = f"<p>The {which} trials of which the refitted model is worst.</p>"
     alt = "Measured and predicted angles, errors and commands of the trials of which the refitted model is worst"
     return text + _figure(figures["before_after"], alt)
 
@@ -274,7 +283,11 @@ def _provenance(diagnosis: Diagnosis, command_line: str) -> str:
     rows = [("model", diagnosis.model.name)]
     if diagnosis.model.robot.traits.has_stance:
         rows.append(("phase", diagnosis.model.phase))
-    for words, segments in (("trials fitted", diagnosis.train), ("trials held out", diagnosis.heldout)):
+    for words, segments in (
+        ("trials fitted", diagnosis.train),
+        ("validation trials", diagnosis.validation),
+        ("test trials", diagnosis.test),
+    ):
         names = dict.fromkeys(s.trial.name for s in segments)
         rows.append((words, ", ".join(names) or "none"))
     carried = [f"{e.name} at {e.location}" for e in diagnosis.model.effects]

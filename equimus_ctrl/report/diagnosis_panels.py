@@ -89,7 +89,7 @@ class Scene:
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> Scene:
         """All recordings of a diagnosis."""
-        segments = (*diagnosis.train, *diagnosis.heldout)
+        segments = (*diagnosis.train, *diagnosis.validation, *diagnosis.test)
         return cls(diagnosis.model, segments, seen_places(diagnosis.model, segments))
 
     @property

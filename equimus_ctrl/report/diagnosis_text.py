@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -87,16 +87,19 @@ def where(diagnosis: Diagnosis) -> list[str]:
     return lines
 
 
-def heldout(diagnosis: Diagnosis) -> str:
-    """What the findings do on trials that took no part, or "" where there are none of either."""
-    if not (diagnosis.findings and diagnosis.heldout):
+def headline(diagnosis: Diagnosis) -> str:
+    """What the findings do on the test trials, or on those of validation where there are none; "" without findings."""
+    part: Literal["test", "validation"] = "test" if diagnosis.test else "validation"
+    segments = getattr(diagnosis, part)
+    if not (diagnosis.findings and segments):
         return ""
-    before, after = (diagnosis.rmse(state, "heldout") for state in ("refitted", "corrected"))
+    before, after = (diagnosis.rmse(state, part) for state in ("refitted", "corrected"))
     shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     parts = [_fall(j, b, a, u) for j, b, a, u in zip(diagnosis.joints, before, after, shown, strict=True)]
-    n = len({s.recording for s in diagnosis.heldout})
-    who = "On the trial held out" if n == 1 else f"On the {n} trials held out"
-    return f"{who} the error changes by {listed(parts)}."
+    n = len({s.recording for s in segments})
+    who = f"On the {part} trial" if n == 1 else f"On the {n} {part} trials"
+    seen = "no fit and no choice has seen" if part == "test" else "not fitted, though they chose"
+    return f"{who}, {'which ' * (part == 'test')}{seen}, the error changes by {listed(parts)}."
 
 
 def _fall(joint: str, before: float, after: float, unit: Reading) -> str:
@@ -111,10 +114,10 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
     e = diagnosis.findings[k].evidence
     told = f"−2 log likelihood falls by {number(e.gain)} (believed from {number(e.threshold)}), chance "
     told += power_of_ten(e.log10_chance)
-    if math.isfinite(e.heldout_gain):
-        told += f"; on held-out trials by {number(e.heldout_gain)}"
-    share = f"takes away {percent(e.share)} of the excess error"
-    return f"{told}; {share}{f' ({percent(e.heldout_share)} held out)' if math.isfinite(e.heldout_share) else ''}"
+    if math.isfinite(e.validation_gain):
+        told += f"; on validation trials by {number(e.validation_gain)}"
+    told += f"; takes away {percent(e.share)} of the excess error"
+    return f"{told} ({percent(e.validation_share)} in validation)" if math.isfinite(e.validation_share) else told
 
 
 def remains(diagnosis: Diagnosis) -> list[str]:
@@ -129,8 +132,8 @@ def remains(diagnosis: Diagnosis) -> list[str]:
 def _left(left: Unexplained, model: Model) -> str:
     if not left.depends_on:
         return f"At the {left.location}: an error {_times(math.sqrt(1 + left.gain))} the noise" + (
-            " on trials held out, whatever its numbers"
-            if left.heldout
+            " on validation trials, whatever its numbers"
+            if left.on_validation
             else ", which goes with nothing that was looked for"
         )
     at = f" at {listed(left.places)}" if set(left.places) != {left.location} else ""
@@ -192,10 +195,12 @@ def detectables(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 def trials(diagnosis: Diagnosis) -> str:
     """How many there were, and what it took."""
-    fitted, judged = (len({s.recording for s in part}) for part in (diagnosis.train, diagnosis.heldout))
+    parts = (diagnosis.train, diagnosis.validation, diagnosis.test)
+    fitted, judging, unseen = (len({s.recording for s in part}) for part in parts)
     samples = sum(len(s.measured) for s in diagnosis.train)
     return (
-        f"{diagnosis.model.name}: {fitted} trial{'s' * (fitted != 1)} fitted ({samples} samples), {judged} held out, "
+        f"{diagnosis.model.name}: {fitted} trial{'s' * (fitted != 1)} fitted ({samples} samples), {judging} for "
+        f"validation, {unseen} for the test, "
         f"{len(diagnosis.ranking)} candidates, {diagnosis.seconds:.0f} s"
     )
 
@@ -228,7 +233,7 @@ def tell(console: Console, diagnosis: Diagnosis) -> None:
         for k, finding in enumerate(diagnosis.findings):
             say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
             say(evidence(diagnosis, k), 5, "dim")
-        if told := heldout(diagnosis):
+        if told := headline(diagnosis):
             say(told)
     if lines := remains(diagnosis):
         head("What remains unexplained")

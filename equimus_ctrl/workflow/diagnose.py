@@ -36,7 +36,8 @@ def diagnose_recordings(
     fix: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     select: Sequence[str] | None = None,
-    heldout: Sequence[str] = (),
+    validation: Sequence[str] = (),
+    test: Sequence[str] = (),
     until: float | None = None,
     window: tuple[float, float] | None = None,
     shoot: float | None = None,
@@ -59,7 +60,9 @@ def diagnose_recordings(
         fix: names or patterns of what is right all the same.
         bounds: (low, high) of some of them.
         select: patterns of the names of the trials to use; all by default.
-        heldout: patterns of the names of trials that only judge; see ``diagnosis.holdout.split`` for the default.
+        validation: patterns of the names of trials by which effects are confirmed or rejected; see
+            ``diagnosis.holdout.split`` for the default.
+        test: patterns of the names of trials that no fit and no choice sees.
         until: of every trial only what comes before this time is fitted, and the rest judges too [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of the windows that trials are cut into where nothing holds the robot in place [s]; see
@@ -87,7 +90,7 @@ def diagnose_recordings(
     if parameters is not None:
         free, bounds = read_free(parameters, model).with_more(free, bounds)
     chosen = uncertain(model, free, bounds, fix)
-    parts = split(model, trials, heldout=heldout, until=until, window=window, shoot=shoot)
+    parts = split(model, trials, validation=validation, test=test, until=until, window=window, shoot=shoot)
     check_settings(chosen, parts)
     settings = DiagnosisSettings(SearchSettings(most_parts=most), threads, engine, tuple(exclude), budget)
     return diagnose(chosen, parts, settings=settings, designs=sweeps(model), progress=progress, asked=asked)

@@ -1,0 +1,127 @@
+"""A diagnosis that is ended gives its best so far, and says what it did not look at."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pendulum_runs import MOTOR, PENDULUM, recorded
+
+from equimus_ctrl.cli.main import main
+from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
+from equimus_ctrl.diagnosis.holdout import Split, split
+from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.stages import STAGES
+from equimus_ctrl.effects.force import CoulombFriction
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.recordings.csvfile import write
+from equimus_ctrl.report.diagnosis_text import verdict
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+
+NOMINAL = Model(MjcfRobot("robot", PENDULUM.format(drive=MOTOR)))
+
+
+@pytest.fixture(scope="module")
+def parts() -> Split:
+    """Trials of a pendulum whose model lacks dry friction."""
+    return split(NOMINAL, recorded(Model(NOMINAL.robot, [CoulombFriction("hinge", 0.05)]), seed=7))
+
+
+def asked_after(count: int) -> tuple[Callable[[], bool], list[int]]:
+    """Somebody who asks for the best so far at the next step after so many, and how many there were."""
+    steps = [0]
+
+    def asked() -> bool:
+        steps[0] += 1
+        return steps[0] > count
+
+    return asked, steps
+
+
+def ended(parts: Split, count: int) -> Diagnosis:
+    return diagnose(uncertain(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked_after(count)[0])
+
+
+@pytest.fixture(scope="module")
+def whole(parts: Split) -> tuple[Diagnosis, int]:
+    """The diagnosis carried out, and how many steps it took."""
+    asked, steps = asked_after(10**9)
+    return diagnose(uncertain(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked), steps[0]
+
+
+def test_what_is_carried_out_lacks_nothing(whole: tuple[Diagnosis, int]) -> None:
+    found, _ = whole
+    assert found.verdict == "explained" and found.not_done == ()
+    assert not any("not looked at" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_the_best_so_far_is_given_with_what_was_not_looked_at(
+    parts: Split, whole: tuple[Diagnosis, int], share: float
+) -> None:
+    full, steps = whole
+    found = ended(parts, int(share * steps))
+    assert found.not_done and found.not_done == STAGES[-len(found.not_done) :]
+    assert found.verdict == "unfinished" and verdict(found).startswith("Unfinished: so far ")
+    assert any(note.startswith("Ended before its end; not looked at: ") for note in found.notes)
+    assert any((d.stage, d.decision) == (found.not_done[0], "ended") for d in found.decisions)
+    record = found.to_dict()
+    assert record["not_done"] == list(found.not_done) and record["verdict"] == "unfinished"
+    json.dumps(record)
+    # What was known by then is what the whole diagnosis knew.
+    assert found.base.deviance == pytest.approx(full.base.deviance, rel=1e-9)
+    assert ended(parts, int(share * steps)).to_dict() | {"seconds": 0} == record | {"seconds": 0}
+
+
+def test_a_search_that_had_found_something_names_it(parts: Split, whole: tuple[Diagnosis, int]) -> None:
+    full, steps = whole
+    found = [ended(parts, count) for count in (steps - 1, int(0.9 * steps))]
+    assert all(f.best.labels == full.best.labels for f in found)
+
+
+def test_before_there_is_any_nothing_is_given(parts: Split) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        ended(parts, 0)
+    with pytest.raises(ConfigError, match=r"the budget of 1e-06 s ended before the model was refitted once; expected"):
+        diagnose(uncertain(NOMINAL), parts, settings=DiagnosisSettings(threads=1, budget=1e-6))
+    for budget in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match="expected a time above 0"):
+            diagnose(uncertain(NOMINAL), parts, settings=DiagnosisSettings(threads=1, budget=budget))
+
+
+def test_ctrl_c_gives_the_best_so_far_and_a_second_one_ends_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "robot.xml").write_text(PENDULUM.format(drive=MOTOR))
+    trials = recorded(Model(NOMINAL.robot, [CoulombFriction("hinge", 0.05)]), seed=7)
+    files = []
+    for trial in trials:
+        files.append(str(tmp_path / f"{trial.name}.csv"))
+        write(Path(files[-1]), trial)
+    arguments = ["diagnose", *files, "--model", str(tmp_path / "robot.xml"), "--threads", "1", "--json"]
+    own: Any = Search.challenge
+    pressed = 1
+
+    def challenge(*given: Any) -> Any:
+        for _ in range(pressed):
+            signal.raise_signal(signal.SIGINT)
+        return own(*given)
+
+    monkeypatch.setattr(Search, "challenge", challenge)
+    before = signal.getsignal(signal.SIGINT)
+    assert main([*arguments, "--report", str(tmp_path / "report")]) == 130
+    out, err = capsys.readouterr()
+    assert json.loads(out)["not_done"] == list(STAGES) and "Ctrl-C again ends at once" in err and "Unfinished" in err
+    assert (tmp_path / "report" / "report.html").is_file()
+    pressed = 2
+    assert main([*arguments, "--report", str(tmp_path / "none")]) == 130
+    out, err = capsys.readouterr()
+    assert out == "" and "stopped: nothing was written" in err and not (tmp_path / "none").exists()
+    assert signal.getsignal(signal.SIGINT) is before
