@@ -12,7 +12,7 @@ import pytest
 from pendulum_runs import CARRIAGE, MOTOR, NOISE, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis.alternatives import ALIKE, in_place
+from equimus_ctrl.diagnosis.alternatives import alike, in_place
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, uncertain
 from equimus_ctrl.diagnosis.confirmation import _another
 from equimus_ctrl.diagnosis.confounding import restates
@@ -300,9 +300,9 @@ def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the
     best = own.fitted("coulomb_friction:hinge", "sensor_offset:hinge")
     found = own.end(best)
     assert not found.rivals[1]
-    rivals, _ = in_place(own.search, found, 1, 30.0)
+    rivals, _ = in_place(own.search, found, 1, lambda t: 30.0)
     assert [r.label for r in rivals] == ["coulomb_friction:hinge gravity_tilt:base"]
-    assert own.search.score(rivals[0]) < own.search.score(best) + ALIKE
+    assert alike(own.search, rivals[0], own.search.score(best))
 
 
 def test_another_hypothesis_takes_the_place_of_one_that_trials_left_out_refuse() -> None:

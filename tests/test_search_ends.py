@@ -15,6 +15,7 @@ from equimus_ctrl.diagnosis.alternatives import in_place, instead, less, listed,
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, SearchSettings, Tried
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
@@ -60,7 +61,7 @@ class OnPaper(Search):
     def __init__(self, known: Known, settings: SearchSettings | None = None) -> None:
         free = SimpleNamespace(free=[], model=object())
         data: Any = SimpleNamespace(
-            n=1000, free=free, strong=lambda f: False, excessive=lambda f: False, settle=lambda f: f,
+            n=1000, free=free, limits=Thresholds(), strong=lambda f: False, excessive=lambda f: False, settle=lambda f: f,
             base=lambda: known(),
         )  # fmt: skip
         super().__init__(data, list(POOL.values()), settings or SearchSettings())
@@ -146,13 +147,13 @@ def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pyt
 
 def test_a_withdrawn_name_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
-    search = OnPaper(known, SearchSettings(many_minima=True, valleys=20.0))
+    search = OnPaper(known, SearchSettings(many_minima=True))
     found = replace(ended(known, STICK), rivals=((),), tried=Tried(tuple(known.fits.values())))
     assert simplified(search, found).best.labels == {RUB}
-    assert {r.label for r in in_place(search, found, 0, 50.0)[0]} == {OFF}
+    assert {r.label for r in in_place(search, found, 0, lambda t: 50.0)[0]} == {OFF}
     found = found.rejecting([RUB, OFF])
     assert simplified(search, found).best.labels == {STICK}
-    assert in_place(search, found, 0, 50.0)[0] == []
+    assert in_place(search, found, 0, lambda t: 50.0)[0] == []
 
 
 def test_parts_are_known_by_what_they_are_and_where() -> None:

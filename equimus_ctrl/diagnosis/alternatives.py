@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, Tried
+from equimus_ctrl.diagnosis.policy import Thresholds
 
 Kind = tuple[str, tuple[str, ...]]
 """What a part is: its law, or what it shares with those that exclude it, and where."""
-ALIKE = 10.0
-"""Hypotheses with as many numbers whose deviances differ by less than this cannot be told apart (odds of 150 to 1)."""
 CONTESTS, CONTENDERS = 2, 2
 """How often the best so many of each part's rivals are fitted beside the other parts."""
 
@@ -82,7 +81,9 @@ def _all_refitted(
     return found, tried
 
 
-def in_place(search: Moves, found: Searched, k: int, margin: float) -> tuple[list[Fitted], Tried]:
+def in_place(
+    search: Moves, found: Searched, k: int, margin: Callable[[Thresholds], float]
+) -> tuple[list[Fitted], Tried]:
     """Hypotheses with another in a part's place.
 
     Where fits may end in one of many valleys, what fitted about as well in the part's place beside any other parts
@@ -99,11 +100,15 @@ def in_place(search: Moves, found: Searched, k: int, margin: float) -> tuple[lis
         return rivals, found.tried
     parts = found.best.hypothesis
     own, rest = _kind(parts[k]), {_kind(part) for j, part in enumerate(parts) if j != k}
-    near = search.score(found.best) + margin
+    score = search.score(found.best)
+
+    def within(away: float) -> bool:
+        return search.data.limits.decides(lambda t: away < margin(t))
+
     others: dict[Kind, Part] = {}
     for rival in rivals:
         left = [part for part in rival.hypothesis if _kind(part) not in rest]
-        if len(left) == 1 and search.score(rival) < near:
+        if len(left) == 1 and within(search.score(rival) - score):
             others[_kind(left[0])] = left[0]
     met = [
         known
@@ -111,8 +116,8 @@ def in_place(search: Moves, found: Searched, k: int, margin: float) -> tuple[lis
         for known in _beside_the_same(search, fitted).values()
     ]
     for known in met:
-        for kind, (score, part) in known.items():
-            if own in known and kind not in rest and abs(score - known[own][0]) < margin:
+        for kind, (fit, part) in known.items():
+            if own in known and kind not in rest and within(abs(fit - known[own][0])):
                 others.setdefault(kind, part)
     others.pop(own, None)
     allowed = [other for other in others.values() if found.tried.allows([other.candidate.label])]
@@ -148,20 +153,20 @@ def listed(search: Moves, found: Searched) -> Searched:
 
 
 def narrowed(search: Moves, found: Searched) -> Searched:
-    """Effects in the fewest places that fit as well (a deviance of ALIKE); the one of more places is a rival then.
+    """Effects in the fewest places that fit as well (not distinguishable); the one of more places is a rival then.
 
     Not where fits have many local minima: deviances scatter by more than that.
     """
     if search.settings.many_minima:
         return found
-    limit = search.score(found.best) + ALIKE
+    score = search.score(found.best)
     while True:
-        found, moved = _in_fewer_places(search, found, limit)
+        found, moved = _in_fewer_places(search, found, score)
         if not moved:
             return found
 
 
-def _in_fewer_places(search: Moves, found: Searched, limit: float) -> tuple[Searched, bool]:
+def _in_fewer_places(search: Moves, found: Searched, score: float) -> tuple[Searched, bool]:
     """A search with one of its effects in one place less, if one fits as well, and whether one does."""
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
@@ -175,12 +180,18 @@ def _in_fewer_places(search: Moves, found: Searched, limit: float) -> tuple[Sear
         fewer, tried = _all_refitted(search, found.tried, found.best, fits)
         found = replace(found, tried=tried)
         least = min(fewer, key=search.score, default=None)
-        if least is None or search.score(least) >= limit or not search.accepts(found.without[k], least):
+        if least is None or not alike(search, least, score) or not search.accepts(found.without[k], least):
             continue
         moved = _with_contenders(search, search.moved(found, least), found)
         rivals = [*moved.rivals[:k], (found.best, *found.rivals[k]), *moved.rivals[k + 1 :]]
         return replace(moved, rivals=tuple(rivals)), True
     return found, False
+
+
+def alike(search: Moves, fitted: Fitted, score: float) -> bool:
+    """Whether a hypothesis is not distinguishable from one with a score, or better."""
+    more = search.score(fitted) - score
+    return search.data.limits.decides(lambda t: more < t.indistinguishable)
 
 
 def simplified(search: Moves, found: Searched) -> Searched:

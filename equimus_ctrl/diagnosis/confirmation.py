@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.alternatives import ALIKE, listed
+from equimus_ctrl.diagnosis.alternatives import alike, listed
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import Searched
@@ -19,13 +19,8 @@ from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-SILENT, PLAIN = 16.0, 5.0
-"""χ² below which trials on which two models differ tell nothing of either, and times the least gain of deviance of what
-is believed all the same."""
 OTHERS = 3
 """So many hypotheses are tried in the place of one that is not borne out."""
-CARRIES_OVER = 0.25
-"""Least gain on held-out trials for each sample, as a share of that on the trials fitted, of what is believed."""
 
 
 def confirmed(search: Search, found: Searched, split: Split) -> Searched:
@@ -39,7 +34,7 @@ def confirmed(search: Search, found: Searched, split: Split) -> Searched:
         judge = Judge(search.data, split, found)
         ratios = [_carried_over(search, judge, without, found.best) for without in found.without]
         place = int(np.argmin(ratios))
-        if ratios[place] >= CARRIES_OVER:
+        if _confirms(search, ratios[place]):
             return found
         if search.settings.many_minima:
             found, confirms = _another(search, found, place, split)
@@ -55,9 +50,9 @@ def confirmed(search: Search, found: Searched, split: Split) -> Searched:
 
 def _rival(search: Search, judge: Judge, found: Searched) -> Searched | None:
     """The end with another part in the only one's place, that fits as well and that what was held out bears out."""
-    limit = search.score(found.best) + ALIKE
-    for rival in sorted((r for r in found.rivals[0] if search.score(r) < limit), key=search.score):
-        if _carried_over(search, judge, found.without[0], rival) >= CARRIES_OVER:
+    score = search.score(found.best)
+    for rival in sorted((r for r in found.rivals[0] if alike(search, r, score)), key=search.score):
+        if _confirms(search, _carried_over(search, judge, found.without[0], rival)):
             others = (found.best, *(r for r in found.rivals[0] if r is not rival))
             return replace(found, best=rival, rivals=(others,))
     return None
@@ -83,7 +78,7 @@ def _another(search: Search, found: Searched, place: int, split: Split) -> tuple
         found = replace(found, tried=moved.tried)
         judge = Judge(search.data, split, moved)
         if all(
-            search.accepts(without, moved.best) and _carried_over(search, judge, without, moved.best) >= CARRIES_OVER
+            search.accepts(without, moved.best) and _confirms(search, _carried_over(search, judge, without, moved.best))
             for without in moved.without
         ):
             return moved, True
@@ -97,13 +92,20 @@ def _carried_over(search: Search, judge: Judge, simple: Fitted, rich: Fitted) ->
     cannot show at all is believed where it is plain in what was fitted.
     """
     ratio = judge.carried_over(simple, rich)
-    if ratio >= CARRIES_OVER or search.data.free.model.robot.traits.trials_alike:
+    limits = search.data.limits
+    if _confirms(search, ratio) or search.data.free.model.robot.traits.trials_alike:
         return ratio
     apart = judge.apart(simple, rich)
-    if apart >= SILENT:
+    if limits.decides(lambda t: apart >= t.uninformative):
         return max(ratio, judge.gain(simple, rich) / apart)
-    plain = simple.deviance - rich.deviance > PLAIN * search.threshold(max(rich.n_parameters - simple.n_parameters, 1))
-    return CARRIES_OVER if plain else ratio
+    gain, more = simple.deviance - rich.deviance, max(rich.n_parameters - simple.n_parameters, 1)
+    evident = limits.decides(lambda t: gain > t.evident * search.threshold(more, t))
+    return math.inf if evident else ratio
+
+
+def _confirms(search: Search, ratio: float) -> bool:
+    """Whether a gain on validation trials, over that on the trials fitted, is enough."""
+    return search.data.limits.decides(lambda t: ratio >= t.validation_share)
 
 
 class Judge:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -11,18 +12,11 @@ import numpy as np
 from equimus_ctrl.diagnosis.candidates import Hypothesis
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import Group
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import Linear, judged
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 
-LEAST_GAIN = 40.0
-"""Least fall of χ² on trials left out in turn that counts; noise alone stays below for the best of all pushes."""
-EACH = 2.0
-"""What a push has to explain beyond LEAST_GAIN for each of its functions to be taken for an effect's."""
-KEPT = 0.5
-"""Share of what an effect explains from which on it is needed beside a push."""
-LINEAR = 0.3
-"""Least share of the rise of χ² without an effect that its linear model has to tell to be of use."""
 COORDINATES = {
     "pos": "pos", "len": "pos", "vel": "vel", "rate": "vel", "cmd": "cmd", "past": "past", "path": "past",
     "time": "time",
@@ -50,7 +44,19 @@ def restates(group: Group, hypothesis: Hypothesis, drives_at_joints: bool) -> Li
     return "same" if found and together == told else found
 
 
-def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: float) -> tuple[int, ...]:
+def _stands_in(more: float, rank: int, fall: float, least: Callable[[Thresholds], float], t: Thresholds) -> bool:
+    """Whether a push explains so much more than an effect that it may stand in for it."""
+    return more > t.residual_gain + t.residual_price * rank and fall >= least(t)
+
+
+def _adds_little(beside: float, rise: float, t: Thresholds) -> bool:
+    """Whether an effect is hardly needed beside a push."""
+    return beside < min(t.residual_gain, t.confounded_keeps * rise)
+
+
+def shadowed(
+    at: Linear, falls: Sequence[float], together: float, least: Callable[[Thresholds], float], limits: Thresholds
+) -> tuple[int, ...]:
     """Parts of a fitted hypothesis that explain nothing beside a push, which without them explains more than they do.
 
     A part's size is taken back to nothing along the motion of the whole hypothesis, all other numbers and one push
@@ -61,7 +67,8 @@ def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: flo
         at: the hypothesis to first order, with the pushes.
         falls: by how much χ² falls with each part, fitted.
         together: the same with all of them.
-        threshold: what a push has to explain to be told, see ``residual_force.judged``.
+        least: what a push has to explain to be told, see ``residual_force.judged``.
+        limits: the numbers that decide.
 
     Returns:
         All parts, where they are the shadow of one push together, or the one that is least needed beside a push.
@@ -88,21 +95,20 @@ def shadowed(at: Linear, falls: Sequence[float], together: float, threshold: flo
         left = residual - np.sum(changes, axis=0)
         kept = Nuisance.of(np.delete(slopes, [i for k in chosen for i in numbers[k]], axis=1))
         rise = kept.left(left) - own
-        if rise < LINEAR * fall:
+        if limits.decides(lambda t: rise < t.linear_share * fall):
             return np.inf
-        hypothesis, least = tuple(fitted.hypothesis[k] for k in chosen), np.inf
+        hypothesis, smallest = tuple(fitted.hypothesis[k] for k in chosen), np.inf
         for group, columns in zip(at.groups, at.columns, strict=True):
             # A push over more than the law depends on has the law within it: on any robot it would always do as much.
             if restates(group, hypothesis, drives_at_joints=True):
                 continue
             push = explained(left, kept, columns, folds=at.folds)
-            more = push.gain - rise
-            if more <= LEAST_GAIN + EACH * push.rank or judged(push, at) < threshold:
+            if not limits.decides(partial(_stands_in, push.gain - rise, push.rank, judged(push, at), least)):
                 continue
-            beside = explained(residual, beside_all, columns).gain - more
-            if beside < min(LEAST_GAIN, KEPT * rise):
-                least = min(least, beside)
-        return float(least)
+            beside = explained(residual, beside_all, columns).gain - (push.gain - rise)
+            if limits.decides(partial(_adds_little, beside, rise)):
+                smallest = min(smallest, beside)
+        return float(smallest)
 
     places = range(len(fitted.hypothesis))
     if len(places) > 1 and needed(places, together) < np.inf:

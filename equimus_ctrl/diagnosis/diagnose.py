@@ -66,14 +66,14 @@ def diagnose(
             policy = SearchPolicy.of(free.model.robot.traits, simulator.engine)
             # What was handed in is taken for exact and cheap.
             policy = replace(policy, coarse_derivatives=False, rescaled_guesses=False)
-            data = Data(free, split.train, simulator, policy=policy, budget=budget)
+            data = Data(free, split.train, simulator, policy=policy, budget=budget, limits=settings.thresholds)
         else:
             positions = [s.measured for s in (*split.train, *split.validation, *split.test)]
             engine = engine_for(free.model, settings.engine, positions=positions)
             own, others = Simulator(engine, settings.threads), (engine.coarser(), engine.finer())
             coarse, fine = (None if e is None else replace(own, engine=e) for e in others)
             policy = SearchPolicy.of(free.model.robot.traits, engine)
-            data = Data(free, split.train, own, coarse, fine, policy, budget)
+            data = Data(free, split.train, own, coarse, fine, policy, budget, settings.thresholds)
         question = Question(data, split, settings, designs, progress, begun)
         try:
             left = _worked_out(question)

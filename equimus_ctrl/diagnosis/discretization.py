@@ -16,10 +16,6 @@ from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.step_error import changes_between, with_step_error
 from equimus_ctrl.identification.weighing import weigh
 
-NO_MATTER, MAY_DO = 1e-3, 4.0
-"""Where something is missing, shorter steps are tried too, unless they change less than this share of the
-noise's variance; what gains more than so many times what they change is none of their error."""
-
 
 def without_step_error(
     search: Search, found: Searched, rest: Remainder, threads: int | None
@@ -39,8 +35,13 @@ def without_step_error(
         others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
     except SimulationDiverged:
         return None
-    doubted = [k for k, (left, own_error) in enumerate(others) if left - left_by_best < MAY_DO * own_error]
-    if not doubted and error < NO_MATTER * data.n:
+    limits, n = data.limits, data.n
+
+    def may_be_the_steps(left: float, own_error: float) -> bool:
+        return limits.decides(lambda t: left - left_by_best < t.step_explains * own_error)
+
+    doubted = [k for k, of in enumerate(others) if may_be_the_steps(*of)]
+    if not doubted and limits.decides(lambda t: error < t.step_matters * n):
         return None
     own = replace(data, fine=data.simulator)
     exact_best = own.settle_finely(best)

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from equimus_ctrl.diagnosis.alternatives import ALIKE, in_place, instead
+from equimus_ctrl.diagnosis.alternatives import in_place, instead
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.confirmation import Judge
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import Detectable, Estimate, Evidence, Finding, Named, Ranked, Verdict
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
@@ -22,10 +23,6 @@ from equimus_ctrl.diagnosis.unexplained import Remainder
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import Model
 
-BLUR = 60.0
-"""So far the errors of the physics step may take deviances apart."""
-BLURRED = 0.05
-"""Where something stays unexplained, rivals within this share of a finding's gain cannot be told apart either."""
 IN_WORDS = {
     "search": "more effects",
     "confirmation": "whether held-out trials confirm the effects",
@@ -68,10 +65,8 @@ def equivalents(search: Search, found: Searched, left: bool, finely: Finely) -> 
         finely: fits with steps whose errors tell less apart.
     """
     alike = []
-    for k, without in enumerate(found.without):
-        gain = without.deviance - found.best.deviance
-        margin = max(ALIKE, BLURRED * gain) if left else ALIKE
-        own, tried = _equivalent(search, found, k, margin, finely)
+    for k in range(len(found.without)):
+        own, tried = _equivalent(search, found, k, left, finely)
         found = replace(found, tried=tried)
         alike.append(own)
     return tuple(alike)
@@ -133,28 +128,33 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
     return found
 
 
-def _equivalent(
-    search: Search, found: Searched, k: int, margin: float, finely: Finely
-) -> tuple[tuple[Named, ...], Tried]:
+def _equivalent(search: Search, found: Searched, k: int, left: bool, finely: Finely) -> tuple[tuple[Named, ...], Tried]:
     """What could stand in the part's place as well; not what takes more numbers, which can imitate anything simpler.
 
     What is near is looked at with fine steps: where commands jump, the errors of longer ones can tell alike from alike.
     """
-    margin = max(margin + search.settings.valleys, search.settings.least_share * search.data.n)
+    limits, gain = search.data.limits, found.without[k].deviance - found.best.deviance
+
+    def margin(t: Thresholds) -> float:
+        alike = max(t.indistinguishable, t.indistinguishable_share * gain) if left else t.indistinguishable
+        return max(alike + search.scatter(t), t.simulation_error * search.data.n)
+
+    def near(t: Thresholds) -> float:
+        return margin(t) + t.step_scatter
+
+    def within(rival: Fitted, best: Fitted, most: Callable[[Thresholds], float]) -> bool:
+        more = search.score(rival) - search.score(best)
+        return limits.decides(lambda t: more < most(t))
+
     own = found.best.hypothesis[k].candidate.label
     others: dict[str, Named] = {}
-    near = search.score(found.best) + margin + BLUR
-    rivals, tried = in_place(search, found, k, margin + BLUR)
+    rivals, tried = in_place(search, found, k, near)
     for rival in sorted(rivals, key=search.score):
         other = instead(rival, found.without[k])
-        if rival.n_parameters > found.best.n_parameters or other is None or search.score(rival) >= near:
+        if rival.n_parameters > found.best.n_parameters or other is None or not within(rival, found.best, near):
             continue
         label = other.candidate.label
-        if (
-            label != own
-            and label not in others
-            and search.score(finely(rival)) < search.score(finely(found.best)) + margin
-        ):
+        if label != own and label not in others and within(finely(rival), finely(found.best), margin):
             others[label] = named_part(other)
     return tuple(others.values()), tried
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.candidates import Hypothesis, parameters_of, refined
-from equimus_ctrl.diagnosis.policy import SearchPolicy
+from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
 from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, rough_noise, white_noise, whiten
@@ -24,8 +24,6 @@ from equimus_ctrl.types import Array
 
 ROUNDS = 4
 """How often noise and parameters are estimated in turn, at most."""
-STRONG, EXCESSIVE = 4.0, 1.5
-"""So many times the noise."""
 TURNS, LOOKS, WIDTH, NARROWER, LEVELS = 3, (15, 47), 0.4, 5.0, 4
 """Around a parameter that acts in steps so many values are looked at, in a first look or a later one, so far to
 either side in its logarithm, then around the best of them nearer by a factor, and so on; and all again from where the
@@ -91,6 +89,7 @@ class Data:
         fine: a slower one whose errors tell hypotheses less apart; the same by default.
         policy: how they are fitted and searched.
         budget: after each step of a fit it is asked whether to go on.
+        limits: the numbers that decide.
     """
 
     free: FreeParameters
@@ -100,6 +99,7 @@ class Data:
     fine: Simulator | None = None
     policy: SearchPolicy = field(default_factory=SearchPolicy)
     budget: Budget = field(default_factory=Budget)
+    limits: Thresholds = field(default_factory=Thresholds)
 
     @property
     def times(self) -> list[Array]:
@@ -263,15 +263,16 @@ class Data:
 
     def strong(self, fitted: Fitted) -> bool:
         """Whether residuals are so much larger than the noise that derivatives say little of what would remove them."""
-        return self._beyond(fitted, STRONG)
+        return self._beyond(fitted, lambda t: t.refit_strong)
 
     def excessive(self, fitted: Fitted) -> bool:
         """Whether more is left than noise that has no colour."""
-        return self._beyond(fitted, EXCESSIVE)
+        return self._beyond(fitted, lambda t: t.refit_excess)
 
-    def _beyond(self, fitted: Fitted, times: float) -> bool:
+    def _beyond(self, fitted: Fitted, times: Callable[[Thresholds], float]) -> bool:
         rough = rough_noise([s.measured for s in self.segments])
-        return any(r > times * own.sigma for r, own in zip(fitted.fit.rmse, rough, strict=True))
+        largest = max(r / own.sigma for r, own in zip(fitted.fit.rmse, rough, strict=True))
+        return self.limits.decides(lambda t: largest > times(t))
 
     def _first_noise(self) -> Noise:
         return white_noise([s.measured - s.measured.mean(axis=0) for s in self.segments])

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, model_of
 from equimus_ctrl.diagnosis.fitting import SETTLED, Data, Fitted
-from equimus_ctrl.diagnosis.policy import SearchSettings
+from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.screening import Screened, screen
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
@@ -113,13 +113,18 @@ class Moves:
 
     def accepts(self, simple: Fitted, rich: Fitted) -> bool:
         """Whether the richer hypothesis gains more than chance and other simulations' errors would."""
-        more = max(rich.n_parameters - simple.n_parameters, 1)
-        return simple.deviance - rich.deviance > self.threshold(more)
+        more, gain = max(rich.n_parameters - simple.n_parameters, 1), simple.deviance - rich.deviance
+        return self.data.limits.decides(lambda t: gain > self.threshold(more, t))
 
-    def threshold(self, parameters: int) -> float:
-        """Least gain of deviance for an effect with so many parameters."""
-        chance = float(chi2.isf(self.settings.level / max(len(self.pool), 1), parameters))
-        return max(chance, self.settings.least_share * self.data.n) + self.settings.valleys
+    def threshold(self, parameters: int, limits: Thresholds | None = None) -> float:
+        """Least gain of deviance for an effect with so many parameters, by the data's limits or others."""
+        t = limits or self.data.limits
+        chance = float(chi2.isf(t.significance / max(len(self.pool), 1), parameters))
+        return max(chance, t.simulation_error * self.data.n) + self.scatter(t)
+
+    def scatter(self, limits: Thresholds) -> float:
+        """By how much deviances differ with where fits end."""
+        return limits.minima_scatter if self.settings.many_minima else 0.0
 
     def challenge(self, tried: Tried, fitted: Fitted, instead_of: str = "") -> tuple[list[Fitted], Tried]:
         """Hypotheses with one more part, the most promising ones fitted to the end.

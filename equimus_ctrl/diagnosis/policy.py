@@ -1,42 +1,292 @@
-"""How a diagnosis fits and searches, as what is known of the robot and of the engine asks."""
+"""How a diagnosis fits and searches, and every number that decides a verdict: its meaning, its unit and its origin."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
 
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.robots.base import RobotTraits
 
-PATIENCE, VALLEYS = 1, 20.0
-"""Where fits have many local minima, see ``SearchSettings``: forces at joints do much alike there, and rub."""
+Basis = Literal["theory", "convention", "calibration"]
+"""Where a number comes from: what follows from statistics, what a field agrees on, or what proofs showed to work."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a threshold comes from.
+
+    Attributes:
+        basis: what kind of reason there is.
+        why: the reason, with its source or the script that tells again.
+    """
+
+    basis: Basis
+    why: str
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """One number that decides.
+
+    Attributes:
+        name: in ``Thresholds``.
+        value: by default.
+        unit: of it; "" for a ratio.
+        meaning: what it decides.
+        origin: where it comes from.
+    """
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+    origin: Origin
+
+
+PROOFS = "rates of `prove` over it: benchmarks/thresholds.py"
+"""Of what is calibrated: how the proof's answers move when the number is halved and doubled."""
+DEVIANCE = "−2Δln L"
+
+
+def _decides(value: float, unit: str, meaning: str, basis: Basis, why: str) -> Any:
+    return field(default=value, metadata={"unit": unit, "meaning": meaning, "origin": Origin(basis, why)})
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """The numbers that decide what is named and what is left.
+
+    Each is a field with its unit, meaning and origin; ``listed`` gives them all. Decisions are asked of ``decides``.
+    """
+
+    significance: float = _decides(
+        1e-3,
+        "",
+        "chance of accepting any effect where none is missing, over all candidates",
+        "theory",
+        "likelihood-ratio test, Wilks (1938), with Bonferroni's correction for the number of candidates",
+    )
+    simulation_error: float = _decides(
+        1.5e-3,
+        "noise variances",
+        "least share of the noise's variance that an effect has to explain, for as many "
+        "samples as there are: two simulators of one robot differ by some of that",
+        "calibration",
+        PROOFS,
+    )
+    minima_scatter: float = _decides(
+        20.0,
+        DEVIANCE,
+        "by so much deviances scatter with where a fit ends, where it has many local minima",
+        "calibration",
+        PROOFS,
+    )
+    indistinguishable: float = _decides(
+        10.0,
+        DEVIANCE,
+        "hypotheses with as many parameters that differ by less are not distinguishable",
+        "convention",
+        "evidence above 10 is very strong, odds of 150 to 1: Kass & Raftery (1995), 3.2",
+    )
+    indistinguishable_share: float = _decides(
+        0.05,
+        "of the gain",
+        "the same as a share of an effect's own gain, where something stays unexplained",
+        "calibration",
+        PROOFS,
+    )
+    step_scatter: float = _decides(
+        60.0,
+        DEVIANCE,
+        "rivals within so much more are simulated again with finer steps before they are compared",
+        "calibration",
+        PROOFS,
+    )
+    validation_share: float = _decides(
+        0.25,
+        "",
+        "least gain on validation trials for each sample, over that on the trials fitted, of an effect that is "
+        "confirmed",
+        "theory",
+        "a gain Δ expected there is normal with variance 4Δ; at the least gain that is accepted, about 20, 5 % of true "
+        "effects gain less than 20 − 1.64·2·√20 = 5.3, a quarter",
+    )
+    uninformative: float = _decides(
+        16.0,
+        "χ²",
+        "validation trials on which two models differ by less tell nothing of either",
+        "theory",
+        "the gain of the true one, 16 in the mean, is then two of its standard deviations, 2·√16, above nothing",
+    )
+    evident: float = _decides(
+        5.0,
+        "least gains",
+        "an effect that validation trials cannot show is accepted from so many times the least gain on",
+        "calibration",
+        PROOFS,
+    )
+    residual_gain: float = _decides(
+        40.0,
+        "χ²",
+        "least fall of χ² on trials left out in turn for a residual force",
+        "theory",
+        "with 8 spline coefficients and some 40 forces, χ² of chance exceeds 37 with probability 1e-3 (Bonferroni)",
+    )
+    residual_share: float = _decides(
+        2.5e-3,
+        "noise variances",
+        "the same as a share of the noise's variance, for as many samples as there are",
+        "calibration",
+        PROOFS,
+    )
+    residual_price: float = _decides(
+        2.0,
+        "χ² a coefficient",
+        "what a residual force has to explain more than an effect, for each coefficient, to stand in for it",
+        "theory",
+        "Akaike (1974)",
+    )
+    trace: float = _decides(
+        0.01,
+        "",
+        "what remains is not told below this share of all that the effects and it explain",
+        "calibration",
+        PROOFS,
+    )
+    replaces_one: float = _decides(
+        0.85,
+        "",
+        "a residual force stands in for an effect and what remains from this share of what both explain on",
+        "calibration",
+        PROOFS,
+    )
+    replaces_restated: float = _decides(
+        1.1,
+        "",
+        "the same for a residual force that depends on more than the effect's own law",
+        "calibration",
+        PROOFS,
+    )
+    replaces_all: float = _decides(
+        0.97,
+        "",
+        "one residual force stands in for several effects from this share of what they explain on",
+        "calibration",
+        PROOFS,
+    )
+    confounded_keeps: float = _decides(
+        0.5,
+        "",
+        "an effect beside a residual force is needed from this share of what it explains on",
+        "calibration",
+        PROOFS,
+    )
+    linear_share: float = _decides(
+        0.3,
+        "",
+        "a linear model that tells less of what χ² rises without an effect concludes nothing of it",
+        "calibration",
+        PROOFS,
+    )
+    far_off: float = _decides(
+        3.0,
+        "noise variances",
+        "excess residual variance of a joint from which on something is left, whatever it goes with",
+        "convention",
+        "a normalised RMSE of 2",
+    )
+    outdone: float = _decides(
+        0.5,
+        "",
+        "an effect that explains less of what a residual force would is not what is missing",
+        "calibration",
+        PROOFS,
+    )
+    runner_up: float = _decides(
+        0.7,
+        "",
+        "a first effect with this share of the best one's gain is given a second effect as well",
+        "calibration",
+        PROOFS,
+    )
+    step_matters: float = _decides(
+        1e-3,
+        "noise variances",
+        "a finer physics step that changes less than this is not looked at",
+        "convention",
+        "below what an effect has to explain (simulation_error)",
+    )
+    step_explains: float = _decides(
+        4.0,
+        "",
+        "an effect that gains less than so many times what a finer step changes may be the step's error",
+        "theory",
+        "two standard deviations of the change",
+    )
+    refit_excess: float = _decides(
+        1.5,
+        "noise",
+        "from this RMSE on more is left than noise: other local minima are looked for",
+        "calibration",
+        PROOFS,
+    )
+    refit_strong: float = _decides(
+        4.0,
+        "noise",
+        "from this RMSE on derivatives at the refitted model tell little: the nominal one is looked at too",
+        "calibration",
+        PROOFS,
+    )
+    absorbed: float = _decides(
+        20.0,
+        "",
+        "a change of which free parameters undo all but one part in so many is looked at with them moved along",
+        "calibration",
+        PROOFS,
+    )
+    watch: Callable[[Callable[[Thresholds], bool], bool], None] | None = field(default=None, compare=False, repr=False)
+    """Told of every decision and how it fell, for whoever varies the numbers."""
+
+    @classmethod
+    def listed(cls) -> Iterator[Threshold]:
+        """All of them."""
+        for own in fields(cls):
+            if own.metadata:
+                yield Threshold(own.name, own.default, **own.metadata)  # type: ignore[arg-type]
+
+    def decides(self, condition: Callable[[Thresholds], bool]) -> bool:
+        """Whether a condition on these numbers holds."""
+        holds = bool(condition(self))
+        if self.watch is not None:
+            self.watch(condition, holds)
+        return holds
+
+    def scaled(self, name: str, factor: float) -> Thresholds:
+        """The same with one of them times a factor."""
+        return replace(self, **{name: getattr(self, name) * factor})
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How a search goes.
+    """How much a search looks at.
 
     Attributes:
         most_parts: largest number of effects in a hypothesis.
-        level: chance of believing in one effect where there is none.
-        least_share: of the noise's variance, which an effect has to take away to count at all; two simulations of one
-            leg differ by some of that.
         tried: candidates fitted at each stage, for each way to weigh the residuals.
         kept: of them, how many are fitted to the end.
-        patience: how many effects in a row may explain far less than a flexible push, for what they do together: of
+        patience: how many effects in a row may explain far less than a residual force, for what they do together: of
             two that are missing each may.
-        valleys: by so much deviances scatter with where a search ends: dry friction gives a fit many local minima.
         many_minima: fits may end in many local minima, for errors grow along a trial: what a small change does tells
             little of what a fit will find. So all candidates are tried where the promising ones do not lead on and much
             is left, and rivals of a part are found among all that was fitted, not by small differences of deviance.
     """
 
     most_parts: int = 3
-    level: float = 1e-3
-    least_share: float = 1.5e-3
     tried: int = 5
     kept: int = 3
     patience: int = 0
-    valleys: float = 0.0
     many_minima: bool = False
 
 
@@ -64,6 +314,8 @@ class SearchPolicy:
 
     def applied(self, settings: SearchSettings) -> SearchSettings:
         """Settings of a search with what this policy asks for."""
-        if not self.many_minima:
-            return settings
-        return replace(settings, patience=PATIENCE, valleys=VALLEYS, many_minima=True)
+        return replace(settings, patience=PATIENCE, many_minima=True) if self.many_minima else settings
+
+
+PATIENCE = 1
+"""Where fits have many local minima, see ``SearchSettings``: forces at joints do much alike there, and rub."""

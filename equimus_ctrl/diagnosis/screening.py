@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Hypothesis, Part, model_of, with_part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import white_noise
@@ -18,9 +20,6 @@ from equimus_ctrl.identification.weighing import Weighing, weigh
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-ABSORBED = 20.0
-"""Where free parameters undo all but one part in so many of a change, what is left is more curvature than effect: it is
-looked at again with the parameters moved along."""
 LOOKS, STRONG = 3, 0.03
 """How often, and the least share of the strongest direction's effect of those that are moved along."""
 LEAST, MOST = 0.3, 3.0
@@ -177,6 +176,11 @@ def _smaller(
     return found
 
 
+def _absorbed(size: float, left: float, t: Thresholds) -> bool:
+    """Whether free parameters undo so much of a change that what is left is more curvature than effect."""
+    return size > t.absorbed * left
+
+
 def _again(
     data: Data,
     fitted: Fitted,
@@ -193,7 +197,7 @@ def _again(
         (tried, place)
         for tried in found.values()
         for place, t in enumerate(tried)
-        if len(t.kept) >= base and size[t.index] > ABSORBED * t.left
+        if len(t.kept) >= base and data.limits.decides(partial(_absorbed, float(size[t.index]), t.left))
     ]
     if not chosen:
         return

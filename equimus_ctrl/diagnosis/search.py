@@ -16,10 +16,8 @@ from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, Tried
 from equimus_ctrl.diagnosis.residual_force import flexible, linear
 from equimus_ctrl.diagnosis.screening import screen
 
-OUTDONE = 0.5
-"""Least share of what the best flexible push would explain that the next effect has to."""
-BESIDE, SECOND = 0.7, 2
-"""Least share of the best first part's gain, and how many others with as much are given a second part as well."""
+SECOND = 2
+"""So many others than the best first part, of those with about as much gain, are given a second part as well."""
 
 
 class Search(Moves):
@@ -114,10 +112,13 @@ class Search(Moves):
 
     def _beside(self, now: Searched) -> tuple[list[Fitted], Tried]:
         """What the second part could be beside others than the best first one: of two together the lesser may lead."""
-        tried, whole = now.tried, self.score(now.base) - self.score(now.best)
-        near = [
-            r for r in sorted(now.rivals[0], key=self.score) if self.score(now.base) - self.score(r) > BESIDE * whole
-        ]
+        tried, base = now.tried, self.score(now.base)
+
+        def near_the_best(rival: Fitted) -> bool:
+            gain, most = base - self.score(rival), base - self.score(now.best)
+            return self.data.limits.decides(lambda t: gain > t.runner_up * most)
+
+        near = [r for r in sorted(now.rivals[0], key=self.score) if near_the_best(r)]
         found: list[Fitted] = []
         for rival in near[:SECOND]:
             self.notify("what could be missing beside another", rival.label)
@@ -134,4 +135,5 @@ class Search(Moves):
             sum(float((w**2).sum()) for w in whitened(self.data, best.noise, f.fit.residuals)) for f in (best, top)
         )
         push = flexible(at)[0].found
-        return before - after < OUTDONE * (push.held_out if at.folds else push.gain)
+        most = push.held_out if at.folds else push.gain
+        return self.data.limits.decides(lambda t: before - after < t.outdone * most)

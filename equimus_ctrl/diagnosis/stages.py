@@ -36,7 +36,7 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import LONG, Searched
 from equimus_ctrl.diagnosis.localization import excess_of, where_off
-from equimus_ctrl.diagnosis.policy import SearchSettings
+from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.results import STATES, Decision, Diagnosis, Named, Ranked, Residuals
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import Remainder, not_borne_out, remainder
@@ -70,6 +70,7 @@ class DiagnosisSettings:
         engine: by its name; by default see ``engines.choice.engine_for``.
         exclude: names of effects that are not looked for.
         budget: how long it may take [s]; its best so far is given then. As long as it needs by default.
+        thresholds: the numbers that decide.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)
@@ -77,6 +78,7 @@ class DiagnosisSettings:
     engine: EngineName | None = None
     exclude: tuple[str, ...] = ()
     budget: float | None = None
+    thresholds: Thresholds = field(default_factory=Thresholds)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import seen_places
-from equimus_ctrl.diagnosis.confounding import LEAST_GAIN, restates, shadowed
+from equimus_ctrl.diagnosis.confounding import restates, shadowed
 from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
 from equimus_ctrl.diagnosis.localization import excess_of
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import Flexible, Linear, flexible, judged, linear
 from equimus_ctrl.diagnosis.results import Unexplained
 from equimus_ctrl.errors import SimulationDiverged
@@ -23,26 +25,12 @@ from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.types import Array
 
-LEAST_SHARE = 2.5e-3
-"""The same as a share of the number of samples: two simulations of one leg differ by some of that."""
-TRACE = 0.01
-"""Share of all that the refitted model had in excess below which what is left is but a trace."""
-INSTEAD = 0.85
-"""Share of what a named effect and what is left explain, from which on a single push is believed in place of both: the
-push is linear, where the effect was fitted."""
-MORE = 1.1
-"""The same for a push that depends on more than the effect's own law: that it can do all that the law does is no
-reason to do without the law's name."""
 TRIED = 5
 """So many pushes, the best on trials left out, may stand in for an effect."""
-ALONE = 0.97
-"""Share of what several named effects explain from which on a single push in their place is believed instead."""
 MOST = 3
 """How many pushes are told at most."""
 UNTOLD = 1e-4
 """Part of a push of which the free parameters leave less than this share is not told."""
-MUCH = 3.0
-"""Excess error of a joint, over the noise's variance, from which on something is left whatever it goes with."""
 REFIT = 12
 """Steps of a fit to everything, what was held out too."""
 POINTS = 61
@@ -81,14 +69,18 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
         # Anything can be imitated by enough effects; one push that does it alone is the simpler story.
         return whole_instead
     taken = _squares(data, base, best) - _squares(data, best, best)
-    threshold = max(LEAST_GAIN, LEAST_SHARE * data.n)
+    limits, n = data.limits, data.n
+
+    def least(t: Thresholds) -> float:
+        return max(t.residual_gain, t.residual_share * n)
+
     found: list[tuple[Flexible, Array]] = []
     extra: Array | None = None
     for _ in range(MOST):
         ranked = flexible(at, extra)
         top = ranked[0]
         whole = max(taken, 0.0) + sum(f.found.gain for f, _ in found) + top.found.gain
-        if judged(top.found, at) < threshold or top.found.gain < TRACE * whole:
+        if limits.decides(partial(_but_a_trace, judged(top.found, at), top.found.gain, whole, least)):
             break
         columns = at.columns[next(k for k, g in enumerate(at.groups) if g is top.group)]
         found.append((top, columns))
@@ -96,7 +88,7 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
     shadows: tuple[int, ...] = ()
     if near:
         own = _squares(data, best, best)
-        shadows = shadowed(at, [_squares(data, fitted, best) - own for fitted in without], taken, threshold)
+        shadows = shadowed(at, [_squares(data, fitted, best) - own for fitted in without], taken, least, limits)
     if not found:
         return Remainder(_much(data, best), shadows)
     if not near and _imitated(data, base, best):
@@ -105,8 +97,13 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
     replaced = _superfluous(data, best, without, found[0][0].found.gain)
     superfluous = tuple(sorted({*shadows, *replaced, *_barely(data, best)}))
     total = sum(f.found.gain for f, _ in found)
-    told = tuple(_told(data, at, f, columns, f.found.gain / total, threshold) for f, columns in found)
+    told = tuple(_told(data, at, f, columns, f.found.gain / total, least(limits)) for f, columns in found)
     return Remainder(told, superfluous)
+
+
+def _but_a_trace(fall: float, gain: float, whole: float, least: Callable[[Thresholds], float], t: Thresholds) -> bool:
+    """Whether a push explains too little to be told."""
+    return fall < least(t) or gain < t.trace * whole
 
 
 def _much(data: Data, best: Fitted) -> tuple[Unexplained, ...]:
@@ -145,25 +142,33 @@ def not_borne_out(data: Data, best: Fitted, validation: Sequence[Segment], resid
 
 
 def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Unexplained, ...]:
-    excess = excess_of(residuals, noise)
+    excess, limits = excess_of(residuals, noise), data.limits
     nothing = np.empty(0)
     return tuple(
         Unexplained(
-            joint, float(own / excess.sum()), "", (joint,), float(own), MUCH, "", "", "", nothing, nothing, nothing,
+            joint, float(own / excess.sum()), "", (joint,), own, limits.far_off, "", "", "", nothing, nothing, nothing,
         )
-        for joint, own in zip(data.free.model.robot.joint_names, excess, strict=True)
-        if own > MUCH
+        for joint, own in zip(data.free.model.robot.joint_names, map(float, excess), strict=True)
+        if limits.decides(partial(_above, own))
     )  # fmt: skip
+
+
+def _above(excess: float, t: Thresholds) -> bool:
+    return excess > t.far_off
 
 
 def _imitated(data: Data, base: Fitted, best: Fitted) -> bool:
     """Whether one flexible push explains what several named effects do together, or one that strains its bounds."""
     if len(best.hypothesis) < 2 and not (best.hypothesis and strained(data, best)):
         return False
-    return _stands_in(data, base, best, _squares(data, base, best) - _squares(data, best, best), ALONE, 1)
+    return _stands_in(
+        data, base, best, _squares(data, base, best) - _squares(data, best, best), lambda t: t.replaces_all, 1
+    )
 
 
-def _stands_in(data: Data, without: Fitted, best: Fitted, gap: float, share: float, tried: int) -> bool:
+def _stands_in(
+    data: Data, without: Fitted, best: Fitted, gap: float, share: Callable[[Thresholds], float], tried: int
+) -> bool:
     """Whether one of the best flexible pushes, added to a hypothesis, explains this share of a fall of χ²."""
     at = linear(data, without, best.noise)
     if at is None:
@@ -171,7 +176,9 @@ def _stands_in(data: Data, without: Fitted, best: Fitted, gap: float, share: flo
     at_joints = not data.free.model.robot.traits.forces_along_actuators
     pushes = [(push.found.gain, restates(push.group, best.hypothesis, at_joints)) for push in flexible(at)]
     others = [(gain, restated) for gain, restated in pushes if restated != "same"][:tried]
-    return any(gain > (MORE if restated else share) * gap for gain, restated in others)
+    return data.limits.decides(
+        lambda t: any(gain > (t.replaces_restated if restated else share(t)) * gap for gain, restated in others)
+    )
 
 
 def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:
@@ -198,7 +205,7 @@ def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: floa
     return tuple(
         k
         for k, fitted in enumerate(without)
-        if _stands_in(data, fitted, best, _squares(data, fitted, best) - own + left, INSTEAD, TRIED)
+        if _stands_in(data, fitted, best, _squares(data, fitted, best) - own + left, lambda t: t.replaces_one, TRIED)
     )
 
 
