@@ -1,0 +1,173 @@
+"""How the answers of a proof move when each number that decides is halved and doubled: ``diagnosis/policy.py``.
+
+python benchmarks/thresholds.py PROOF [--model robot.xml] [--cases 200] [--output FILE] [--budget SECONDS]
+
+PROOF is a folder that ``equimus-ctrl prove`` made; its recordings are diagnosed again. While one is diagnosed, every
+decision is asked once more with each number halved and doubled. Where all fall alike, the answer with that number is
+known to be the same; only where one falls otherwise is the case diagnosed with it. What is done is kept in the output
+(a line of JSON a case), and the same command goes on from there. At the end: a table in Markdown, the numbers that move
+most first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from equimus_ctrl import workflow
+from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
+from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.errors import EquimusError
+from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.proof.scoring import Score, score
+from equimus_ctrl.proof.seal import opened
+from equimus_ctrl.proof.store import recorded
+
+FACTORS = (0.5, 2.0)
+SHOWN = ("false_alarms", "single", "single_group", "pair", "outside")
+"""Goals of a proof whose counts are told."""
+Variant = tuple[str, float]
+
+
+class Flips:
+    """Which numbers, halved or doubled, would have let a decision fall otherwise."""
+
+    def __init__(self) -> None:
+        self.found: set[Variant] = set()
+        own = Thresholds()
+        self._variants = {(t.name, f): own.scaled(t.name, f) for t in Thresholds.listed() for f in FACTORS}
+
+    def __call__(self, condition: Callable[[Thresholds], bool], holds: bool) -> None:
+        """Take note of a decision."""
+        for variant, limits in self._variants.items():
+            if variant not in self.found and bool(condition(limits)) != holds:
+                self.found.add(variant)
+
+
+def answered(model: Model, folder: Path, limits: Thresholds) -> dict[str, Any]:
+    """What a proof would keep of a case's report."""
+    free, begun, processor = uncertain(model), time.perf_counter(), time.process_time()
+    said: dict[str, Any] = {}
+    failed = ""
+    try:
+        parts = split(free.model, recorded(folder, model))
+        said = diagnose(free, parts, settings=DiagnosisSettings(threads=1, thresholds=limits)).to_dict()
+    except EquimusError as error:
+        failed = str(error)
+    spent = {
+        "failed": failed,
+        "seconds": time.perf_counter() - begun,
+        "cpu_seconds": time.process_time() - processor,
+        "peak_memory_byte": None,
+    }
+    kept = ("verdict", "findings", "unexplained", "doubtful", "parameters", "rmse_rad", "trials", "noise_rad")
+    return {**{key: said[key] for key in kept if key in said}, "proof": spent}
+
+
+def case_row(model: Model, root: Path, case: int) -> dict[str, Any]:
+    """A case's answer, and those that differ by a number."""
+    folder, flips = root / "recordings" / f"case_{case:04d}", Flips()
+    base = answered(model, folder, Thresholds(watch=flips))
+    varied = {}
+    for name, factor in sorted(flips.found):
+        varied[f"{name} {factor:g}"] = answered(model, folder, Thresholds().scaled(name, factor))
+    return {"case": case, "base": base, "varied": varied}
+
+
+def same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two answers say the same: verdict, names and places."""
+    return said(one) == said(other)
+
+
+def said(answer: Mapping[str, Any]) -> tuple[str, list[tuple[str, list[str]]]]:
+    """Verdict, and effects with their places."""
+    named = [(f["effect"], f["locations"]) for f in answer.get("findings", [])]
+    return answer.get("verdict", "failed"), sorted(named)
+
+
+def table(rows: list[dict[str, Any]], truths: list[Mapping[str, Any]], model: Model) -> list[dict[str, Any]]:
+    """For the numbers as they are and for each varied: how many answers changed, and what the proof comes to."""
+
+    def scored(answers: list[dict[str, Any]]) -> Score:
+        return score(truths, answers, [{} for _ in answers], model.robot)
+
+    base = [row["base"] for row in rows]
+    lines = [{"name": "as they are", "factor": 1.0, "decided": 0, "changed": 0, **counts(scored(base))}]
+    for one in Thresholds.listed():
+        for factor in FACTORS:
+            key = f"{one.name} {factor:g}"
+            answers = [row["varied"].get(key, row["base"]) for row in rows]
+            changed = sum(not same(a, b) for a, b in zip(answers, base, strict=True))
+            decided = sum(key in row["varied"] for row in rows)
+            line = {"name": one.name, "factor": factor, "decided": decided, "changed": changed}
+            lines.append({**line, **(counts(scored(answers)) if changed else {k: lines[0][k] for k in SHOWN})})
+    return lines
+
+
+def counts(found: Score) -> dict[str, str]:
+    """Goals met, of how many."""
+    return {
+        goal.name: f"{goal.share.count}/{goal.share.of}" for goal in found.goals if goal.name in SHOWN and goal.share
+    }
+
+
+def told(lines: list[dict[str, Any]]) -> str:
+    """The lines as a table, the numbers that change most answers first."""
+    moved = {line["name"]: 0 for line in lines}
+    for line in lines:
+        moved[line["name"]] = max(moved[line["name"]], line["changed"])
+    ordered = sorted(
+        lines, key=lambda line: (line["factor"] != 1.0, -moved[line["name"]], line["name"], line["factor"])
+    )
+    head = ("number", "times", "asked otherwise", "answers changed", *(name.replace("_", " ") for name in SHOWN))
+    text = [f"| {' | '.join(head)} |", f"| {' | '.join('---' for _ in head)} |"]
+    for line in ordered:
+        cells = (line["name"], f"{line['factor']:g}", line["decided"], line["changed"], *(line[k] for k in SHOWN))
+        text.append(f"| {' | '.join(str(cell) for cell in cells)} |")
+    return "\n".join(text)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("proof", type=Path)
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--output", type=Path, default=Path("thresholds.jsonl"))
+    parser.add_argument("--budget", type=float, help="no case is begun after this time [s]")
+    given = parser.parse_args()
+    model = nominal_model() if given.model is None else workflow.load_model(given.model)
+    known = {}
+    if given.output.exists():
+        known = {row["case"]: row for row in map(json.loads, given.output.read_text(encoding="utf-8").splitlines())}
+    begun = time.monotonic()
+    with given.output.open("a", encoding="utf-8") as file:
+        for case in range(given.cases):
+            if case in known:
+                continue
+            if given.budget is not None and time.monotonic() - begun > given.budget:
+                break
+            known[case] = case_row(model, given.proof, case)
+            file.write(json.dumps(known[case]) + "\n")
+            file.flush()
+            asked = len(known[case]["varied"])
+            print(
+                f"case {case}: {said(known[case]['base'])}, {asked} variants, {time.monotonic() - begun:.0f} s",
+                flush=True,
+            )
+    rows = [known[case] for case in sorted(known) if case < given.cases]
+    truths = []
+    for row in rows:
+        name = f"case_{row['case']:04d}"
+        line, seal = (given.proof / "truth" / f"{name}.json"), (given.proof / "seals" / f"{name}.txt")
+        truths.append(opened(line.read_text().strip(), seal.read_text().strip(), str(line)))
+    print(told(table(rows, truths, model)))
+
+
+if __name__ == "__main__":
+    main()
