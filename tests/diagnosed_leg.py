@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from effect_cases import PLAUSIBLE
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
@@ -40,32 +41,6 @@ DRAG = Path(__file__).resolve().parents[1] / "docs" / "examples" / "drag.py"
 NOISE = 2e-3
 TRUE = 2.8e3
 NAMES = ("first", "<b>x", "third")
-
-PLAUSIBLE: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
-    "transport_delay": (("baa",), {"delay": 0.042}),
-    "first_order_lag": (("maa",), {"time_constant": 0.16}),
-    "asymmetric_lag": (("baa",), {"fill": 0.08, "vent": 0.25}),
-    "rate_limit": (("maa",), {"rate": 6e4}),
-    "filling_flow": (("maa",), {"rate": 4e4, "power": 1.4}),
-    "dead_zone": (("maa", "baa"), {"threshold": TRUE}),
-    "cutoff": (("baa",), {"least": 3.2e3}),
-    "saturation": (("baa",), {"level": 1.4e4}),
-    "supply_coupling": (("maa",), {"share": 0.06}),
-    "coulomb_friction": (("maa",), {"friction": 0.21}),
-    "stribeck_friction": (("knee",), {"friction": 0.01, "breakaway": 0.012, "velocity": 0.1}),
-    "hysteresis": (("maa",), {"size": 0.4, "width": 0.005}),
-    "creep": (("maa", "baa"), {"stiffness": 12.0, "time_constant": 1.3}),
-    "narrowing_area": (("baa",), {"loss": 0.6}),
-    "nonlinear_stiffness": (("baa",), {"cubic": -2e4, "centre": 0.29}),
-    "parallel_spring": (("knee",), {"stiffness": 0.12, "rest": 0.4}),
-    "joint_stop": (("knee",), {"angle": 0.2, "stiffness": 8.0, "damping": 0.1}),
-    "payload_mass": (("foot",), {"mass": 0.08}),
-    "gravity_tilt": (("base",), {"angle": 0.09}),
-    "sensor_offset": (("hip",), {"offset": -0.05}),
-    "sensor_scale": (("knee",), {"scale": 0.96}),
-    "sensor_delay": (("hip",), {"delay": 0.031}),
-    "backlash": (("hip", "knee"), {"play": 0.011}),
-}
 
 
 def part_of(name: str, locations: tuple[str, ...], values: dict[str, float]) -> Part:

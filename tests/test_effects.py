@@ -9,6 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import tomlkit
+from effect_cases import CASES
 
 from equimus_ctrl import effects
 from equimus_ctrl.effects import (
@@ -163,52 +164,11 @@ def test_an_effect_does_not_sit_at_another_kind_of_place(name: str) -> None:
 
 # --- on and off -------------------------------------------------------------------------------------------------
 
-ACTING: dict[str, dict[str, float]] = {
-    "asymmetric_lag": {"fill": 0.1, "vent": 0.2},
-    "backlash": {"play": 0.05},
-    "coulomb_friction": {"friction": 0.1},
-    "creep": {"stiffness": 100.0, "time_constant": 0.5},
-    "cutoff": {"least": 5e3},
-    "dead_zone": {"threshold": 2e3},
-    "filling_flow": {"rate": 2e4, "power": 1.0},
-    "first_order_lag": {"time_constant": 0.1},
-    "gravity_tilt": {"angle": 0.1},
-    "hysteresis": {"size": 1.0, "width": 0.01},
-    "joint_stop": {"angle": 0.7, "stiffness": 20.0, "damping": 0.1},
-    "narrowing_area": {"loss": 0.5},
-    "nonlinear_stiffness": {"cubic": 5e3, "centre": 0.15},
-    "parallel_spring": {"stiffness": 0.5, "rest": 1.0},
-    "payload_mass": {"mass": 0.1},
-    "rate_limit": {"rate": 3e4},
-    "saturation": {"level": 8e3},
-    "sensor_delay": {"delay": 0.05},
-    "sensor_offset": {"offset": 0.05},
-    "sensor_scale": {"scale": 1.1},
-    "stribeck_friction": {"friction": 0.05, "breakaway": 0.1, "velocity": 0.1},
-    "supply_coupling": {"share": 0.3},
-    "transport_delay": {"delay": 0.1},
-}
-"""Of every effect, numbers that a leg's motion shows."""
 
-IDLE: dict[str, dict[str, float]] = {
-    "asymmetric_lag": {"fill": 0.0, "vent": 0.0},
-    "backlash": {"play": 0.0},
-    "cutoff": {"least": 0.0},
-    "dead_zone": {"threshold": 0.0},
-    "filling_flow": {"rate": 1e7, "power": 0.0},
-    "first_order_lag": {"time_constant": 0.0},
-    "gravity_tilt": {"angle": 0.0},
-    "joint_stop": {"angle": -0.035, "stiffness": 200.0, "damping": 1.0},
-    "payload_mass": {"mass": 0.0},
-    "rate_limit": {"rate": 1e7},
-    "saturation": {"level": 5e4},
-    "sensor_delay": {"delay": 0.0},
-    "sensor_offset": {"offset": 0.0},
-    "sensor_scale": {"scale": 1.0},
-    "supply_coupling": {"share": 0.0},
-    "transport_delay": {"delay": 0.0},
-}
-"""Of every effect, numbers with which it does nothing at a place of ``PLACES``; those that push name their own."""
+def acts(name: str) -> dict[str, float]:
+    acting = CASES[name].acting
+    assert acting is not None, f"give effect_cases numbers with which {name} shows"
+    return acting
 
 
 def swing(*effects: Effect) -> np.ndarray:
@@ -227,11 +187,13 @@ def swing(*effects: Effect) -> np.ndarray:
 @every_place
 def test_an_effect_changes_the_prediction_when_on_and_does_not_when_off(name: str, kind: str) -> None:
     cls, place = REGISTRY[name], PLACES[kind]
-    assert name in ACTING, f"give ACTING numbers with which {name} shows"
-    idle = {**ACTING[name], **cls.neutral} if issubclass(cls, ForceEffect) else IDLE[name]
+    acting, idle = acts(name), CASES[name].idle
+    if issubclass(cls, ForceEffect):
+        idle = {**acting, **cls.neutral}
+    assert idle is not None, f"give effect_cases numbers with which {name} does nothing"
     # What takes a lag's place is compared with no lag: a lag of no time.
     none = swing(FirstOrderLag(place, 0.0)) if cls.exclusive == "lag" else swing()
-    assert np.abs(swing(make(name, place, ACTING[name])) - none).max() > 2e-3
+    assert np.abs(swing(make(name, place, acts(name))) - none).max() > 2e-3
     np.testing.assert_array_equal(swing(make(name, place, idle)), none)
 
 
@@ -244,11 +206,12 @@ def test_an_effect_that_fades_is_nothing_in_the_end(name: str, kind: str) -> Non
         assert cls.grows_from() is None
         return
     none = swing(FirstOrderLag(place, 0.0)) if cls.exclusive == "lag" else swing()
-    np.testing.assert_allclose(swing(make(name, place, {**ACTING[name], **end})), none, atol=1e-12)
+    np.testing.assert_allclose(swing(make(name, place, {**acts(name), **end})), none, atol=1e-12)
     if name == "joint_stop":  # stopping is much the same however hard the stop
         return
-    whole = swing(make(name, place, ACTING[name])) - none
-    near = [{**ACTING[name], **{k: v + share * (ACTING[name][k] - v) for k, v in end.items()}} for share in (0.97, 1.0)]
+    whole = swing(make(name, place, acts(name))) - none
+    acting = acts(name)
+    near = [{**acting, **{k: v + share * (acting[k] - v) for k, v in end.items()}} for share in (0.97, 1.0)]
     slope = -np.subtract(*(swing(make(name, place, values)) for values in near)) / 0.03
     assert 0.3 < np.linalg.norm(slope) / np.linalg.norm(whole) < 3.0  # about in proportion
     assert np.sum(slope * whole) > 0.5 * np.linalg.norm(slope) * np.linalg.norm(whole)

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
+from effect_cases import CASES, Law
 from morphologies import pendulum
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl.effects import (
+    REGISTRY,
     CoulombFriction,
-    Creep,
     Effect,
     ForceEffect,
-    Hysteresis,
-    NarrowingArea,
-    NonlinearStiffness,
     ParallelSpring,
     StribeckFriction,
     catalogue,
+    make,
 )
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.engines import compiled
@@ -79,28 +78,12 @@ def states(model: Model, q0: Array, v0: Array, pressure: Array, until: float, dt
 
 # --- laws that are smooth between their kinks, in plain Python --------------------------------------------------
 
-Law = Callable[[float, float, float, Mapping[str, float]], tuple[float, float]]
-"""(x, rate, z, parameters, at an actuator with what its pressure exerts and its rest length) → push, dz/dt."""
-
-PLAIN: dict[type[ForceEffect], Law] = {
-    ParallelSpring: lambda x, rate, z, p: (-p["stiffness"] * (x - p["rest"]), 0.0),
-    NonlinearStiffness: lambda x, rate, z, p: (-p["cubic"] * (x - p["centre"]) ** 3, 0.0),
-    Creep: lambda x, rate, z, p: (-p["stiffness"] * (x - z), (x - z) / p["time_constant"]),
-    NarrowingArea: lambda x, rate, z, p: (p["driven"] * (1 / (1 + p["loss"] * (x - p["l0"]) / p["l0"]) - 1), 0.0),
-    Hysteresis: lambda x, rate, z, p: (-p["size"] * z, (rate - abs(rate) * z) / p["width"]),
-}
+PLAIN: dict[type[Effect], Law] = {REGISTRY[name]: case.law for name, case in CASES.items() if case.law is not None}
 
 EFFECTS: dict[str, tuple[Effect, ...]] = {
-    "spring at the hip": (ParallelSpring("hip", 2.0, 1.1),),
-    "spring at the knee": (ParallelSpring("knee", 0.7, 0.2),),
-    "stiffening": (NonlinearStiffness("maa", 2e4, 0.17),),
-    "softening": (NonlinearStiffness("baa", -6e3, 0.2),),
-    "creep of maa": (Creep("maa", 150.0, 0.3),),
-    "creep of baa": (Creep("baa", 80.0, 0.05),),
-    "narrowing maa": (NarrowingArea("maa", 1.0),),
-    "widening baa": (NarrowingArea("baa", -0.7),),
-    "hysteresis of maa": (Hysteresis("maa", 2.0, 0.02),),
-    "hysteresis of baa": (Hysteresis("baa", 1.0, 0.01),),
+    label: (make(name, place, numbers),)
+    for name, case in CASES.items()
+    for label, (place, numbers) in case.moves.items()
 }
 EFFECTS["all at once"] = tuple(effect for effects in EFFECTS.values() for effect in effects)
 
@@ -126,7 +109,7 @@ def exact(m: Morphology, effects: Sequence[Effect], one: Trial, phase: Phase = "
     """By an adaptive method, restarted at every command."""
     k, n = Kinematics(m, phase), len(m.joints)
     laws = [(PLAIN[type(e)], e, e.parameters()) for e in effects if isinstance(e, ForceEffect)]
-    rest = [coordinate(k, one.position, e)[0] if isinstance(e, Creep) else 0.0 for _, e, _ in laws]
+    rest = [coordinate(k, one.position, e)[0] if CASES[e.name].begins_at_x else 0.0 for _, e, _ in laws]
     state = np.concatenate([one.position, np.zeros(n), rest])
     out = np.empty((len(one.sample_times), n))
     for begin, end, pressure in zip(one.times, [*one.times[1:], one.sample_times[-1]], one.commands, strict=True):

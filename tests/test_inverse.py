@@ -7,6 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from effect_cases import CASES
 from test_closed_loop import EVERYWHERE, Watched
 
 import equimus_ctrl as eq
@@ -261,4 +262,4 @@ def test_commands_of_no_use_are_not_given() -> None:
 def test_the_catalogue_s_pushes_are_all_tried() -> None:
     names = {e.name for own in KNOWN.values() for e in own}
     pushing = {name for name, cls in catalogue("elastic").items() if cls.__module__.startswith("equimus_ctrl.")} - names
-    assert pushing == {"stribeck_friction", "rate_limit", "filling_flow", "saturation", "cutoff", "joint_stop"}
+    assert pushing == {name for name, case in CASES.items() if not case.inverted}

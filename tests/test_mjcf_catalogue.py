@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from effect_cases import CASES
 from mjcf_models import DT, RIG, M, Ran, cart, run, swinging
 from scipy.integrate import solve_ivp
 
@@ -17,35 +18,10 @@ from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.identification.parameters import unit_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.report.diagnosis_sentences import SENTENCES, sentence
+from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.types import Array
 
 # --- every effect there is --------------------------------------------------------------------------------------
-
-CASES: dict[str, dict[str, float]] = {
-    "actuator_gain": {"factor": 0.6},
-    "asymmetric_damping": {"difference": 0.5},
-    "asymmetric_friction": {"forward": 1.5, "backward": 0.5},
-    "backlash": {"play": 0.2},
-    "constant_force": {"size": 1.5},
-    "coulomb_friction": {"friction": 1.0},
-    "drive_play": {"play": 0.3},
-    "first_order_lag": {"time_constant": 0.2},
-    "gravity_tilt": {"angle": 0.3},
-    "joint_compliance": {"stiffness": 15.0, "damping": 0.1},
-    "load_friction": {"share": 0.3},
-    "parallel_spring": {"stiffness": 4.0, "rest": 0.5},
-    "payload_mass": {"mass": 0.6},
-    "quadratic_damping": {"drag": 0.5},
-    "sensor_delay": {"delay": 0.1},
-    "sensor_offset": {"offset": 0.1},
-    "sensor_scale": {"scale": 1.2},
-    "stribeck_friction": {"friction": 0.5, "breakaway": 1.0, "velocity": 0.5},
-    "torque_saturation": {"level": 1.5},
-    "transport_delay": {"delay": 0.15},
-    "viscous_friction": {"damping": 0.6},
-}
-"""Strong numbers of each, at the shoulder."""
 
 AT = {
     "shoulder": {"joint": "shoulder", "actuator": "lift", "foot": "tip", "link": "arm", "base": "base"},
@@ -54,9 +30,10 @@ AT = {
 
 
 def strong(name: str, joint: str) -> Effect:
-    assert name in CASES, f"{name} has no case here"
-    cls = REGISTRY[name]
-    return cls(AT[joint][cls.sits_at[0]], **CASES[name])
+    """With strong numbers, at the shoulder or at the reach."""
+    cls, numbers = REGISTRY[name], CASES[name].mjcf
+    assert numbers is not None, f"give effect_cases numbers of {name} for MJCF robots"
+    return cls(AT[joint][cls.sits_at[0]], **numbers)
 
 
 def seen(model: Model) -> Array:
@@ -79,7 +56,7 @@ def test_effects_that_are_nothing_change_nothing(name: str) -> None:
     first = next(iter(cls.parameter_info()))
     grown = cls.grows_from()
     assert grown is not None
-    values = CASES[name] | {first: grown}
+    values = strong(name, "shoulder").parameters() | {first: grown}
     if issubclass(cls, ForceEffect):
         values |= dict(cls.neutral)
     effect = cls(AT["shoulder"][cls.sits_at[0]], **values)
@@ -99,7 +76,6 @@ def finding(model: Model) -> Finding:
 @pytest.mark.parametrize("joint", ["shoulder", "reach"])
 @pytest.mark.parametrize("name", sorted(catalogue("mjcf")))
 def test_every_effect_has_a_sentence_in_its_units(name: str, joint: str) -> None:
-    assert name in SENTENCES
     model = Model(RIG, (strong(name, joint),))
     text = sentence(finding(model), model)
     assert text.endswith(".") and "_" not in text and "nan" not in text

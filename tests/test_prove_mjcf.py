@@ -30,8 +30,8 @@ from equimus_ctrl.proof.mjcf_simulation import (
     simulate_mjcf_truth,
     trials_of,
 )
-from equimus_ctrl.proof.mjcf_sizes import mjcf_sizes
 from equimus_ctrl.proof.outside import OUTSIDE
+from equimus_ctrl.proof.sizes import mjcf_table
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.models import load_model
 from equimus_ctrl.workflow.scores import gather
@@ -78,13 +78,14 @@ def _ground_truth(model: Model, recordings: tuple[Recording, ...], effects: tupl
 
 def test_there_is_a_size_for_every_effect_of_mjcf_robots(two_joints: Experiment) -> None:
     model = two_joints.model
-    table = mjcf_sizes(model, seen_places(model, two_joints.segments))
+    table = mjcf_table(model, seen_places(model, two_joints.segments))
     own = {name for name, cls in REGISTRY.items() if "mjcf" in cls.robots}
-    assert own <= {row.effect for row in table}
-    assert {row.effect for row in table} <= own | set(OUTSIDE)
-    for row in table:
-        assert row.parameter in {**REGISTRY, **OUTSIDE}[row.effect].parameter_info()
-        assert row.low < row.high
+    assert own <= set(table) <= own | set(OUTSIDE)
+    for name, sizes in table.items():
+        info = {**REGISTRY, **OUTSIDE}[name].parameter_info()
+        for place in {size.at for size in sizes}:
+            assert sorted(size.parameter for size in sizes if size.at == place) == sorted(info)
+        assert all(size.low < size.high for size in sizes)
 
 
 def without_steps(model: Model, trials: Sequence[Trial]) -> list[Array]:
@@ -98,13 +99,12 @@ def without_steps(model: Model, trials: Sequence[Trial]) -> list[Array]:
 def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) -> None:
     model, cls = two_joints.model, REGISTRY[name]
     seen = seen_places(model, two_joints.segments)
-    table = mjcf_sizes(model, seen)
-    site = next(row.at for row in table if row.effect == name) or model.robot.places()[cls.sits_at[0]][0]
-    rows = [row for row in table if row.effect == name and row.at in ("", site)]
+    sizes = mjcf_table(model, seen)[name]
+    rows = [size for size in sizes if size.at == sizes[0].at]
     rng = np.random.default_rng(1)
     for _ in range(50):
         try:
-            effect = cls(site, **{row.parameter: row.draw(rng) for row in rows})
+            effect = cls(rows[0].at, **{row.parameter: row.draw(rng) for row in rows})
             real = Model(model.robot, (effect,))
             break
         except ConfigError:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.effects.base import REGISTRY, Effect, Seen
+from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.engines.encoding import KNOWN_KINDS
 from equimus_ctrl.engines.mjcf import command_at, joint_forces, realise
 from equimus_ctrl.errors import ConfigError

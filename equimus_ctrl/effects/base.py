@@ -9,6 +9,9 @@ from itertools import product
 from numbers import Real
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
+from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.sizes import LAWS, WHOLES, Share, Size
+from equimus_ctrl.effects.telling import Curve, Told
 from equimus_ctrl.errors import ConfigError, unknown_name
 
 Side = Literal["command", "force", "measurement"]
@@ -18,65 +21,6 @@ Robots = Literal["elastic", "mjcf"]
 def parameter(unit: str, low: float, high: float, doc: str) -> Any:
     """A dataclass field for an effect's parameter: its unit, its bounds and what it means."""
     return field(metadata={"unit": unit, "low": low, "high": high, "doc": doc})
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What recordings show of a place, from which sizes worth trying there follow.
-
-    Attributes:
-        low: lower end of what its coordinate covers: a joint's angle [rad] or an actuator's length [m].
-        high: upper end.
-        speed: what its rate seldom exceeds [rad/s or m/s].
-        push: torque or force that moves it from one end to the other [N·m or N].
-        command: largest command of the actuator, or of any where the place is none [Pa].
-        interval: usual time between samples [s].
-        duration: of a trial [s].
-        mass: of what moves [kg].
-        drive: largest push of the actuator, or of any, as the model has it [N·m or N]; 0 where it is not known.
-    """
-
-    low: float
-    high: float
-    speed: float
-    push: float
-    command: float
-    interval: float
-    duration: float
-    mass: float
-    drive: float = 0.0
-
-    @property
-    def span(self) -> float:
-        """What the coordinate covers [rad or m]."""
-        return self.high - self.low
-
-    def sizes(self, unit: str) -> tuple[float, ...]:
-        """A few values from hardly visible to strong of something that has this unit; none for a unit unknown here."""
-        joint, _, actuator = unit.partition(" | ")
-        known: dict[str, tuple[float, ...]] = {
-            "s": tuple(n * self.interval for n in (2.5, 8.0, 25.0)),
-            "Pa": _shares(self.command, 0.03, 0.1, 0.3),
-            "command": _shares(self.command, 0.03, 0.1, 0.3),
-            "Pa/s": tuple(self.command / t for t in (0.1, 0.4, 1.5)),
-            "kg": _shares(self.mass, 0.02, 0.1, 0.3),
-            "rad/s": _shares(self.speed, 0.05, 0.2),
-            "m/s": _shares(self.speed, 0.05, 0.2),
-            "rad": _shares(self.span, 0.01, 0.05),
-            "m": _shares(self.span, 0.01, 0.05),
-            "1": (0.02, 0.1),
-            **dict.fromkeys(("N·m", "N"), _shares(self.push, 0.005, 0.02, 0.08)),
-            **dict.fromkeys(("N·m/rad", "N/m"), _shares(self.push / self.span, 0.05, 0.2)),
-            **dict.fromkeys(("N·m·s/rad", "N·s/m"), _shares(self.push / self.speed, 0.05, 0.2)),
-            **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), _shares(self.push / self.speed**2, 0.05, 0.2)),
-            **dict.fromkeys(("N·m/rad²", "N/m²"), _shares(self.push / self.span**2, 0.05, 0.2)),
-            **dict.fromkeys(("N·m/rad³", "N/m³"), _shares(self.push / self.span**3, 0.05, 0.2)),
-        }
-        return known.get(joint, known.get(actuator, ()))
-
-
-def _shares(whole: float, *shares: float) -> tuple[float, ...]:
-    return tuple(whole * share for share in shares)
 
 
 @dataclass(frozen=True)
@@ -107,6 +51,12 @@ class Effect:
     """Flags of MuJoCo's XML that must not be switched off for it to do anything."""
     exclusive: ClassVar[str | None] = None
     """Of effects that share this word one place can have only one; see ``slot``."""
+    leg_sizes: ClassVar[tuple[Size, ...]] = ()
+    """What a proof draws on the nominal leg: a size for each parameter at each place; none where it draws it not."""
+    leg_alike: ClassVar[bool] = False
+    """Whether a proof also draws it alike in several places of the leg."""
+    mjcf_sizes: ClassVar[tuple[Share, ...]] = ()
+    """What a proof draws on MJCF robots: a share for each parameter; none where it draws it not."""
 
     location: str
 
@@ -175,6 +125,34 @@ class Effect:
         return False
 
     @classmethod
+    def simpler(cls, values: Mapping[str, float]) -> bool:
+        """Whether with these values of its parameters it would rightly be called by a simpler effect's name."""
+        return False
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        """What a report says of it where it was found; by default its summary with all numbers."""
+        what = cls.summary[:1].upper() + cls.summary[1:].rstrip(".")
+        return f"{what}, at {t.at}: {t.numbers}."
+
+    def curves(self, robot: Any, seen: Seen) -> tuple[Curve, ...]:
+        """What a report draws of it; by default none, and it draws what follows from the law.
+
+        Args:
+            robot: as it is modelled.
+            seen: what recordings show of the effect's place.
+        """
+        return ()
+
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        """Write it into an MJCF robot's own fields; whether these hold all of it then.
+
+        Args:
+            mujoco_model: a ``mujoco.MjModel``, from which an XML is written.
+        """
+        return False
+
+    @classmethod
     def check_class(cls) -> None:
         """Raise ConfigError where the class does not say all that an effect must."""
         who = f"effect class {cls.__name__}"
@@ -195,6 +173,26 @@ class Effect:
         if bare or not cls.parameter_info():
             what = f"{bare[0]!r} is not" if bare else "it has none"
             raise ConfigError(f"{who}: parameters are made with parameter(unit, low, high, doc), {what}")
+        cls._check_sizes(who)
+
+    @classmethod
+    def _check_sizes(cls, who: str) -> None:
+        for key, sizes in (("leg_sizes", cls.leg_sizes), ("mjcf_sizes", cls.mjcf_sizes)):
+            for size in sizes:
+                name = f"{who}: {key} of {size.parameter!r}"
+                if size.law not in LAWS:
+                    raise ConfigError(f"{name}: law is {size.law!r}, expected {', '.join(LAWS)}")
+                if isinstance(size, Share) and size.of not in WHOLES:
+                    raise ConfigError(f"{name}: is a share of {size.of!r}, expected {', '.join(WHOLES)}")
+                if not (size.low < size.high and (size.low > 0 or size.law == "linear")):
+                    raise ConfigError(f"{name}: from {size.low:g} to {size.high:g}, expected 0 < low < high")
+            named = {size.parameter for size in sizes}
+            if sizes and named != set(cls.parameter_info()):
+                odd = sorted(named ^ set(cls.parameter_info()))[0]
+                raise ConfigError(
+                    f"{who}: {key} are for {', '.join(sorted(named))}, expected one for each parameter and no other "
+                    f"({odd!r})"
+                )
 
     @classmethod
     def parameter_info(cls) -> dict[str, Mapping[str, Any]]:

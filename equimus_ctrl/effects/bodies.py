@@ -7,7 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, Self, TypeVar
 
-from equimus_ctrl.effects.base import Effect, Seen, parameter, register
+from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.sizes import Share, Size
+from equimus_ctrl.effects.telling import Told
 
 
 class Robot(Protocol):
@@ -57,6 +60,9 @@ class BodyEffect(Effect):
         """
         return robot.with_parameters(self.changes(robot))
 
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        return True  # the robot that it makes is what is written
+
 
 @register
 @dataclass(frozen=True)
@@ -72,10 +78,16 @@ class PayloadMass(BodyEffect):
     sits_at = ("foot", "link")
     summary = "mass that is not in the model, at a link's tip"
     alike = False
+    leg_sizes = (Size("mass", 0.01, 0.3, "up to three times the calf's own; other numbers take up most of it"),)
+    mjcf_sizes = (Share("mass", 0.01, 0.5),)
     mass: float = parameter("kg", 0.0, 100.0, "of the payload")
 
     def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_payload(self.location, self.mass)
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"At {t.robot.carrying_point(t.places[0])} sits a mass of {t['mass']} that is not in the model."
 
 
 @register
@@ -87,6 +99,8 @@ class GravityTilt(BodyEffect):
     robots = ("elastic", "mjcf")
     sits_at = ("base",)
     summary = "the base is not level"
+    leg_sizes = (Size("angle", 0.015, 0.3, "1° to 17°; stiffness and rest lengths take up most of it", "either sign"),)
+    mjcf_sizes = (Share("angle", 0.005, 0.15, "either sign", "none"),)
     angle: float = parameter("rad", -1.6, 1.6, "of gravity, from the base's downward axis")
 
     @classmethod
@@ -95,6 +109,10 @@ class GravityTilt(BodyEffect):
 
     def changes(self, robot: Robot) -> dict[str, float]:
         return {"tilt": robot.tilt + self.angle}
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"The base is not level: gravity leans by {t['angle']} against the model's."
 
 
 @register
@@ -113,6 +131,12 @@ class JointStop(BodyEffect):
     nothing = None
     alike = False
     exclusive = "joint_stop"
+    leg_sizes = (
+        Size("angle", 1.6, 1.75, "where the hip often comes, far inside its modelled stop", "linear", "hip"),
+        Size("angle", -0.02, 0.35, "above the modelled stop at -0.035 rad", "linear", "knee"),
+        Size("stiffness", 2.0, 100.0, "a rubber to half the modelled stop"),
+        Size("damping", 0.02, 0.5, "at most half the modelled stop's"),
+    )
     angle: float = parameter("rad", -6.3, 6.3, "where it begins")
     stiffness: float = parameter("N·m/rad", 0.0, 1e4, "of its spring")
     damping: float = parameter("N·m·s/rad", 0.0, 100.0, "of its damper, while it is pressed")
@@ -152,6 +176,17 @@ class JointStop(BodyEffect):
 
     def _side(self, robot: Robot) -> Literal["lower", "upper"]:
         return "lower" if self.angle < robot.middle(self.location) else "upper"
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        place, robot = t.places[0], t.robot
+        joint, lower = robot.joint(place), t.value("angle") < robot.middle(place)
+        side, modelled = ("lower", joint.lower) if lower else ("upper", joint.upper)
+        instead = "which the model does not have" if modelled is None else f"not at {t.quantity(modelled.angle, 'rad')}"
+        return (
+            f"The {side} stop of the {place} begins at {t['angle']}, {instead}, with a stiffness of {t['stiffness']} "
+            f"and a damping of {t['damping']}."
+        )
 
 
 def changed_bodies(effects: Sequence[Effect], robot: R) -> R:

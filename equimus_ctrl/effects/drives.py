@@ -6,18 +6,25 @@ They are for MJCF robots. What MuJoCo has a field for goes there; the rest is st
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
-from equimus_ctrl.effects.base import Seen, parameter, register
+from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.force import ForceEffect, Parameters
+from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.sizes import Share
+from equimus_ctrl.effects.telling import Told
 
 SOFT = 1.0
 """Frequency of a joint on its drive's spring below which the drive would not drive it [Hz]."""
+
+
+UNLIKE = 1.3
+"""Least factor between dry friction forwards and backwards that is called different."""
 
 
 @register
@@ -32,11 +39,16 @@ class ViscousFriction(ForceEffect):
     mujoco_field = ("dof_damping", None)
     mujoco_flags = ("damper",)
     neutral = {"damping": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("damping", 0.003, 0.5),)
     damping: float = parameter("N·m·s/rad", 0.0, 1e4, "torque for each speed")
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["damping"] * rate
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"Friction at {t.the} in proportion to speed, of {t['damping']}{t.one_or('', ' each')}."
 
 
 @register
@@ -51,11 +63,16 @@ class QuadraticDamping(ForceEffect):
     mujoco_field = ("dof_dampingpoly", 0)
     mujoco_flags = ("damper",)
     neutral = {"drag": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("drag", 0.003, 0.5),)
     drag: float = parameter("N·m·s²/rad²", 0.0, 1e4, "torque for each square of speed")
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["drag"] * rate * ca.fabs(rate)
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"A drag at {t.the} that grows with the square of speed, of {t['drag']}{t.one_or('', ' each')}."
 
 
 @register
@@ -69,11 +86,18 @@ class AsymmetricDamping(ForceEffect):
     summary = "viscous friction that differs between the two directions"
     alike = False
     neutral = {"difference": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("difference", 0.01, 0.5, "either sign"),)
     difference: float = parameter("N·m·s/rad", -1e4, 1e4, "of the damping forwards over that backwards")
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["difference"] * ca.fabs(rate) / 2
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        more = "forwards" if t.value("difference") > 0 else "backwards"
+        size = t.scaled("difference", t.unit("difference"), math.copysign(1.0, t.value("difference")))
+        return f"Viscous friction at {t.the} is larger {more}, by {size}."
 
 
 @register
@@ -88,6 +112,10 @@ class AsymmetricFriction(ForceEffect):
     alike = False
     exclusive = "dry friction"
     neutral = {"forward": 0.0, "backward": 0.0}  # noqa: RUF012
+    mjcf_sizes = (
+        Share("forward", 0.003, 0.3),
+        Share("backward", 0.003, 0.3),
+    )
     forward: float = parameter("N·m", 0.0, 100.0, "size of the friction of forward motion")
     backward: float = parameter("N·m", 0.0, 100.0, "of backward motion")
 
@@ -107,6 +135,15 @@ class AsymmetricFriction(ForceEffect):
     def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         return (p["forward"] + p["backward"]) / 2
 
+    @classmethod
+    def simpler(cls, values: Mapping[str, float]) -> bool:
+        return max(values.values()) < UNLIKE * min(values.values())
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        sizes = f"{t['forward']} forwards and {t['backward']} backwards"
+        return f"Dry friction at {t.the} differs between directions: {sizes}."
+
 
 @register
 @dataclass(frozen=True)
@@ -118,11 +155,17 @@ class LoadFriction(ForceEffect):
     sits_at = ("joint",)
     summary = "dry friction in proportion to what the drive pushes"
     neutral = {"share": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("share", 0.01, 0.4),)
     share: float = parameter("1", 0.0, 1.0, "of the drive's push")
 
     @classmethod
     def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         return p["share"] * load
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        share = t.scaled("share", "%", 100.0)
+        return f"Dry friction at {t.the} of {share} of what the drive pushes: a gear's losses."
 
 
 @register
@@ -136,11 +179,16 @@ class ConstantForce(ForceEffect):
     summary = "a constant push: a drive's offset, a weight on a string"
     alike = False
     neutral = {"size": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("size", 0.003, 0.3, "either sign"),)
     size: float = parameter("N·m", -1e3, 1e3, "of the push")
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return p["size"]
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"A constant push on {t.the} of {t['size']}."
 
 
 @register
@@ -156,6 +204,10 @@ class DriveCompliance(BodyEffect):
     nothing = None
     alike = False
     exclusive = "compliance"
+    mjcf_sizes = (
+        Share("stiffness", 2.0, 100.0),
+        Share("damping", 0.02, 0.3),
+    )
     stiffness: float = parameter("N·m/rad", 1e-2, 1e7, "of the spring")
     damping: float = parameter("N·m·s/rad", 0.0, 1e4, "of its damper")
 
@@ -175,6 +227,13 @@ class DriveCompliance(BodyEffect):
     def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_compliance(self.location, self.stiffness, self.damping, 0.0)
 
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return (
+            f"Between {t.the} and its drive there is a spring of {t['stiffness']} with a damping of {t['damping']}: "
+            "the drive gives way."
+        )
+
 
 @register
 @dataclass(frozen=True)
@@ -191,10 +250,15 @@ class DrivePlay(BodyEffect):
     mujoco_flags = ("constraint", "limit")
     alike = False
     exclusive = "compliance"
+    mjcf_sizes = (Share("play", 0.002, 0.1),)
     play: float = parameter("rad", 0.0, 1.0, "way that the drive turns before its joint follows")
 
     def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_play(self.location, self.play)
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"Between {t.the} and its drive there is a play of {t['play']}."
 
 
 @register
@@ -208,6 +272,7 @@ class ActuatorGain(BodyEffect):
     summary = "the drive pushes more or less than it is taken to"
     nothing = 1.0
     exclusive = "actuator_gain"
+    mjcf_sizes = (Share("factor", 0.01, 0.3, "about one"),)
     factor: float = parameter("1", 0.1, 10.0, "on the forces")
 
     @classmethod
@@ -221,6 +286,12 @@ class ActuatorGain(BodyEffect):
     def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_gain(self.location, self.factor)
 
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        side = "more" if t.value("factor") > 1 else "less"
+        size = t.scaled("factor", "%", math.copysign(100.0, t.value("factor") - 1), 1.0)
+        return f"{t.at} {t.one_or('pushes', 'push')} {size} {side} than {t.one_or('it is', 'they are')} taken to."
+
 
 @register
 @dataclass(frozen=True)
@@ -233,6 +304,7 @@ class TorqueSaturation(BodyEffect):
     summary = "the drive's force stops growing at a level"
     nothing = None
     exclusive = "torque_saturation"
+    mjcf_sizes = (Share("level", 0.4, 0.97, "linear", "drive"),)
     level: float = parameter("N·m", 1e-6, 1e6, "the greatest force there is")
 
     @classmethod
@@ -245,3 +317,7 @@ class TorqueSaturation(BodyEffect):
 
     def changed(self, robot: Any, modelled: Any) -> Any:
         return robot.with_limit(self.location, self.level)
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"{t.pushes} {t.one_or('stops', 'stop')} growing at {t['level']}: a saturation."

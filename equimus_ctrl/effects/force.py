@@ -9,14 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import casadi as ca
+import numpy as np
 
-from equimus_ctrl.effects.base import REGISTRY, Effect, Robots, Seen, parameter, register
+from equimus_ctrl.effects.base import REGISTRY, Effect, Robots, parameter, register
+from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.sizes import Share, Size
+from equimus_ctrl.effects.telling import Curve, Told
 from equimus_ctrl.errors import ConfigError
 
 Parameters = Mapping[str, ca.SX]
+
+BEYOND, POINTS = 0.12, 240
+"""So much of the span that recordings cover a curve goes on beyond it on either side; points of a curve."""
 
 LEAST_LEFT = 0.2
 """A narrowing area grows to five times itself at most, however short its actuator becomes."""
@@ -102,6 +109,21 @@ class ForceEffect(Effect):
         if any(float(size) != 0.0 for size in law(*PROBE, ca.DM.ones(cls.n_states) * 0.41, idle)[:3]):
             raise ConfigError(f"{who}: it still pushes with its neutral parameters {dict(cls.neutral)}")
 
+    def curves(self, robot: Any, seen: Seen) -> tuple[Curve, ...]:
+        """Of what scales an actuator's area that area; nothing else is told by it."""
+        if not self.scales:
+            return ()
+        rest = next(a for a in robot.actuators if a.name == self.location).rest_length
+        x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
+        length, p = ca.SX.sym("length"), {key: ca.SX(value) for key, value in self.parameters().items()}
+        share = 1 + ca.SX(self.more_area(length, ca.SX(rest), p))
+        area = np.array(ca.Function("area", [length], [share])(x[None, :])).ravel()
+        what = "area, share of that at the rest length"
+        return (Curve("area against the length", "length", "m", what, "1", x, area, 1.0, True),)
+
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        return self.mujoco_field is not None  # which holds it then
+
     @classmethod
     def depends(cls) -> set[str]:
         """On what its push depends: ``pos``, ``vel``, ``cmd``; with states of its own it is the ``past`` alone.
@@ -160,11 +182,28 @@ class CoulombFriction(ForceEffect):
     summary = "dry friction"
     exclusive = "dry friction"
     neutral = {"friction": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("friction", 1.2e-3, 0.1, "from far below the noise to 2° of hip", at="hip"),
+        Size("friction", 5e-4, 0.03, "from far below the noise to 2° of knee", at="knee"),
+        Size("friction", 0.012, 1.0, "the joints' sizes over moment arms of 6 to 10 cm", at="actuator"),
+    )
+    leg_alike = True
+    mjcf_sizes = (Share("friction", 0.003, 0.3),)
     friction: float = parameter("N·m | N", 0.0, 100.0, "size of the friction while sliding and before")
 
     @classmethod
     def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         return p["friction"]
+
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        mujoco_model.dof_frictionloss[mujoco_model.joint(self.location).dofadr[0]] += self.friction
+        return True
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        if t.places[0] in t.robot.joint_names:
+            return f"Dry friction at {t.the} of {t['friction']}{t.one_or('', ' each')}."
+        return f"Dry friction along {t.at} of {t['friction']}{t.one_or('', ' each')}."
 
 
 @register
@@ -178,6 +217,18 @@ class StribeckFriction(ForceEffect):
     summary = "static friction above the sliding one"
     exclusive = "dry friction"
     neutral = {"friction": 0.0, "breakaway": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("friction", 8e-4, 0.07, "a little less than dry friction alone", at="hip"),
+        Size("friction", 3e-4, 0.025, "a little less than dry friction alone", at="knee"),
+        Size("breakaway", 1e-3, 0.08, "about as much again", at="hip"),
+        Size("breakaway", 4e-4, 0.025, "about as much again", at="knee"),
+        Size("velocity", 0.03, 0.3, "within the joints' speeds, which reach 1 to 3 rad/s"),
+    )
+    mjcf_sizes = (
+        Share("friction", 0.003, 0.2),
+        Share("breakaway", 0.01, 0.3),
+        Share("velocity", 0.02, 0.3),
+    )
     friction: float = parameter("N·m", 0.0, 100.0, "size while sliding fast")
     breakaway: float = parameter("N·m", 0.0, 100.0, "how much more it is at rest")
     velocity: float = parameter("rad/s", 1e-3, 10.0, "speed at which half of that is gone")
@@ -194,6 +245,17 @@ class StribeckFriction(ForceEffect):
     def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         return p["friction"] + p["breakaway"] / (1 + (speed / p["velocity"]) ** 2)
 
+    @classmethod
+    def simpler(cls, values: Mapping[str, float]) -> bool:
+        return values["breakaway"] < values["friction"] / 3
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return (
+            f"Dry friction at {t.the} of {t['friction']} in fast motion and {t['breakaway']} more at rest, half of it "
+            f"gone at {t['velocity']}: static friction above the sliding one."
+        )
+
 
 @register
 @dataclass(frozen=True)
@@ -207,6 +269,16 @@ class ParallelSpring(ForceEffect):
     alike = False
     exclusive = "parallel_spring"
     neutral = {"stiffness": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("stiffness", 0.1, 3.0, "up to the hip's own; the actuators' take up most of it", at="hip"),
+        Size("stiffness", 6e-3, 0.25, "0.8 to 30 % of the knee's own", at="knee"),
+        Size("rest", 1.0, 2.0, "about the hip's middle", "linear", "hip"),
+        Size("rest", 0.0, 1.0, "about the knee's middle", "linear", "knee"),
+    )
+    mjcf_sizes = (
+        Share("stiffness", 0.01, 0.5),
+        Share("rest", 0.0, 1.0, "linear", "range"),
+    )
     stiffness: float = parameter("N·m/rad", 0.0, 100.0, "of the spring")
     rest: float = parameter("rad", -6.3, 6.3, "angle at which it pulls nowhere")
 
@@ -217,6 +289,10 @@ class ParallelSpring(ForceEffect):
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["stiffness"] * (x - p["rest"])
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"A spring of {t['stiffness']} beside {t.the} that is not in the model, at rest at {t['rest']}."
 
 
 @register
@@ -230,6 +306,11 @@ class NonlinearStiffness(ForceEffect):
     alike = False
     exclusive = "nonlinear_stiffness"
     neutral = {"cubic": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("cubic", 1e3, 1e5, "0.03 N to 2.7 N at 3 cm from the centre", "either sign"),
+        Size("centre", 0.20, 0.27, "within the stroke", "linear", "maa"),
+        Size("centre", 0.24, 0.33, "within the stroke", "linear", "baa"),
+    )
     cubic: float = parameter("N/m³", -1e6, 1e6, "force for each cube of the lengthening")
     centre: float = parameter("m", 0.0, 10.0, "length about which it stiffens")
 
@@ -246,6 +327,15 @@ class NonlinearStiffness(ForceEffect):
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["cubic"] * (x - p["centre"]) ** 3
 
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        cubic = t.value("cubic")
+        what = "stiffens" if cubic > 0 else "softens"
+        return (
+            f"The spring of {t.at} {what} away from a length of {t['centre']}: by {t['cubic']} times the cube of "
+            f"the way, {t.quantity(abs(cubic) * 0.03**3, 'N')} at 30 mm."
+        )
+
 
 @register
 @dataclass(frozen=True)
@@ -257,6 +347,7 @@ class NarrowingArea(ForceEffect):
     summary = "the area that pressure acts on shrinks as the actuator lengthens"
     exclusive = "narrowing_area"
     neutral = {"loss": 0.0}  # noqa: RUF012
+    leg_sizes = (Size("loss", 0.05, 1.2, "to a little more than a bag that keeps its volume"),)
     loss: float = parameter(
         "1", -1.5, 3.0, "share of the area lost for a share of the rest length gained; below 0 it grows"
     )
@@ -270,6 +361,18 @@ class NarrowingArea(ForceEffect):
         left = 1 + p["loss"] * (x / rest - 1)
         return 1 / ca.fmax(left, LEAST_LEFT) - 1
 
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        loss = t.value("loss")
+        what = f"{t.one_or('shrinks', 'shrink')} as {t.one_or('it lengthens', 'they lengthen')}"
+        if loss < 0:
+            what = f"{t.one_or('grows', 'grow')} with {t.one_or('its length', 'their lengths')}"
+        area = t.one_or(f"The area of {t.at}", f"The areas of {t.at}")
+        return (
+            f"{area} {what}: near the rest length by {t['loss']} times the share of length gained, by "
+            f"{abs(1 - 1 / (1 + loss / 5)):.0%} at a fifth more."
+        )
+
 
 @register
 @dataclass(frozen=True)
@@ -282,6 +385,11 @@ class Creep(ForceEffect):
     exclusive = "creep"
     n_states = 1
     neutral = {"stiffness": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("stiffness", 1.0, 60.0, "0.4 to 23 % of MAA's own, up to half of BAA's"),
+        Size("time_constant", 0.3, 8.0, "slower than the leg, faster than a trial"),
+    )
+    leg_alike = True
     stiffness: float = parameter("N/m", 0.0, 1e4, "that relaxes with time")
     time_constant: float = parameter("s", 0.02, 100.0, "of the relaxation")
 
@@ -305,6 +413,11 @@ class Creep(ForceEffect):
     def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
         return (x,)
 
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        who = t.one_or(f"{t.at} creeps", f"{t.at} creep")
+        return f"{who}: beside the modelled spring {t['stiffness']} relax with a time constant of {t['time_constant']}."
+
 
 @register
 @dataclass(frozen=True)
@@ -317,6 +430,11 @@ class Hysteresis(ForceEffect):
     exclusive = "hysteresis"
     n_states = 1
     neutral = {"size": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("size", 0.02, 1.5, "as dry friction along an actuator"),
+        Size("width", 1e-3, 1.5e-2, "a small part of an actuator's stroke of 6 to 10 cm"),
+    )
+    leg_alike = True
     size: float = parameter("N", 0.0, 1e3, "force after a long way in one direction")
     width: float = parameter("m", 5e-4, 1.0, "way over which it builds up")
 
@@ -335,6 +453,11 @@ class Hysteresis(ForceEffect):
     @classmethod
     def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
         return (ca.SX(0),)
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        force = t.one_or(f"The force of {t.at} depends", f"The forces of {t.at} depend")
+        return f"{force} on the path of the length: a hysteresis of ±{t['size']} that builds up over {t['width']}."
 
 
 def force_laws(robots: Robots = "elastic") -> tuple[type[ForceEffect], ...]:

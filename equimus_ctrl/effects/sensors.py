@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from equimus_ctrl.effects.base import Effect, Seen, parameter, register
+from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.sizes import Share, Size
+from equimus_ctrl.effects.telling import Told
 from equimus_ctrl.types import Array
 
 OFFSET, SCALE, LATE, PLAY = 0, 1, 2, 3
@@ -36,10 +40,22 @@ class SensorOffset(SensorEffect):
     name = "sensor_offset"
     summary = "the measured angle is off by a constant"
     exclusive = "sensor_offset"
+    leg_sizes = (
+        Size(
+            "offset", 0.01, 0.25, "a marker that sits 0.6° to 14° off; rest lengths take up most of it", "either sign"
+        ),
+    )
+    mjcf_sizes = (Share("offset", 0.002, 0.1, "either sign"),)
     offset: float = parameter("rad", -3.2, 3.2, "added to the angle")
 
     def apply(self, sensor: Array) -> None:
         sensor[OFFSET] = self.offset
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        too = "much" if t.value("offset") > 0 else "little"
+        size = t.scaled("offset", t.unit("offset"), math.copysign(1.0, t.value("offset")))
+        return f"The measured {t.noun} of {t.the} is {size} too {too}: a sensor's offset."
 
 
 @register
@@ -51,6 +67,9 @@ class SensorScale(SensorEffect):
     summary = "the measured angle is off by a factor"
     nothing = 1.0
     exclusive = "sensor_scale"
+    leg_sizes = (Size("scale", 0.008, 0.15, "a wrong gear or encoder resolution", "about one"),)
+    leg_alike = True
+    mjcf_sizes = (Share("scale", 0.003, 0.2, "about one"),)
     scale: float = parameter("1", 0.1, 10.0, "factor on the angle")
 
     @classmethod
@@ -59,6 +78,12 @@ class SensorScale(SensorEffect):
 
     def apply(self, sensor: Array) -> None:
         sensor[SCALE] = self.scale
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        too = "much" if t.value("scale") > 1 else "little"
+        size = t.scaled("scale", "%", math.copysign(100.0, t.value("scale") - 1), 1.0)
+        return f"The measured {t.noun} of {t.the} is {size} too {too}: a sensor's scale."
 
 
 @register
@@ -69,10 +94,17 @@ class SensorDelay(SensorEffect):
     name = "sensor_delay"
     summary = "the measurement is older than its time stamp"
     exclusive = "sensor_delay"
+    leg_sizes = (Size("delay", 0.004, 0.1, "half a sample to a slow camera pipeline"),)
+    leg_alike = True
+    mjcf_sizes = (Share("delay", 0.005, 0.2),)
     delay: float = parameter("s", 0.0, 2.0, "age of what is measured")
 
     def apply(self, sensor: Array) -> None:
         sensor[LATE] = self.delay
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"The measured {t.noun} of {t.the} is {t['delay']} older than its time stamp: a sensor's delay."
 
 
 @register
@@ -83,10 +115,18 @@ class Backlash(SensorEffect):
     name = "backlash"
     summary = "play between joint and sensor"
     exclusive = "backlash"
+    leg_sizes = (Size("play", 2e-3, 0.06, "the noise to thirty times as much"),)
+    leg_alike = True
+    mjcf_sizes = (Share("play", 0.001, 0.05),)
     play: float = parameter("rad", 0.0, 1.0, "angle the joint can turn without the sensor")
 
     def apply(self, sensor: Array) -> None:
         sensor[PLAY] = self.play
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        sensor = t.one_or("its sensor", "their sensors")
+        return f"Between {t.the} and {sensor} there is a play of {t['play']}."
 
 
 def sensor_settings(effects: Sequence[Effect], joints: Sequence[str]) -> Array:

@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from equimus_ctrl.effects.base import Effect, Seen, parameter, register
+from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.command import COUPLING, CUTOFF, DEAD_ZONE, REFERENCE, SATURATION, shape_column
+from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.sizes import Share, Size
+from equimus_ctrl.effects.telling import Told
 from equimus_ctrl.types import Array
 
 DELAY, FILL, VENT, RATE, FLOW, POWER = range(6)
@@ -76,10 +79,20 @@ class TransportDelay(ValveEffect):
     name = "transport_delay"
     robots = ("elastic", "mjcf")
     summary = "the command arrives late"
+    leg_sizes = (Size("delay", 4e-3, 0.2, "half a sample to many; valves with long hoses"),)
+    leg_alike = True
+    mjcf_sizes = (Share("delay", 0.005, 0.2),)
     delay: float = parameter("s", 0.0, 2.0, "time between command and its arrival")
 
     def apply(self, valve: Array) -> None:
         valve[DELAY] += self.delay
+
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        return True  # with those of the XML, as the delay of its drive
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"Every command reaches {t.at} {t['delay']} after it was given: a transport delay."
 
 
 @register
@@ -91,10 +104,30 @@ class FirstOrderLag(ValveEffect):
     robots = ("elastic", "mjcf")
     summary = "the pressure follows the command with one time constant"
     exclusive = "lag"
+    leg_sizes = (Size("time_constant", 5e-3, 0.4, "less than a sample to a valve that feeds a large volume"),)
+    leg_alike = True
+    mjcf_sizes = (Share("time_constant", 0.005, 0.2),)
     time_constant: float = parameter("s", 0.0, 5.0, "of the pressure")
 
     def apply(self, valve: Array) -> None:
         valve[FILL] = valve[VENT] = self.time_constant
+
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        import mujoco
+
+        if mujoco_model.actuator(self.location).dyntype.item():  # it has a filter of its own already
+            return False
+        actuator = mujoco_model.actuator(self.location).id
+        mujoco_model.actuator_dyntype[actuator] = mujoco.mjtDyn.mjDYN_FILTEREXACT
+        mujoco_model.actuator_dynprm[actuator, 0] = self.time_constant
+        # Else the force at a step is that of a filter which has not seen its command.
+        mujoco_model.actuator_actearly[actuator] = 1
+        return True
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        verb = t.one_or("follows its command", "follow their commands")
+        return f"{t.pushes} {verb} with a time constant of {t['time_constant']}."
 
 
 @register
@@ -105,6 +138,11 @@ class AsymmetricLag(ValveEffect):
     name = "asymmetric_lag"
     summary = "filling and venting have different time constants"
     exclusive = "lag"
+    leg_sizes = (
+        Size("fill", 6e-3, 0.4, "as the symmetric lag"),
+        Size("vent", 6e-3, 0.4, "as the symmetric lag"),
+    )
+    leg_alike = True
     fill: float = parameter("s", 0.0, 5.0, "time constant of a rising pressure")
     vent: float = parameter("s", 0.0, 5.0, "time constant of a falling pressure")
 
@@ -121,6 +159,15 @@ class AsymmetricLag(ValveEffect):
     def apply(self, valve: Array) -> None:
         valve[FILL], valve[VENT] = self.fill, self.vent
 
+    @classmethod
+    def simpler(cls, values: Mapping[str, float]) -> bool:
+        return abs(math.log(values["fill"] / values["vent"])) < math.log(1.5)
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        rises, falls = t.one_or("rises", "rise"), t.one_or("falls", "fall")
+        return f"{t.pushes} {rises} with a time constant of {t['fill']} and {falls} with one of {t['vent']}."
+
 
 @register
 @dataclass(frozen=True)
@@ -131,10 +178,16 @@ class RateLimit(ValveEffect):
     summary = "the pressure changes no faster than the valve's flow allows"
     nothing = None
     exclusive = "rate_limit"
+    leg_sizes = (Size("rate", 1.5e4, 5e5, "a step of 15 kPa takes from 0.03 s to 1 s"),)
+    leg_alike = True
     rate: float = parameter("Pa/s", 1e3, 1e7, "the fastest the pressure can change")
 
     def apply(self, valve: Array) -> None:
         valve[RATE] = self.rate
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"{t.pushes} {t.one_or('changes', 'change')} no faster than {t['rate']}: the flow is limited."
 
 
 @register
@@ -150,6 +203,11 @@ class FillingFlow(ValveEffect):
     summary = "the valve fills at a rate that grows with the command"
     nothing = None
     exclusive = "filling_flow"
+    leg_sizes = (
+        Size("rate", 1e4, 2e5, "to fill to 10 kPa takes from 0.05 s to 1 s"),
+        Size("power", 0.3, 2.0, "filling to much takes longer than to little, or less long", "linear"),
+    )
+    leg_alike = True
     rate: float = parameter("Pa/s", 1e3, 1e7, "the fastest the pressure can rise under a command of 10 kPa")
     power: float = parameter("1", 0.0, 3.0, "of the command with which that rate grows")
 
@@ -165,6 +223,13 @@ class FillingFlow(ValveEffect):
     def apply(self, valve: Array) -> None:
         valve[FLOW], valve[POWER] = self.rate, self.power
 
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return (
+            f"{t.pushes} {t.one_or('rises', 'rise')} no faster than {t['rate']} under a command of 10 kPa, and as its "
+            f"power {t['power']} under others: the flow grows with the command."
+        )
+
 
 @register
 @dataclass(frozen=True)
@@ -175,12 +240,19 @@ class DeadZone(CompiledShaping):
     summary = "commands below a threshold do nothing"
     exclusive = "dead_zone"
     order = DEAD_ZONE
+    leg_sizes = (Size("threshold", 100.0, 5e3, "0.2 to 10 % of the range"),)
+    leg_alike = True
     threshold: float = parameter("Pa", 0.0, 5e4, "pressure that a command loses, and below which it does nothing")
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
         # Above the threshold all is as with another rest length: only commands below it tell.
         return [{"threshold": share * seen.command} for share in (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.26, 0.34)]
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        who = t.one_or(f"The valve of {t.at} loses", f"The valves of {t.at} each lose")
+        return f"{who} the first {t['threshold']} of every command: a dead zone."
 
 
 @register
@@ -192,7 +264,14 @@ class SupplyCoupling(CompiledShaping):
     summary = "the other channels' demand lowers this one's pressure"
     exclusive = "supply_coupling"
     order = COUPLING
+    leg_sizes = (Size("share", 3e-3, 0.12, "a stiff supply to a common narrow hose"),)
+    leg_alike = True
     share: float = parameter("1", 0.0, 1.0, "pressure lost for each pressure that the others ask for")
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        lost = t.scaled("share", "%", 100.0)
+        return f"{t.pushes} {t.one_or('falls', 'fall')} by {lost} of what is asked of the others: a shared supply."
 
 
 @register
@@ -205,11 +284,19 @@ class Saturation(CompiledShaping):
     nothing = None
     exclusive = "saturation"
     order = SATURATION
+    leg_sizes = (
+        Size("level", 1.4e4, 3.2e4, "below what the trials ask for", "linear", "maa"),
+        Size("level", 1e4, 2e4, "below what the trials ask for", "linear", "baa"),
+    )
     level: float = parameter("Pa", 0.0, 1e6, "the greatest pressure there is")
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
         return [{"level": share * seen.command} for share in (0.97, 0.92, 0.86, 0.8, 0.72, 0.64, 0.56, 0.48, 0.4, 0.33)]
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        return f"{t.pushes} {t.one_or('stops', 'stop')} rising at {t['level']}: a saturation."
 
 
 @register
@@ -223,11 +310,19 @@ class Cutoff(CompiledShaping):
     exclusive = "cutoff"
     order = CUTOFF
     jumps = ("least",)
+    leg_sizes = (Size("least", 300.0, 6e3, "0.7 to 15 % of the range"),)
+    leg_alike = True
     least: float = parameter("Pa", 0.0, 5e4, "the smallest command that the valve follows")
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
         return [{"least": share * seen.command} for share in (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32)]
+
+    @classmethod
+    def sentence(cls, t: Told) -> str:
+        who = t.one_or(f"The valve of {t.at} stays", f"The valves of {t.at} stay")
+        follow = t.one_or("follows", "follow")
+        return f"{who} shut under commands below {t['least']}, and {follow} others in full: a cutoff."
 
 
 def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
@@ -238,6 +333,19 @@ def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array
         if isinstance(effect, ValveEffect):
             effect.apply(valve[list(actuators).index(effect.location)])
     return valve
+
+
+def valve_effects(valve: Array, actuator: str) -> list[ValveEffect]:
+    """What makes an actuator's valve what its row (6,) of ``valve_settings`` says."""
+    found: list[ValveEffect] = [
+        TransportDelay(actuator, float(valve[DELAY])),
+        AsymmetricLag(actuator, float(valve[FILL]), float(valve[VENT])),
+    ]
+    if valve[RATE] < math.inf:
+        found.append(RateLimit(actuator, float(valve[RATE])))
+    if valve[FLOW] < math.inf:
+        found.append(FillingFlow(actuator, float(valve[FLOW]), float(valve[POWER])))
+    return found
 
 
 def shaped_commands(effects: Sequence[Effect], actuators: Sequence[str], commands: Array) -> Array:

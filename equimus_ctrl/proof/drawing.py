@@ -19,7 +19,7 @@ from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import TrialDesign
 from equimus_ctrl.proof.outside import OUTSIDE
-from equimus_ctrl.proof.sizes import Size, by_another_name, row_of
+from equimus_ctrl.proof.sizes import Table, size_of
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import Morphology, elastic_of
 from equimus_ctrl.types import Array, Recording
@@ -95,7 +95,7 @@ class Draws:
 
     nominal: Model
     spread: Mapping[str, float]
-    table: Sequence[Size]
+    table: Table
     choose: Callable[[np.random.Generator, Sequence[str], int], list[str]]
     place: Callable[[np.random.Generator, type[Effect]], Site]
     noise: Sequence[tuple[float, float]]
@@ -282,7 +282,7 @@ def missing_physics(
     """
     if not count:
         return ()
-    names = sorted({row.effect for row in draws.table} & set(known))  # those of users are left alone
+    names = sorted(set(draws.table) & set(known))
     for _ in range(ATTEMPTS):
         chosen = draws.choose(rng, names, count)
         try:
@@ -307,10 +307,10 @@ def attached(rng: np.random.Generator, draws: Draws, cls: type[Effect]) -> tuple
         ConfigError: where many sizes in turn would be called by another effect's name.
     """
     site = draws.place(rng, cls)
-    rows = [row_of(draws.table, cls.name, key, site.kind, site.location) for key in cls.parameter_info()]
+    sizes = [size_of(draws.table, cls.name, key, site.kind, site.location) for key in cls.parameter_info()]
     for _ in range(ATTEMPTS):
-        values = {row.parameter: row.draw(rng) for row in rows}
-        if not by_another_name(cls.name, values):
+        values = {size.parameter: size.draw(rng) for size in sizes}
+        if not cls.simpler(values):
             return tuple(cls(location, **values) for location in site.everywhere)
     raise ConfigError(f"{cls.name} at {site.location}: {ATTEMPTS} sizes in turn are those of a simpler effect")
 

@@ -10,7 +10,7 @@ from typing import Any
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.proof.answers import OURS, STRONG, Case, Method
 from equimus_ctrl.proof.shares import Share
-from equimus_ctrl.proof.sizes import measured_by, size_of
+from equimus_ctrl.proof.sizes import leg_table, measured_by, size_of
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 
@@ -68,10 +68,10 @@ def measure_of(effect: str, parameter: str, location: str, true: float) -> tuple
 
     An error is relative to the distance from where the effect does nothing. Angles and lengths that say where something
     sits (a spring's rest, a centre, a stop's angle) have no zero of their own; theirs are relative to the range that
-    the table of sizes draws them from.
+    they are drawn from.
     """
     kind = next(kind for kind, names in nominal_leg().places().items() if location in names)
-    return measured_by(size_of(effect, parameter, kind, location), REGISTRY[effect], true)
+    return measured_by(size_of(leg_table(), effect, parameter, kind, location), REGISTRY[effect], true)
 
 
 def found_numbers(cases: Sequence[Case], method: Method = OURS) -> list[Number]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.proof import sizes
 from equimus_ctrl.proof.designs import DURATION, TRIALS, design
 from equimus_ctrl.proof.drawing import (
     ALIKE_SHARE,
@@ -25,21 +24,13 @@ from equimus_ctrl.proof.drawing import (
     stream,
 )
 from equimus_ctrl.proof.leg_simulation import RATE, recordings, simulate
+from equimus_ctrl.proof.sizes import leg_table
 from equimus_ctrl.proof.strength import excess
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, Recording
 
 SPREAD = {"stiffness": 0.15, "area": 0.15, "rest_length": 0.02, "damping": 0.4}
 """± share of the nominal leg's numbers."""
-
-ALIKE = frozenset(
-    {
-        *("transport_delay", "first_order_lag", "asymmetric_lag", "rate_limit", "filling_flow"),
-        *("dead_zone", "cutoff", "supply_coupling"),
-        *("hysteresis", "creep", "coulomb_friction", "sensor_delay", "sensor_scale", "backlash"),
-    }
-)
-"""Effects that can act alike in several places of a leg."""
 
 NOISE = (1e-3, 3e-3)
 """Standard deviation of each joint's noise [rad]."""
@@ -99,13 +90,13 @@ def leg_draws() -> Draws:
     leg = nominal_leg()
     spread = {f"{a.name}.{key}": share for a in leg.actuators for key, share in SPREAD.items()}
     spread |= {f"{j.name}.damping": SPREAD["damping"] for j in leg.joints}
-    table, noise = (*sizes.CATALOGUE, *sizes.BEYOND), [NOISE] * len(leg.joints)
-    return Draws(nominal_model(), spread, table, _choose, _place, noise, CORRELATION)
+    noise = [NOISE] * len(leg.joints)
+    return Draws(nominal_model(), spread, leg_table(), _choose, _place, noise, CORRELATION)
 
 
 def catalogue() -> list[str]:
-    """Registered effects that the table of sizes knows; those of users are left alone."""
-    return sorted({row.effect for row in sizes.CATALOGUE} & set(REGISTRY))
+    """Registered effects that are drawn."""
+    return sorted(set(leg_table()) & set(REGISTRY))
 
 
 def _choose(rng: np.random.Generator, names: Sequence[str], count: int) -> list[str]:
@@ -121,6 +112,6 @@ def _place(rng: np.random.Generator, cls: type[Effect]) -> Site:
     kind = cls.sits_at[int(rng.integers(len(cls.sits_at)))]
     # The last link's tip is the foot: one place is not to have two names.
     sites = [site for site in leg.places()[kind] if kind != "link" or site != leg.foot]
-    everywhere = len(sites) > 1 and cls.name in ALIKE and rng.random() < ALIKE_SHARE
+    everywhere = len(sites) > 1 and cls.leg_alike and rng.random() < ALIKE_SHARE
     location = sites[int(rng.integers(len(sites)))]
     return Site(location, kind, tuple(sites) if everywhere else (location,))

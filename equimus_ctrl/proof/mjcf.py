@@ -21,10 +21,8 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import TrialDesign
 from equimus_ctrl.proof.drawing import ALIKE_SHARE, CaseSource, Draws, Excess, GroundTruth, Kind, Site, draw_case, noise
 from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, mjcf_recordings, simulate_mjcf_truth
-from equimus_ctrl.proof.mjcf_sizes import mjcf_sizes
 from equimus_ctrl.proof.seal import digest
-from equimus_ctrl.proof.sizes import Size, measured_by
-from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.proof.sizes import Table, measured_by, mjcf_table
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
@@ -67,10 +65,10 @@ class Experiment(CaseSource):
         joints = model.robot.joint_names
         interval = seen[joints[0]].interval
         spread = {name: LITTLE_KNOWN.get(name.rpartition(".")[2], SPREAD) for name in uncertain(model).names}
-        table = mjcf_sizes(model, seen)
+        table = mjcf_table(model, seen)
         sizes = [(NOISE[0] * seen[joint].span, NOISE[1] * seen[joint].span) for joint in joints]
         times = CORRELATION[0] * interval, CORRELATION[1] * interval
-        return Draws(model, spread, table, _choose, partial(_place, model.robot, table), sizes, times)
+        return Draws(model, spread, table, _choose, partial(_place, table), sizes, times)
 
     @property
     def nominal(self) -> Model:
@@ -92,10 +90,10 @@ class Experiment(CaseSource):
         ]
         found = draw_case(self.draws, trials, np.zeros((len(trials), 0)), seed, case, kind, attempt)
         scales = {
-            (effect.name, row.parameter): measured_by(row, type(effect), float(getattr(effect, row.parameter)))
+            (effect.name, size.parameter): measured_by(size, type(effect), float(getattr(effect, size.parameter)))
             for effect in (*found.effects, *found.outside)
-            for row in self.draws.table
-            if row.effect == effect.name and row.at in ("", effect.location)
+            for size in self.draws.table[effect.name]
+            if size.at == effect.location
         }
         return replace(found, scales=scales)
 
@@ -127,11 +125,9 @@ def _choose(rng: np.random.Generator, names: Sequence[str], count: int) -> list[
     return [names[k] for k in rng.choice(len(names), count, replace=False)]
 
 
-def _place(robot: Robot, table: Sequence[Size], rng: np.random.Generator, cls: type[Effect]) -> Site:
+def _place(table: Table, rng: np.random.Generator, cls: type[Effect]) -> Site:
     """One of all places that the table has sizes for."""
-    sites = sorted({row.at for row in table if row.effect == cls.name})
-    if sites == [""]:
-        sites = [site for kind in cls.sits_at for site in robot.places()[kind]]
+    sites = sorted({size.at for size in table[cls.name]})
     location = sites[int(rng.integers(len(sites)))]
     everywhere = len(sites) > 1 and cls.alike and "link" not in cls.sits_at and rng.random() < ALIKE_SHARE
     return Site(location, "", tuple(sites) if everywhere else (location,))

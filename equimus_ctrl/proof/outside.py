@@ -14,6 +14,7 @@ import casadi as ca
 
 from equimus_ctrl.effects.base import Effect, parameter
 from equimus_ctrl.effects.force import ForceEffect, Parameters
+from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import ElasticActuator, elastic_of
 
@@ -69,6 +70,10 @@ class SquareDrag(MotionEffect):
     name = "square_drag"
     sits_at = ("joint",)
     summary = "drag that grows with the square of the speed"
+    leg_sizes = (
+        Size("drag", 0.02, 0.5, "as the hip's damping at 1 rad/s at most", at="hip"),
+        Size("drag", 0.006, 0.15, "twice the knee's damping at 1 rad/s at most", at="knee"),
+    )
     drag: float = parameter("N·m·s²/rad²", 0.0, 10.0, "torque at 1 rad/s")
 
     def push(self, at: Motion) -> dict[str, ca.SX]:
@@ -84,6 +89,7 @@ class CrossSpring(MotionEffect):
     name = "cross_spring"
     sits_at = ("joint",)
     summary = "a spring that couples the joints"
+    leg_sizes = (Size("stiffness", 2e-3, 0.15, "a twentieth of the hip's own at a knee of 1 rad at most"),)
     stiffness: float = parameter("N·m/rad³", 0.0, 10.0, "of the coupling")
 
     def push(self, at: Motion) -> dict[str, ca.SX]:
@@ -101,6 +107,18 @@ class RoughSpot(ForceEffect):
     sits_at = ("joint",)
     summary = "dry friction about one angle only"
     neutral = {"friction": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("friction", 3e-3, 0.15, "as dry friction, in a part of the range", at="hip"),
+        Size("friction", 1e-3, 0.05, "as dry friction, in a part of the range", at="knee"),
+        Size("centre", 1.35, 1.65, "where the hip often passes", "linear", "hip"),
+        Size("centre", 0.2, 0.8, "where the knee often passes", "linear", "knee"),
+        Size("width", 0.05, 0.2, "a fraction of the range"),
+    )
+    mjcf_sizes = (
+        Share("friction", 0.02, 0.5),
+        Share("centre", 0.25, 0.75, "linear", "range"),
+        Share("width", 0.05, 0.15),
+    )
     friction: float = parameter("N·m", 0.0, 10.0, "in the middle of the spot")
     centre: float = parameter("rad", -3.2, 3.2, "angle of the spot")
     width: float = parameter("rad", 0.01, 3.2, "of the spot")
@@ -119,6 +137,18 @@ class AngleDamping(ForceEffect):
     sits_at = ("joint",)
     summary = "damping that grows away from one angle"
     neutral = {"damping": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("damping", 0.05, 1.0, "up to twice the hip's own", at="hip"),
+        Size("damping", 0.015, 0.25, "up to four times the knee's own", at="knee"),
+        Size("centre", 1.2, 1.7, "within the hip's range", "linear", "hip"),
+        Size("centre", 0.0, 0.9, "within the knee's range", "linear", "knee"),
+        Size("width", 0.2, 0.4, "half the range"),
+    )
+    mjcf_sizes = (
+        Share("damping", 0.02, 0.5),
+        Share("centre", 0.25, 0.75, "linear", "range"),
+        Share("width", 0.2, 0.4),
+    )
     damping: float = parameter("N·m·s/rad", 0.0, 10.0, "at one width from the centre")
     centre: float = parameter("rad", -3.2, 3.2, "angle without it")
     width: float = parameter("rad", 0.01, 3.2, "where it has its size")
@@ -137,6 +167,15 @@ class Cogging(ForceEffect):
     sits_at = ("joint",)
     summary = "a torque that repeats with the angle"
     neutral = {"size": 0.0}  # noqa: RUF012
+    leg_sizes = (
+        Size("size", 1e-3, 0.1, "from below the noise to 2° of hip", at="hip"),
+        Size("size", 4e-4, 0.03, "from below the noise to 2° of knee", at="knee"),
+        Size("pitch", 0.12, 0.35, "once to several times within the range"),
+    )
+    mjcf_sizes = (
+        Share("size", 0.01, 0.3),
+        Share("pitch", 0.1, 0.3),
+    )
     size: float = parameter("N·m", 0.0, 10.0, "amplitude")
     pitch: float = parameter("rad", 0.01, 3.2, "angle of one repetition")
 
@@ -153,6 +192,7 @@ class StiffnessDrift(MotionEffect):
     name = "stiffness_drift"
     sits_at = ("actuator",)
     summary = "stiffness that drifts with time"
+    leg_sizes = (Size("share", 6e-4, 0.03, "0.7 to 36 % within a trial", "either sign"),)
     share: float = parameter("1/s", -0.5, 0.5, "change each second")
 
     def push(self, at: Motion) -> dict[str, ca.SX]:
@@ -169,6 +209,15 @@ class PeriodicTorque(MotionEffect):
     name = "periodic_torque"
     sits_at = ("joint",)
     summary = "a disturbance that repeats with time"
+    leg_sizes = (
+        Size("size", 2e-3, 0.1, "from below the noise to 2° of hip", at="hip"),
+        Size("size", 8e-4, 0.04, "from below the noise to 3° of knee", at="knee"),
+        Size("frequency", 0.3, 3.0, "slow enough to move the leg, several periods a trial"),
+    )
+    mjcf_sizes = (
+        Share("size", 0.003, 0.3),
+        Share("frequency", 0.1, 1.0),
+    )
     size: float = parameter("N·m", 0.0, 10.0, "amplitude")
     frequency: float = parameter("Hz", 0.01, 50.0, "of the disturbance")
 
@@ -184,6 +233,10 @@ class PressureGrowth(MotionEffect):
     name = "pressure_growth"
     sits_at = ("actuator",)
     summary = "rest length that depends on the command"
+    leg_sizes = (
+        Size("growth", 1e-4, 6e-3, "at 30 kPa nine times this", at="maa"),
+        Size("growth", 2.5e-4, 2e-2, "at 15 kPa twice this, and BAA is softer", at="baa"),
+    )
     growth: float = parameter("m", 0.0, 0.1, "lengthening at 10 kPa")
 
     def push(self, at: Motion) -> dict[str, ca.SX]:
@@ -199,6 +252,7 @@ class PressureDamping(MotionEffect):
     name = "pressure_damping"
     sits_at = ("actuator",)
     summary = "damping that grows with the pressure"
+    leg_sizes = (Size("damping", 0.8, 20.0, "up to the actuators' own at 10 kPa"),)
     damping: float = parameter("N·s/m", 0.0, 1e3, "at 10 kPa")
 
     def push(self, at: Motion) -> dict[str, ca.SX]:
@@ -213,6 +267,7 @@ class Leak(MotionEffect):
     name = "leak"
     sits_at = ("actuator",)
     summary = "a leak between the actuators"
+    leg_sizes = (Size("share", 3e-3, 0.12, "0.3 to 12 % of the difference"),)
     share: float = parameter("1", 0.0, 0.5, "of the pressure difference that is lost")
 
     def push(self, at: Motion) -> dict[str, ca.SX]:
@@ -230,6 +285,10 @@ class Fade(MotionEffect):
     name = "fade"
     sits_at = ("actuator",)
     summary = "force that fades slowly during a trial"
+    leg_sizes = (
+        Size("share", 6e-3, 0.35, "0.6 to 35 % of the force"),
+        Size("time_constant", 2.0, 10.0, "slower than the leg, within a trial"),
+    )
     share: float = parameter("1", 0.0, 0.9, "lost in the end")
     time_constant: float = parameter("s", 0.1, 1e3, "of the fading")
 

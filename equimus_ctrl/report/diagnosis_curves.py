@@ -56,6 +56,8 @@ def panels(scene: Scene, finding: Finding) -> list[Panel]:
         finding: whose.
     """
     best, others = finding.part.effects, variants(finding)
+    if own := _own_panels(scene, best[0], [o[0] for o in others]):
+        return own
     if isinstance(best[0], ForceEffect):
         return _force_panels(scene, best[0], [cast(ForceEffect, o[0]) for o in others])
     if isinstance(best[0], BodyEffect):
@@ -154,8 +156,6 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
     joint = place in scene.model.robot.joint_names
     short = units.noun(scene.model, place) if joint else "length"
     long, torque = (place_unit(scene.model, unit, place) for unit in ("rad | m", "N·m | N"))
-    if best.scales:
-        return [_area_panel(scene, best, others)]
     law, rest = _Law.of(best, seen.push), [_Law.of(o, seen.push) for o in others]
     middle, half = (seen.low + seen.high) / 2, seen.span / 2
     x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
@@ -220,23 +220,24 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
     return found
 
 
-def _area_panel(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) -> Panel:
-    """The area against the length, as a share of what it is without the effect."""
-    place, seen = best.location, scene.seen[best.location]
-    actuator = next(a for a in scene.model.morphology.actuators if a.name == place)
-    x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
-
-    def area(effect: ForceEffect) -> Array:
-        length, p = ca.SX.sym("length"), {key: ca.SX(value) for key, value in effect.parameters().items()}
-        share = 1 + ca.SX(effect.more_area(length, ca.SX(actuator.rest_length), p))
-        return np.array(ca.Function("area", [length], [share])(x[None, :])).ravel()
-
-    far = reading("m", float(np.abs(x).max()))
-    along, curve = x * far.factor, area(best)
-    lines = Line(along[[0, -1]], np.ones(2), "without", True), Line(along, curve, name_of([best]))
-    axes = f"length of {place} {far.bracket}", "area, share of that at the rest length"
-    around = band(along, curve, [area(o) for o in others])
-    return Panel("area against the length", *axes, lines, around, scene.position(place) * far.factor)
+def _own_panels(scene: Scene, best: Effect, others: Sequence[Effect]) -> list[Panel]:
+    """The curves that an effect has of its own."""
+    robot, place = scene.model.robot, best.location
+    shown, rest = (best.curves(robot, scene.seen[place]), [o.curves(robot, scene.seen[place]) for o in others])
+    found = []
+    for k, curve in enumerate(shown):
+        far, up = (
+            reading(unit, float(np.abs(values).max()))
+            for unit, values in ((curve.x_unit, curve.along), (curve.y_unit, curve.values))
+        )
+        along, values = curve.along * far.factor, curve.values * up.factor
+        without = np.full(2, curve.without * up.factor)
+        lines = Line(along[[0, -1]], without, "without", True), Line(along, values, name_of([best]))
+        axes = f"{curve.x} of {place} {far.bracket}".rstrip(), f"{curve.y} {up.bracket}".rstrip()
+        around = band(along, values, [own[k].values * up.factor for own in rest])
+        data = scene.position(place) * far.factor if curve.where_seen else None
+        found.append(Panel(curve.title, *axes, lines, around, data))
+    return found
 
 
 def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:

@@ -11,7 +11,8 @@ import numpy as np
 from equimus_ctrl.diagnosis.candidates import seen_places
 from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
-from equimus_ctrl.effects.base import Effect, Seen
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics

@@ -18,9 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.computer import worker_count
 from equimus_ctrl.controllers.pid import PidController, PidSettings
-from equimus_ctrl.effects import AsymmetricLag, FillingFlow, RateLimit, TransportDelay
-from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.effects.valves import DELAY, FILL, FLOW, POWER, RATE, VENT
+from equimus_ctrl.effects.valves import valve_effects
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model, model_to_dict
@@ -338,14 +336,8 @@ class _Watched:
 def cross_check(problem: Problem, settings: PidSettings, task: int) -> CrossCheck:
     """Run the first leg in MuJoCo and compare with the compiled loop."""
     model, t, leg = problem.model, problem.tasks[task], problem.members[0]
-    valves: list[Effect] = []
-    for row, actuator in zip(leg.valve, model.morphology.actuator_names, strict=True):
-        valves.append(TransportDelay(actuator, float(row[DELAY])))
-        valves.append(AsymmetricLag(actuator, float(row[FILL]), float(row[VENT])))
-        if row[RATE] < math.inf:
-            valves.append(RateLimit(actuator, float(row[RATE])))
-        if row[FLOW] < math.inf:
-            valves.append(FillingFlow(actuator, float(row[FLOW]), float(row[POWER])))
+    rows = zip(leg.valve, model.morphology.actuator_names, strict=True)
+    valves = [effect for row, actuator in rows for effect in valve_effects(row, actuator)]
     rate = 1 / t.control_dt
     plant = _Watched(
         MujocoPlant(

@@ -7,11 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import mujoco
-
 from equimus_ctrl import presets
-from equimus_ctrl.effects.force import CoulombFriction, ForceEffect
-from equimus_ctrl.effects.valves import DELAY, FirstOrderLag, TransportDelay
+from equimus_ctrl.effects.valves import DELAY, TransportDelay
 from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
@@ -163,20 +160,7 @@ def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]
     own = realise(model)
     left = []
     for effect in model.effects:
-        if isinstance(effect, CoulombFriction):
-            own.mujoco.dof_frictionloss[own.mujoco.joint(effect.location).dofadr[0]] += effect.friction
-        elif isinstance(effect, FirstOrderLag) and not own.mujoco.actuator(effect.location).dyntype.item():
-            actuator = own.mujoco.actuator(effect.location).id
-            own.mujoco.actuator_dyntype[actuator] = mujoco.mjtDyn.mjDYN_FILTEREXACT
-            own.mujoco.actuator_dynprm[actuator, 0] = effect.time_constant
-            # Else the force at a step is that of a filter which has not seen its command.
-            own.mujoco.actuator_actearly[actuator] = 1
-        elif isinstance(effect, TransportDelay):
-            continue
-        elif (isinstance(effect, ForceEffect) and effect.mujoco_field is None) or effect.side in (
-            "command",
-            "measurement",
-        ):
+        if not effect.write_mjcf(own.mujoco):
             left.append(f"{effect.name} at {effect.location}")
     for drive, late in zip(own.robot.actuators, own.valve[:, DELAY], strict=True):
         # By the XML and by effects together; MuJoCo reads what it has written a step before at the earliest.

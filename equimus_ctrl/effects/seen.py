@@ -1,0 +1,80 @@
+"""What recordings show of a place, and what sizes go with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What recordings show of a place, from which sizes worth trying there follow.
+
+    Attributes:
+        low: lower end of what its coordinate covers: a joint's angle [rad] or an actuator's length [m].
+        high: upper end.
+        speed: what its rate seldom exceeds [rad/s or m/s].
+        push: torque or force that moves it from one end to the other [N·m or N].
+        command: largest command of the actuator, or of any where the place is none [Pa].
+        interval: usual time between samples [s].
+        duration: of a trial [s].
+        mass: of what moves [kg].
+        drive: largest push of the actuator, or of any, as the model has it [N·m or N]; 0 where it is not known.
+    """
+
+    low: float
+    high: float
+    speed: float
+    push: float
+    command: float
+    interval: float
+    duration: float
+    mass: float
+    drive: float = 0.0
+
+    @property
+    def span(self) -> float:
+        """What the coordinate covers [rad or m]."""
+        return self.high - self.low
+
+    def sizes(self, unit: str) -> tuple[float, ...]:
+        """A few values from hardly visible to strong of something that has this unit; none for a unit unknown here."""
+        joint, _, actuator = unit.partition(" | ")
+        known: dict[str, tuple[float, ...]] = {
+            "s": tuple(n * self.interval for n in (2.5, 8.0, 25.0)),
+            "Pa": _shares(self.command, 0.03, 0.1, 0.3),
+            "command": _shares(self.command, 0.03, 0.1, 0.3),
+            "Pa/s": tuple(self.command / t for t in (0.1, 0.4, 1.5)),
+            "kg": _shares(self.mass, 0.02, 0.1, 0.3),
+            "rad/s": _shares(self.speed, 0.05, 0.2),
+            "m/s": _shares(self.speed, 0.05, 0.2),
+            "rad": _shares(self.span, 0.01, 0.05),
+            "m": _shares(self.span, 0.01, 0.05),
+            "1": (0.02, 0.1),
+            **dict.fromkeys(("N·m", "N"), _shares(self.push, 0.005, 0.02, 0.08)),
+            **dict.fromkeys(("N·m/rad", "N/m"), _shares(self.push / self.span, 0.05, 0.2)),
+            **dict.fromkeys(("N·m·s/rad", "N·s/m"), _shares(self.push / self.speed, 0.05, 0.2)),
+            **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), _shares(self.push / self.speed**2, 0.05, 0.2)),
+            **dict.fromkeys(("N·m/rad²", "N/m²"), _shares(self.push / self.span**2, 0.05, 0.2)),
+            **dict.fromkeys(("N·m/rad³", "N/m³"), _shares(self.push / self.span**3, 0.05, 0.2)),
+        }
+        return known.get(joint, known.get(actuator, ()))
+
+    def scale(self, unit: str) -> float:
+        """What a size with this unit is compared with; 1 for a unit unknown here."""
+        unit = unit.partition(" | ")[0]
+        known = {
+            "s": self.span / self.speed,
+            "Hz": self.speed / self.span,
+            "kg": self.mass,
+            **dict.fromkeys(("rad", "m"), self.span),
+            **dict.fromkeys(("rad/s", "m/s"), self.speed),
+            **dict.fromkeys(("N·m", "N"), self.push),
+            **dict.fromkeys(("N·m/rad", "N/m"), self.push / self.span),
+            **dict.fromkeys(("N·m·s/rad", "N·s/m"), self.push / self.speed),
+            **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), self.push / self.speed**2),
+        }
+        return known.get(unit, 1.0)
+
+
+def _shares(whole: float, *shares: float) -> tuple[float, ...]:
+    return tuple(whole * share for share in shares)

@@ -1,0 +1,98 @@
+"""What effects say and show of themselves: sentences with numbers that somebody estimated, and curves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from equimus_ctrl.types import Array
+
+
+class Told(Protocol):
+    """What is told of an effect that was found: where it sits, and its numbers as a person reads them."""
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Where it acts alike."""
+        ...
+
+    @property
+    def at(self) -> str:
+        """``hip and knee``."""
+        ...
+
+    @property
+    def the(self) -> str:
+        """``the hip and the knee``."""
+        ...
+
+    @property
+    def noun(self) -> str:
+        """What the coordinate of the first place is called: angle, position."""
+        ...
+
+    @property
+    def pushes(self) -> str:
+        """What commands become there, to begin a sentence: ``The pressure of maa``, ``The pushes of a and b``."""
+        ...
+
+    @property
+    def numbers(self) -> str:
+        """All parameters with what they mean and their estimates."""
+        ...
+
+    @property
+    def robot(self) -> Any:
+        """The robot as it is modelled."""
+        ...
+
+    def one_or(self, one: str, several: str) -> str:
+        """One of two texts, by the number of places."""
+        ...
+
+    def __getitem__(self, key: str) -> str:
+        """A parameter's estimate with its interval: ``2.80 kPa (2.78 to 2.82)``."""
+        ...
+
+    def scaled(self, key: str, unit: str, factor: float, away: float = 0.0) -> str:
+        """The same of (parameter − away)·factor in another unit."""
+        ...
+
+    def unit(self, key: str) -> str:
+        """A parameter's unit there."""
+        ...
+
+    def value(self, key: str) -> float:
+        """A parameter's estimate [SI]."""
+        ...
+
+    def quantity(self, value: float, unit: str) -> str:
+        """An SI number without an interval: ``2.80 kPa``."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A curve that shows an effect.
+
+    Attributes:
+        title: what it is about.
+        x: what it runs along.
+        x_unit: SI.
+        y: what it shows.
+        y_unit: SI; ``1`` for a share.
+        along: (n,) [x_unit].
+        values: (n,) [y_unit].
+        without: what there is without the effect [y_unit].
+        where_seen: whether x is the coordinate of the effect's place, so that one can show where recordings lie.
+    """
+
+    title: str
+    x: str
+    x_unit: str
+    y: str
+    y_unit: str
+    along: Array
+    values: Array
+    without: float = 0.0
+    where_seen: bool = False
