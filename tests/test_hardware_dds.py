@@ -27,8 +27,7 @@ os.environ["CYCLONEDDS_URI"] = LOOPBACK
 
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.effects.valves import TransportDelay
-from equimus_ctrl.emulation.emulator import TICK, EmulatorSettings
-from equimus_ctrl.emulation.faults import KINDS, Fault
+from equimus_ctrl.emulation.emulator import TICK
 from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.hardware import messages
@@ -78,7 +77,7 @@ def leg(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["pid", "lqr", "nmpc"])
+@pytest.mark.parametrize("name", ["pid", "nmpc"])
 def test_controllers_track_over_the_wire_as_in_simulation(leg: Path, name: str, tmp_path: Path) -> None:
     scenario = load_scenario("hold", MODEL.morphology, search=False)
     own = load_controller(name, scenario, None, MODEL.morphology)
@@ -112,17 +111,13 @@ def test_instants_begin_soon_after_a_measurement_and_stamps_are_even(tmp_path: P
     assert np.median(ages) < 3e-3
 
 
+# What else the emulator can do is in test_emulator, what a robot's host does about it in test_hardware_faults.
 FAULTS = {
     "stall": ("stall:{t}:0.2", "the latest measurement is"),
-    "silent": ("silent:{t}", "the latest measurement is"),
     "nan": ("nan:{t}:0.05", "was measured as nan"),
-    "jump": ("jump:{t}:0.1", "jumped from"),
-    "clock": ("clock:{t}:1", "ahead of its arrival"),
-    "back": ("back:{t}:1", "the latest measurement is"),
     "rival": ("rival:{t}:1", "/joint_states has 2 publishers|from another publisher"),
     "crash": ("crash:{t}", "the latest measurement is"),
 }
-HARMLESS = {"repeat": "repeat:{t}:1", "reorder": "reorder:{t}:1"}
 
 
 def driven(
@@ -161,19 +156,9 @@ def test_faults_vent_and_are_told_and_what_came_before_is_recorded(name: str, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", HARMLESS)
-def test_what_comes_twice_or_late_is_ignored(name: str, tmp_path: Path) -> None:
-    fault = HARMLESS[name].format(t=2.0)
-    why, plant = driven(tmp_path / "log.json", tmp_path, "--fault", fault, *PATIENT, settings=patient())
-    assert why == "" and plant.counts.ignored > 20
-    assert len(read(tmp_path / "run.csv").time) > 470
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("loss", ["0.05", "0.3"])
-def test_losses_are_borne(loss: str, tmp_path: Path) -> None:
+def test_losses_are_borne(tmp_path: Path) -> None:
     log = tmp_path / "log.json"
-    why, plant = driven(log, tmp_path, "--loss", loss, "--jitter", "0.002", "--seed", "3", seconds=3.0)
+    why, plant = driven(log, tmp_path, "--loss", "0.3", "--jitter", "0.002", "--seed", "3", seconds=3.0)
     assert why == "" and plant.counts.misses <= 3
     seen = seen_by(log)
     # What is lost in between makes a step of several.
@@ -299,32 +284,6 @@ def test_a_domain_that_cannot_be_joined_is_told(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 2
     assert f"equimus-ctrl: DDS domain {DOMAIN} cannot be joined" in done.stderr and "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("stal:3", "there is no fault 'stal'; did you mean 'stall'"),
-        ("stall", "expected KIND:TIME or KIND:TIME:DURATION"),
-        ("stall:x", "expected KIND:TIME or KIND:TIME:DURATION"),
-        ("stall:-1", "fault stall: time is -1 s, expected at least 0"),
-        ("stall:1:0", "fault stall: duration is 0 s, expected more than 0"),
-    ],
-)
-def test_faults_that_make_no_sense(text: str, message: str) -> None:
-    with pytest.raises(ConfigError) as raised:
-        Fault.parse(text)
-    assert message in str(raised.value)
-
-
-def test_every_fault_is_tried_here() -> None:
-    assert set(KINDS) == {*FAULTS, *HARMLESS, "deaf"}
-
-
-@pytest.mark.parametrize("given", [{"loss": 1.0}, {"noise": -1.0}, {"watchdog": 0.0}, {"rate": 97.0}, {"seed": -1}])
-def test_emulators_that_make_no_sense(given: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match=next(iter(given))):
-        EmulatorSettings(**given)
 
 
 def test_the_commands_run_and_diagnose_can_read_what_was_recorded(leg: Path, tmp_path: Path) -> None:
