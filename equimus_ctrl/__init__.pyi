@@ -61,6 +61,14 @@ from .models.mjcf import (
 )
 from .models.model import Model as Model, nominal_model as nominal_model
 from .models.symbolic import symbolic_model as symbolic_model
+from .options import (
+    DiagnoseOptions as DiagnoseOptions,
+    IdentifyOptions as IdentifyOptions,
+    ProveOptions as ProveOptions,
+    ScoreOptions as ScoreOptions,
+    SensitivityOptions as SensitivityOptions,
+    ValidateOptions as ValidateOptions,
+)
 from .plants.events import Load as Load, Push as Push
 from .plants.hardware.plant import HardwarePlant as HardwarePlant
 from .plants.hardware.settings import HardwareSettings as HardwareSettings

@@ -81,7 +81,7 @@ def still(path: Path, *, degrees: bool = False, moving: bool = True, rows: int =
         (lambda p: still(p / "a.csv"), ("--validation", "b"), "there is no trial 'b'"),
         (lambda p: still(p / "a.csv"), ("--most", 0), "the largest number of effects is 0"),
         (lambda p: still(p / "a.csv"), ("--exclude", "stiction"), "there is no effect 'stiction'"),
-        (lambda p: still(p / "a.csv"), ("--threads", 0), "--threads is 0"),
+        (lambda p: still(p / "a.csv"), ("--threads", 0), "threads is 0"),
         (lambda p: still(p / "a.csv"), ("--free", "maa.colour"), "maa.colour"),
         (lambda p: p / "nowhere", (), "nowhere"),
     ],

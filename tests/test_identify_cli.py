@@ -242,7 +242,7 @@ CASES: list[tuple[Sequence[object], str]] = [
         "there is no parameter 'maa.stifness'; did you mean 'maa.stiff",
     ),
     (("identify", "other.csv", "--fix", "*"), "no parameter is free, so there is nothing to identify"),
-    (("identify", "other.csv", "--bound", "maa.area"), "--bound 'maa.area': expected key=value"),
+    (("identify", "other.csv", "--bound", "maa.area"), "--bound 'maa.area': expected name=low,high"),
     (("identify", "other.csv", "--bound", "maa.area=1"), "--bound 'maa.area=1': expected name=low,high, such as maa.a"),
     (("identify", "other.csv", "--bound", "maa.area=a,b"), "--bound 'maa.area=a,b': expected name=low,high"),
     (

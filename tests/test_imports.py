@@ -25,6 +25,7 @@ ORDER: tuple[tuple[str, ...], ...] = (
     ("testing",),
     ("tuning", "identification", "diagnosis", "validation", "proof"),
     ("report",),
+    ("options",),
     ("workflow",),
     ("cli",),
 )

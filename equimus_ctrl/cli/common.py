@@ -27,14 +27,6 @@ ModelFile = Annotated[
     Path | None,
     typer.Option("--model", metavar="FILE", help="Model file (TOML), or MuJoCo's XML; the nominal leg by default."),
 ]
-FreeFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--parameters",
-        metavar="FILE",
-        help="File (TOML) of what may be wrong about the model's numbers, see list parameters --write.",
-    ),
-]
 Recordings = Annotated[
     Path | None,
     typer.Option("--recordings", metavar="DIR", help="Folder with recordings; $EQUIMUS_RECORDINGS by default."),
@@ -44,23 +36,6 @@ EffectFiles = Annotated[
     typer.Option("--effects", metavar="FILE.py", help="Python file that registers effects of your own; repeatable."),
 ]
 Figures = Annotated[bool, typer.Option(help="Draw figures.")]
-Patterns = Annotated[
-    list[str] | None,
-    typer.Option("--select", metavar="PATTERN", help="Use the trials of these names only, such as 'step_*'."),
-]
-Window = Annotated[
-    tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Compare this part of each trial only, in s.")
-]
-Bounds = Annotated[
-    list[str] | None, typer.Option("--bound", metavar="NAME=LOW,HIGH", help="Between which values, in SI units.")
-]
-EngineName = Annotated[
-    str | None,
-    typer.Option(
-        help="reduced (compiled equations of motion) or mujoco; by default reduced where it holds all of the robot."
-    ),
-]
-Step = Annotated[float | None, typer.Option(help="Physics step, in s; the engine's own by default.")]
 
 
 def people() -> Console:
@@ -90,34 +65,6 @@ def key_values(items: list[str] | None, option: str) -> dict[str, str]:
             raise ConfigError(f"{option} {item!r}: expected key=value, such as duration=10")
         table[key.strip()] = value.strip()
     return table
-
-
-def parse_bounds(items: list[str] | None) -> dict[str, tuple[float, float]]:
-    """``NAME=LOW,HIGH`` texts as a table.
-
-    Raises:
-        ConfigError: where a text is not of that form.
-    """
-    table = {}
-    for name, text in key_values(items, "--bound").items():
-        low, comma, high = text.partition(",")
-        try:
-            table[name] = (float(low), float(high))
-        except ValueError:
-            comma = ""
-        if not comma:
-            raise ConfigError(f"--bound {f'{name}={text}'!r}: expected name=low,high, such as maa.area=3e-4,5e-4")
-    return table
-
-
-def check_threads(threads: int | None) -> None:
-    """Refuse less than one thread.
-
-    Raises:
-        ConfigError: where it is less.
-    """
-    if threads is not None and threads < 1:
-        raise ConfigError(f"--threads is {threads}, expected at least 1")
 
 
 def check_model_file(path: Path | None) -> None:

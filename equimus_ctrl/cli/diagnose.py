@@ -10,24 +10,20 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
-    Bounds,
     EffectFiles,
-    EngineName,
-    FreeFile,
     Json,
     ModelFile,
-    Patterns,
-    Window,
     check_model_file,
-    check_threads,
-    parse_bounds,
     people,
     print_json,
     tell_files,
 )
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import best_so_far, stage_bar
+from equimus_ctrl.options import DiagnoseOptions
 
 
+@with_options(DiagnoseOptions)
 def diagnose(
     recordings: Annotated[list[Path], typer.Argument(help="Trials: files, or folders of them.")],
     model: ModelFile = None,
@@ -37,62 +33,8 @@ def diagnose(
     report: Annotated[
         Path | None, typer.Option("--report", metavar="DIR", help="Write report.html, record.json and figures there.")
     ] = None,
-    validation: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--validation",
-            metavar="PATTERN",
-            help="Trials by which effects are confirmed or rejected, by name; every fourth by default, the end of a "
-            "single one.",
-        ),
-    ] = None,
-    test: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--test",
-            metavar="PATTERN",
-            help="Trials that no fit and no choice sees, by name; by default half of every fourth, from 8 trials on.",
-        ),
-    ] = None,
-    until: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Fit each trial up to this time only, and judge by the rest."),
-    ] = None,
-    select: Patterns = None,
-    window: Window = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--free",
-            metavar="NAME",
-            help="Numbers of the model that may be wrong, such as '*.mass', or base_parameters; by default "
-            "what is known least, see list parameters.",
-        ),
-    ] = None,
-    fix: Annotated[
-        list[str] | None, typer.Option("--fix", metavar="NAME", help="Numbers that are right all the same.")
-    ] = None,
-    bound: Bounds = None,
-    parameters: FreeFile = None,
-    shoot: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Of an MJCF robot: cut trials into windows of this length, each from its own free start; "
-            "by default as long as the model as it came stays near.",
-        ),
-    ] = None,
-    most: Annotated[int, typer.Option(help="Largest number of effects that are looked for together.")] = 3,
-    exclude: Annotated[
-        list[str] | None,
-        typer.Option("--exclude", metavar="EFFECT", help="Do not look for this effect, see list effects."),
-    ] = None,
-    engine: EngineName = None,
-    threads: Annotated[int | None, typer.Option(help="Of the simulations; all cores by default.")] = None,
-    budget: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Give the best so far after this time, with what was not looked at."),
-    ] = None,
+    *,
+    options: DiagnoseOptions,
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
@@ -117,8 +59,6 @@ def diagnose(
     if report is not None:
         presets.check_folder(report)
     check_model_file(write_model)
-    check_threads(threads)
-    limits = parse_bounds(bound)
     console = people()
     files: list[Path] = []
     with stage_bar(console, "getting ready", width=34, bar_width=24) as show, best_so_far(console) as asked:
@@ -128,21 +68,7 @@ def diagnose(
         found = workflow.diagnose_recordings(
             recordings,
             workflow.load_model(model),
-            free=free,
-            fix=fix or (),
-            bounds=limits,
-            select=select,
-            validation=validation or (),
-            test=test or (),
-            until=until,
-            window=window,
-            shoot=shoot,
-            parameters=parameters,
-            most=most,
-            exclude=exclude or (),
-            engine=engine,  # type: ignore[arg-type]
-            threads=threads,
-            budget=budget,
+            options,
             progress=show,
             asked=asked,
         )

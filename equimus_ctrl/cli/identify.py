@@ -8,26 +8,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from equimus_ctrl.cli.common import (
-    Bounds,
     EffectFiles,
-    EngineName,
     Figures,
-    FreeFile,
     Json,
     ModelFile,
-    Patterns,
-    Step,
-    Window,
     check_model_file,
     light_table,
-    parse_bounds,
     people,
     print_json,
     tell_engine,
     tell_files,
     write_results,
 )
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import stage_bar
+from equimus_ctrl.options import IdentifyOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,39 +36,12 @@ if TYPE_CHECKING:
     from equimus_ctrl.workflow import Identification, Identified, IdentifiedPoses, Judged
 
 
+@with_options(IdentifyOptions)
 def identify(
     recordings: Annotated[
         list[Path], typer.Argument(help="Trials (files, or folders of them), files of poses at rest, or both.")
     ],
     model: ModelFile = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--free",
-            metavar="NAME",
-            help="What may change, such as 'maa.*', or base_parameters; by default what is known least, "
-            "see list parameters.",
-        ),
-    ] = None,
-    fix: Annotated[
-        list[str] | None, typer.Option("--fix", metavar="NAME", help="What stays as it is all the same.")
-    ] = None,
-    bound: Bounds = None,
-    select: Patterns = None,
-    parameters: FreeFile = None,
-    heldout: Annotated[
-        list[Path] | None,
-        typer.Option("--heldout", metavar="PATH", help="Trials or poses that only judge; those fitted are left out."),
-    ] = None,
-    window: Window = None,
-    shoot: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Cut into windows of this length, each from its own free start."),
-    ] = None,
-    fit_start: Annotated[bool, typer.Option("--fit-start", help="Let each trial's first angles be free.")] = False,
-    engine: EngineName = None,
-    dt: Step = None,
-    folds: Annotated[int, typer.Option(help="Of the cross-check; 0 for none.")] = 4,
     write_model: Annotated[
         Path | None, typer.Option("--write-model", metavar="FILE", help="Write the identified model, for --model.")
     ] = None,
@@ -82,6 +50,8 @@ def identify(
         typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
     ] = None,
     figures: Figures = True,
+    *,
+    options: IdentifyOptions,
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
@@ -103,7 +73,6 @@ def identify(
     folder = output or presets.workspace() / "identification" / "results" / recordings[0].resolve().stem
     presets.check_folder(folder)
     check_model_file(write_model)
-    limits = parse_bounds(bound)
     console = people()
     with stage_bar(console, "getting ready", width=13) as show:
         from equimus_ctrl import workflow
@@ -116,18 +85,7 @@ def identify(
         found = workflow.identify_files(
             recordings,
             workflow.load_model(model),
-            free=free,
-            fix=fix or (),
-            bounds=limits,
-            parameters=parameters,
-            select=select,
-            heldout=heldout or (),
-            window=window,
-            shoot=shoot,
-            fit_start=fit_start,
-            engine=engine,
-            dt=dt,
-            folds=folds,
+            options,
             progress=notify,
         )
         record = found.to_dict()

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equimus_ctrl.cli.common import Figures, Json, people, print_json, tell_engine, tell_files
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, times
-from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.options import ProveOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,9 +21,9 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 60
 """Of a table in a terminal; files have all."""
-KINDS = ("none", "single", "pair", "outside")
 
 
+@with_options(ProveOptions)
 def prove(
     recordings: Annotated[
         list[Path] | None,
@@ -31,23 +33,6 @@ def prove(
         Path | None,
         typer.Option(metavar="FILE", help="An MJCF robot (.xml, or a model file) in the leg's place."),
     ] = None,
-    cases: Annotated[int, typer.Option(help="How many robots.")] = 100,
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
-    kind: Annotated[
-        str | None,
-        typer.Option(metavar="KIND", help="none, single, pair or outside for all; by default a mixture is drawn."),
-    ] = None,
-    trials: Annotated[int | None, typer.Option(help="Recorded of each leg; 8 by default.", show_default=False)] = None,
-    duration: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Of each leg's trials; 12 by default.", show_default=False)
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes at a time; one a processor by default.")] = None,
-    baselines: Annotated[
-        bool | None,
-        typer.Option(
-            help="Give simpler methods the same recordings; with legs they are by default.", show_default=False
-        ),
-    ] = None,
     figures: Figures = True,
     output: Annotated[
         Path | None,
@@ -55,6 +40,8 @@ def prove(
             "--output", "-o", metavar="DIR", help="For everything that is made; proof/results/seed_… by default."
         ),
     ] = None,
+    *,
+    options: ProveOptions,
     as_json: Json = False,
 ) -> None:
     """Put the diagnosis to the proof: robots with concealed physics, answers judged against sealed truths.
@@ -78,10 +65,9 @@ def prove(
 
     from equimus_ctrl import presets
 
-    if kind is not None and kind not in KINDS:
-        raise ConfigError(unknown_name("kind of ground truth", kind, KINDS))
-    experiment = _experiment(recordings or [], model, trials, duration)
-    name = f"seed_{seed}" + (f"_{kind}" if kind else "") + (f"_{experiment.model.name}" if experiment else "")
+    experiment = _experiment(recordings or [], model)
+    kind = f"_{options.kind}" if options.kind else ""
+    name = f"seed_{options.seed}{kind}" + (f"_{experiment.model.name}" if experiment else "")
     folder = output or presets.workspace() / "proof" / "results" / name
     presets.check_folder(folder)
     console = people()
@@ -92,10 +78,9 @@ def prove(
     columns = (TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), *times())
     try:
         with bars(console, *columns) as progress:
-            from equimus_ctrl.proof.designs import DURATION, TRIALS
             from equimus_ctrl.workflow.prove import STAGES, put_to_proof
 
-            tasks = {stage: progress.add_task(stage, total=cases, start=False) for stage in STAGES}
+            tasks = {stage: progress.add_task(stage, total=options.cases, start=False) for stage in STAGES}
 
             def notify(stage: str, done: int, total: int) -> None:
                 if not progress.tasks[tasks[stage]].started:
@@ -106,14 +91,8 @@ def prove(
 
             found = put_to_proof(
                 folder,
-                cases=cases,
-                seed=seed,
-                kind=kind,  # type: ignore[arg-type]
-                trials=TRIALS if trials is None else trials,
-                duration=DURATION if duration is None else duration,
+                options,
                 experiment=experiment,
-                workers=workers,
-                baselines=baselines,
                 progress=notify,
                 say=lambda sentence: console.print(sentence, markup=False, soft_wrap=True),
             )
@@ -137,16 +116,12 @@ def prove(
         raise typer.Exit(3)
 
 
-def _experiment(
-    recordings: list[Path], model: Path | None, trials: int | None, duration: float | None
-) -> Experiment | None:
+def _experiment(recordings: list[Path], model: Path | None) -> Experiment | None:
     """The MJCF robot and what is done with it; None where legs are put to the proof."""
     if model is None:
         if recordings:
             raise ConfigError(f"{recordings[0]}: recordings are for --model, an MJCF robot; a leg's trials are drawn")
         return None
-    if trials is not None or duration is not None:
-        raise ConfigError("--trials and --duration are for legs; an MJCF robot is driven as in its recordings")
     if not recordings:
         raise ConfigError(f"{model}: an MJCF robot is driven as in recordings of it; give their folder or files too")
     from equimus_ctrl.proof.mjcf import Experiment, require_bare_mjcf

@@ -7,20 +7,18 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, EngineName, Json, ModelFile, people, print_json, tell_engine
+from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json, tell_engine
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import share_bar
+from equimus_ctrl.options import ScoreOptions
 
 
+@with_options(ScoreOptions)
 def score(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
     model: ModelFile = None,
-    engine: EngineName = None,
-    window: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="FROM TO", help="Score this part of each trial, in s.")
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option(help="Compare on a grid of this rate, in Hz; at the recorded rows by default.")
-    ] = None,
+    *,
+    options: ScoreOptions,
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
@@ -42,9 +40,7 @@ def score(
         found = workflow.score_recordings(
             recordings,
             workflow.load_model(model),
-            engine=engine,  # type: ignore[arg-type]
-            window=window,
-            rate=rate,
+            options,
             progress=show,
         )
     joints = found.model.robot.joint_names

@@ -9,13 +9,9 @@ import typer
 
 from equimus_ctrl.cli.common import (
     EffectFiles,
-    EngineName,
     Figures,
     Json,
     ModelFile,
-    Patterns,
-    Step,
-    Window,
     light_table,
     people,
     print_json,
@@ -23,7 +19,9 @@ from equimus_ctrl.cli.common import (
     tell_files,
     write_results,
 )
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import stage_bar
+from equimus_ctrl.options import SensitivityOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,25 +32,17 @@ if TYPE_CHECKING:
 SHOWN = 15
 
 
+@with_options(SensitivityOptions)
 def sensitivity(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
     model: ModelFile = None,
-    parameter: Annotated[
-        list[str] | None, typer.Option("--parameter", metavar="NAME", help="Which, such as 'baa.*'; all by default.")
-    ] = None,
-    share: Annotated[
-        list[float] | None,
-        typer.Option("--share", metavar="PERCENT", help="By how much each is changed; ±1, ±5 and ±10 by default."),
-    ] = None,
-    select: Patterns = None,
-    window: Window = None,
-    engine: EngineName = None,
-    dt: Step = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
     ] = None,
     figures: Figures = True,
+    *,
+    options: SensitivityOptions,
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
@@ -72,18 +62,12 @@ def sensitivity(
     console = people()
     with stage_bar(console, "simulating") as show:
         from equimus_ctrl import workflow
-        from equimus_ctrl.identification.sensitivity import SHARES
 
         workflow.load_effects(effects or ())
         found = workflow.sensitivity_of(
             recordings,
             workflow.load_model(model),
-            select=select,
-            parameters=parameter or ("*",),
-            shares=SHARES if not share else sorted({s / 100 for s in share}),
-            window=window,
-            engine=engine,  # type: ignore[arg-type]
-            dt=dt,
+            options,
             progress=lambda done: show(share=done),
         )
         record = found.to_dict()

@@ -11,13 +11,14 @@ from equimus_ctrl.cli.common import (
     ElasticFile,
     Figures,
     Json,
-    check_threads,
     light_table,
     people,
     print_json,
     tell_files,
 )
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, times
+from equimus_ctrl.options import ValidateOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,11 +41,9 @@ TITLES = {
 }
 
 
+@with_options(ValidateOptions)
 def validate(
     model: ElasticFile = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer runs of everything, no front: half a minute.")] = False,
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
-    threads: Annotated[int | None, typer.Option(help="At most; all cores by default. Changes no error.")] = None,
     figures: Figures = True,
     output: Annotated[
         Path | None,
@@ -52,6 +51,8 @@ def validate(
             "--output", "-o", metavar="DIR", help="For the record and figures; validation/results by default."
         ),
     ] = None,
+    *,
+    options: ValidateOptions,
     as_json: Json = False,
 ) -> None:
     """Repeat the published verification of the EquiMus model and print its errors beside the published ones.
@@ -69,7 +70,6 @@ def validate(
 
     from equimus_ctrl import presets, workflow
 
-    check_threads(threads)
     folder = output or presets.workspace() / "validation" / "results"
     presets.check_folder(folder)
     robot = workflow.load_elastic(model)
@@ -77,8 +77,7 @@ def validate(
     columns = (TextColumn("{task.description:<22}"), BarColumn(), *times(), TextColumn("{task.fields[error]}"))
     with bars(console, *columns) as progress:
         tasks = {stage: progress.add_task(title, total=1.0, start=False, error="") for stage, title in TITLES.items()}
-        from equimus_ctrl.validation.plan import QUICK, Plan
-        from equimus_ctrl.validation.validate import validate as run
+        from equimus_ctrl.workflow.validate import validate_physics
 
         def notify(stage: str, share: float, error: float | None) -> None:
             task = tasks[stage]
@@ -90,7 +89,7 @@ def validate(
             if share == 1.0 and not console.is_terminal:
                 console.print(f"{TITLES[stage]}: done" + ("" if error is None else f", RMSE {error:.1e} rad"))
 
-        found = run(robot, QUICK if quick else Plan(), seed, threads=threads, notify=notify)
+        found = validate_physics(robot, options, notify=notify)
     record = found.to_dict()
     files = [folder / "validation.json"]
     presets.write_text(files[0], presets.json_text(record))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import fnmatch
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
 from equimus_ctrl.identification.step_error import with_step_error
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.options import DiagnoseOptions, IdentifyOptions, SensitivityOptions, with_changes
 from equimus_ctrl.recordings import StaticPoses, read_static_poses
 from equimus_ctrl.recordings.sheet import header_of
 from equimus_ctrl.recordings.upstream import STATIC_POSES, kind
@@ -35,12 +36,13 @@ from equimus_ctrl.types import Recording
 from equimus_ctrl.workflow.mjcf import read_free
 from equimus_ctrl.workflow.scores import gather
 
-TRIALS_ONLY = {"window": None, "shoot": None, "fit_start": False, "engine": None, "dt": None}
-"""What poses at rest have no use for, and the value that asks for nothing."""
+if TYPE_CHECKING:
+    from equimus_ctrl.options import Some
+
+TRIALS_ONLY = ("window", "shoot", "fit_start", "engine", "dt")
+"""What poses at rest have no use for."""
 FOLD_SHARE = 0.15
 """What a fold of the cross-check takes beside the search, for the share done."""
-FOLDS = 4
-Some = Path | str | Iterable[Path | str] | Sequence[Recording]
 Progress = Callable[[str, float, float], None]
 """Called with the stage, the share of the whole that is done, and the best RMSE over all joints so far [rad], nan where
 there is none yet."""
@@ -83,59 +85,53 @@ def choose(trials: Sequence[Recording], patterns: Sequence[str] | None) -> list[
     return [trial for trial in trials if any(fnmatch.fnmatchcase(trial.name, pattern) for pattern in patterns)]
 
 
+Free = TypeVar("Free", DiagnoseOptions, IdentifyOptions)
+
+
+def with_file(options: Free, model: Model) -> Free:
+    """Options with what their file of free parameters says in the place of the file.
+
+    Raises:
+        ConfigError: where the file says nothing that can be.
+    """
+    if options.parameters is None:
+        return options
+    free, bounds = read_free(options.parameters, model).with_more(options.free, options.bounds)
+    return replace(options, parameters=None, free=free, bounds=bounds)
+
+
 def identify_recordings(
     recordings: Some,
     model: Model | None = None,
+    options: IdentifyOptions | None = None,
     *,
-    free: Sequence[str] | None = None,
-    fix: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    select: Sequence[str] | None = None,
-    window: tuple[float, float] | None = None,
-    shoot: float | None = None,
-    fit_start: bool = False,
-    engine: EngineName | None = None,
-    dt: float | None = None,
-    threads: int | None = None,
-    folds: int = FOLDS,
-    heldout: Some | None = None,
-    settings: FitSettings | None = None,
     progress: Progress = lambda stage, share, best: None,
+    **changes: Any,
 ) -> Identified:
     """Parameters of a model from trials, with intervals, cross-checked on trials left out.
 
     Args:
         recordings: files, folders or trials.
         model: where the search starts; the nominal leg by default.
-        free: names or patterns of what may change; stiffness, area, rest length and damping by default.
-        fix: names or patterns of what stays as it is all the same.
-        bounds: (low, high) of some of them.
-        select: patterns of the names of the trials to use; all by default.
-        window: (from, to) [s] of each trial that is compared; all of it by default.
-        shoot: cut into windows of this length, each from its own free start [s].
-        fit_start: let each trial's first angles be free.
-        engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
-        dt: physics step [s].
-        threads: all cores by default.
-        folds: of the cross-check; less than two for none.
-        heldout: files, folders or trials that only judge; those that take part in the fit are left out.
-        settings: how it searches.
+        options: see ``IdentifyOptions``.
         progress: see ``Progress``.
+        **changes: of the options, one by one.
 
     Raises:
         EquimusError: where something given cannot be used.
     """
-    if folds < 0:
-        raise ConfigError(f"the cross-check has {folds} folds, expected 0 or more")
     model = model or nominal_model()
-    trials = choose(gather(recordings, model), select)
-    simulator = simulator_of(engine, dt, threads, model, trials)
-    others = [] if heldout is None else _unseen(gather(heldout, model), trials)
-    parameters = free_parameters(model, free, bounds, fix)
+    options = with_file(with_changes(IdentifyOptions, options, changes), model)
+    trials = choose(gather(recordings, model), options.select)
+    simulator = simulator_of(options.engine, options.dt, options.threads, model, trials)
+    heldout = _each_of(options.heldout)
+    others = _unseen(gather(heldout, model), trials) if heldout else []
+    parameters = free_parameters(model, options.free, options.bounds, options.fix)
     in_place = model.robot.traits.held_in_place
+    window, shoot, folds, settings = options.window, options.shoot, options.folds, options.settings
     if not in_place:
         shoot = shoot or window_length(model, trials, window, simulator) or math.inf
-    segments = cut(model, trials, window=window, shoot=shoot, fit_start=fit_start)
+    segments = cut(model, trials, window=window, shoot=shoot, fit_start=options.fit_start)
     judged = cut(model, others, window=window, shoot=None if in_place else shoot)
     share = _Share(min(folds, len(trials)) if min(folds, len(trials)) > 1 else 0, settings or FitSettings())
     progress("compiling", 0.0, math.nan)
@@ -160,7 +156,7 @@ def identify_recordings(
         lambda done: progress("cross-check", share.of_folds(done), best),
     )
     if (step := simulator.engine.discretisation) is not None:
-        other = Simulator(simulator.engine.with_finer_step(), threads)
+        other = Simulator(simulator.engine.with_finer_step(), options.threads)
         found = with_step_error(found, segments, simulator, other, 1 / step.finer)
     checked = time.perf_counter()
     pairs = zip(
@@ -207,31 +203,33 @@ def _unseen(heldout: Sequence[Recording], used: Sequence[Recording]) -> list[Rec
 def identify_poses(
     poses: Path | str | StaticPoses,
     model: Model | None = None,
+    options: IdentifyOptions | None = None,
     *,
-    free: Sequence[str] | None = None,
-    fix: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    heldout: Sequence[Path | str | StaticPoses] = (),
     progress: Progress = lambda stage, share, best: None,
+    **changes: Any,
 ) -> IdentifiedPoses:
     """Parameters of a model from poses at rest under known pressures.
 
     Args:
         poses: the poses or their file.
         model: where the search starts; the nominal leg by default.
-        free: names or patterns; stiffness, area and rest length of every actuator by default.
-        fix: names or patterns of what stays as it is all the same.
-        bounds: (low, high) of some of them.
-        heldout: poses that only judge; those that take part in the fit are left out.
+        options: see ``IdentifyOptions``; free are by default stiffness, area and rest length of every actuator.
         progress: see ``Progress``.
+        **changes: of the options, one by one.
 
     Raises:
-        EquimusError: where something given cannot be used.
+        EquimusError: where something given cannot be used, or is for trials.
     """
     model = model or nominal_model()
+    options = with_file(with_changes(IdentifyOptions, options, changes), model)
+    if options.select:
+        raise ConfigError("there is no trial to select from: only poses at rest are given")
+    for name in options.given(TRIALS_ONLY):
+        raise ConfigError(f"--{name.replace('_', '-')} is for trials, but only poses at rest are given")
     given = _poses_for(model, poses)
-    others = [_unseen_poses(_poses_for(model, item), given) for item in heldout]
-    parameters = free_parameters(model, free if free is not None else static_names(model), bounds, fix)
+    others = [_unseen_poses(_poses_for(model, item), given) for item in _each_of(options.heldout)]
+    free = options.free if options.free is not None else static_names(model)
+    parameters = free_parameters(model, free, options.bounds, options.fix)
     begun = time.perf_counter()
     progress("poses at rest", 0.0, math.nan)
     found = fit_static(
@@ -276,15 +274,10 @@ def _poses_for(model: Model, poses: Path | str | StaticPoses) -> StaticPoses:
 def identify_files(
     sources: Sequence[Path | str],
     model: Model | None = None,
+    options: IdentifyOptions | None = None,
     *,
-    free: Sequence[str] | None = None,
-    fix: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    parameters: Path | None = None,
-    select: Sequence[str] | None = None,
-    heldout: Sequence[Path | str] = (),
     progress: Progress = lambda stage, share, best: None,
-    **trials_only: Any,
+    **changes: Any,
 ) -> Identification:
     """Parameters from files of trials, of poses at rest, or of both.
 
@@ -295,29 +288,19 @@ def identify_files(
     Args:
         sources: files, or folders of trials.
         model: where the search starts; the nominal leg by default.
-        free: names or patterns of what may change.
-        fix: names or patterns of what stays as it is all the same.
-        bounds: (low, high) of some of them.
-        parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
-        select: patterns of the names of the trials to use; all by default.
-        heldout: files or folders that only judge: trials, or poses at rest.
+        options: see ``IdentifyOptions``; held out are files or folders.
         progress: see ``Progress``.
-        **trials_only: more of ``identify_recordings``: window, shoot, fit_start, engine, dt, threads, folds, settings.
+        **changes: of the options, one by one.
 
     Raises:
         EquimusError: where something given cannot be used.
     """
     model = model or nominal_model()
-    if parameters is not None:
-        free, bounds = read_free(parameters, model).with_more(free, bounds)
+    options = with_file(with_changes(IdentifyOptions, options, changes), model)
     if not model.robot.traits.held_in_place:  # so poses at rest tell nothing
-        own = identify_recordings(
-            sources, model, free=free, fix=fix, bounds=bounds, select=select, heldout=heldout or None,
-            progress=progress, **trials_only,
-        )  # fmt: skip
-        return Identification(model, None, own)
+        return Identification(model, None, identify_recordings(sources, model, options, progress=progress))
     poses, files = _sorted_out(sources)
-    judging_files, judging = _sorted_out(heldout)
+    judging_files, judging = _sorted_out(_each_of(options.heldout))
     judging_poses = [_poses_for(model, path) for path in judging_files]
     if not files:
         if judging:
@@ -325,22 +308,15 @@ def identify_files(
                 f"{judging[0]}: trials are held out, but only poses at rest are given, which tell no damping; give "
                 "trials to fit too"
             )
-        if select:
-            raise ConfigError("there is no trial to select from: only poses at rest are given")
-        for key, idle in TRIALS_ONLY.items():
-            if trials_only.get(key, idle) != idle:
-                raise ConfigError(f"--{key.replace('_', '-')} is for trials, but only poses at rest are given")
-        still = identify_poses(
-            _stacked(poses), model, free=free, fix=fix, bounds=bounds, heldout=judging_poses, progress=progress
-        )
+        still = identify_poses(_stacked(poses), model, replace(options, heldout=judging_poses), progress=progress)
         return Identification(model, still, None)
-    trials = choose(gather(files), select)
+    trials = choose(gather(files), options.select)
     for trial in trials:
         check_columns(model, trial)
-    others = _unseen(gather(judging), trials) if judging else None
+    others = _unseen(gather(judging), trials) if judging else ()
     if poses:
         judging_poses = [_unseen_poses(p, _stacked(poses)) for p in judging_poses]
-    chosen = free_parameters(model, free, bounds, fix)
+    chosen = free_parameters(model, options.free, options.bounds, options.fix)
     limits = {f.name: (f.low, f.high) for f in chosen.free}
     rest = None
     start = model
@@ -351,20 +327,13 @@ def identify_files(
                 f"none of the free parameters ({', '.join(chosen.names)}) is one that poses at rest are for "
                 f"({', '.join(static_names(model))}); give the trials alone"
             )
-        rest = identify_poses(
-            _stacked(poses),
-            model,
-            free=seen,
-            bounds={name: limits[name] for name in seen},
-            progress=progress,
-        )
+        own = IdentifyOptions(free=seen, bounds={name: limits[name] for name in seen})
+        rest = identify_poses(_stacked(poses), model, own, progress=progress)
         start = rest.fit.model
-    found = identify_recordings(
-        trials, start, free=chosen.names, bounds=limits, heldout=others, progress=progress, **trials_only
-    )
+    own = replace(options, free=chosen.names, fix=(), bounds=limits, select=None, heldout=others)
+    found = identify_recordings(trials, start, own, progress=progress)
     # What was held out is judged against the model as it came, whatever the poses made of it.
-    engine, dt, threads = (trials_only.get(key) for key in ("engine", "dt", "threads"))
-    simulator = simulator_of(engine, dt, threads, model)
+    simulator = simulator_of(options.engine, options.dt, options.threads, model)
     judged = [
         replace(h, before=residuals_of(model, [h.segment], simulator)[0])
         for h in found.heldout
@@ -372,6 +341,11 @@ def identify_files(
     ]
     judged += [judge_poses(model, found.fit.model, p) for p in judging_poses]
     return Identification(model, rest, replace(found, heldout=tuple(judged)))
+
+
+def _each_of(given: Any) -> list[Any]:
+    """What is held out, one or several."""
+    return [given] if isinstance(given, Path | str | StaticPoses) else list(given)
 
 
 def _sorted_out(paths: Sequence[Path | str]) -> tuple[list[Path], list[Path]]:
@@ -394,35 +368,29 @@ def _stacked(paths: Sequence[Path]) -> StaticPoses:
 def sensitivity_of(
     recordings: Some,
     model: Model | None = None,
+    options: SensitivityOptions | None = None,
     *,
-    select: Sequence[str] | None = None,
-    parameters: Sequence[str] = ("*",),
-    shares: Sequence[float] = SHARES,
-    window: tuple[float, float] | None = None,
-    engine: EngineName | None = None,
-    dt: float | None = None,
-    threads: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    **changes: Any,
 ) -> Sensitivity:
     """How a model's errors on recordings change with each of its numbers.
 
     Args:
         recordings: files, folders or trials.
         model: the nominal leg by default.
-        select: patterns of the names of the trials to use; all by default.
-        parameters: names or patterns.
-        shares: by which each is changed.
-        window: (from, to) [s] of each trial that is compared.
-        engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
-        dt: physics step [s].
-        threads: all cores by default.
+        options: see ``SensitivityOptions``.
         progress: called with the share done.
+        **changes: of the options, one by one.
 
     Raises:
         EquimusError: where something given cannot be used.
     """
     model = model or nominal_model()
-    trials = choose(gather(recordings, model), select)
-    simulator = simulator_of(engine, dt, threads, model, trials)
-    segments = cut(model, trials, window=window)
-    return sensitivity(model, segments, patterns=parameters, shares=shares, simulator=simulator, notify=progress)
+    options = with_changes(SensitivityOptions, options, changes)
+    trials = choose(gather(recordings, model), options.select)
+    simulator = simulator_of(options.engine, options.dt, options.threads, model, trials)
+    segments = cut(model, trials, window=options.window)
+    shares = SHARES if options.shares is None else options.shares
+    return sensitivity(
+        model, segments, patterns=options.parameters, shares=shares, simulator=simulator, notify=progress
+    )

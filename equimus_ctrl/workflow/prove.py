@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from equimus_ctrl import presets
 from equimus_ctrl.computer import each_apart, worker_count
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.options import ProveOptions, with_changes
 from equimus_ctrl.proof import blind
 from equimus_ctrl.proof.designs import DURATION, TRIALS
 from equimus_ctrl.proof.drawing import Kind
@@ -26,8 +27,6 @@ Progress = Callable[[str, int, int], None]
 """Called with the stage, how many cases are done, and how many there are."""
 Say = Callable[[str], None]
 """Called with a sentence for people."""
-LEAST_DURATION = 2.0
-"""Of a trial; a shorter one does not move the leg enough [s]."""
 HASHED = {"recordings_sha256": "other recordings", "model_sha256": "another model"}
 """Of what the request holds hashes, and what it says where they differ."""
 STAGES = ("simulating robots", "diagnosing", "scoring")
@@ -68,47 +67,33 @@ class Proof:
 
 def put_to_proof(
     folder: Path,
+    options: ProveOptions | None = None,
     *,
-    cases: int,
-    seed: int = 0,
-    kind: Kind | None = None,
-    trials: int = TRIALS,
-    duration: float = DURATION,
     experiment: Experiment | None = None,
-    workers: int | None = None,
-    baselines: bool | None = None,
     progress: Progress = lambda stage, done, total: None,
     say: Say = lambda sentence: None,
+    **changes: Any,
 ) -> Proof:
     """Put the diagnosis to the proof. What is in the folder already is not done again.
 
     Args:
         folder: for everything that is made.
-        cases: how many.
-        seed: of everything random.
-        kind: of all cases; drawn for each by default.
-        trials: of each case.
-        duration: of each trial [s].
+        options: see ``ProveOptions``.
         experiment: an MJCF robot and what is done with it, in the place of legs and of trials that are drawn.
-        workers: processes at a time; as many as there are processors by default.
-        baselines: whether simpler methods are given the same cases; by default those of legs, for which alone they are.
         progress: see ``Progress``.
         say: see ``Say``; the seal of all seals is said before the first diagnosis begins.
+        **changes: of the options, one by one.
 
     Raises:
         ConfigError: for numbers that make no proof, a folder that holds another one, or truths that were changed.
         EquimusError: where a diagnosis' process ended without an answer.
     """
     begun = time.perf_counter()
-    _check(cases, seed, trials, duration)
-    if experiment is not None and baselines:
-        raise ConfigError("the simpler methods are for legs; an MJCF robot is put to the proof without them")
-    workers, baselines = worker_count(workers), experiment is None if baselines is None else baselines
+    options = with_changes(ProveOptions, options, changes)
+    request = _request(folder, options, experiment)
+    cases, workers = options.cases, worker_count(options.workers)
+    baselines = experiment is None if options.baselines is None else options.baselines
     presets.check_folder(folder)
-    if experiment is None:
-        request = Request(folder, seed, kind, trials, duration)
-    else:
-        request = Request.of_mjcf(folder, seed, kind, experiment)
     _claim(request)
     done = 0
 
@@ -135,12 +120,16 @@ def put_to_proof(
     return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun)
 
 
-def _check(cases: int, seed: int, trials: int, duration: float) -> None:
-    for name, value, least in (("cases", cases, 1), ("seed", seed, 0), ("trials", trials, 1)):
-        if value < least:
-            raise ConfigError(f"{name} is {value}, expected at least {least}")
-    if not LEAST_DURATION <= duration < float("inf"):
-        raise ConfigError(f"duration is {duration:g} s, expected at least {LEAST_DURATION:g} s")
+def _request(folder: Path, options: ProveOptions, experiment: Experiment | None) -> Request:
+    kind = cast("Kind | None", options.kind)
+    if experiment is None:
+        trials = TRIALS if options.trials is None else options.trials
+        return Request(folder, options.seed, kind, trials, DURATION if options.duration is None else options.duration)
+    if options.baselines:
+        raise ConfigError("the simpler methods are for legs; an MJCF robot is put to the proof without them")
+    if options.trials is not None or options.duration is not None:
+        raise ConfigError("--trials and --duration are for legs; an MJCF robot is driven as in its recordings")
+    return Request.of_mjcf(folder, options.seed, kind, experiment)
 
 
 def _claim(request: Request) -> None:

@@ -9,18 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.engines.base import Engine, EngineName
+from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import check_columns, predict
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.options import ScoreOptions, with_changes
 from equimus_ctrl.recordings import read_set
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.mjcf import read_trials
-
-MOST_RATE = 1e5
-"""Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,36 +94,33 @@ def gather(
 def score_recordings(
     recordings: Path | str | Iterable[Path | str] | Sequence[Recording],
     model: Model | None = None,
+    options: ScoreOptions | None = None,
     *,
-    engine: EngineName | None = None,
-    window: tuple[float, float] | None = None,
-    rate: float | None = None,
     progress: Callable[[float], None] | None = None,
+    **changes: Any,
 ) -> RecordingsScore:
     """Open-loop prediction error of a model, each trial from its own measured start.
 
     Args:
         recordings: files, folders or trials.
         model: the nominal leg by default.
-        engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
-        window: (from, to) [s] of each trial that counts; all of it by default.
-        rate: of a grid to compare on [Hz]; the recording's own rows by default.
+        options: see ``ScoreOptions``.
         progress: called with the share done.
+        **changes: of the options, one by one.
 
     Raises:
         EquimusError: where a recording or the model cannot be used, or a window holds no samples.
     """
     model = model or nominal_model()
-    if rate is not None and not 0 < rate <= MOST_RATE:
-        raise ConfigError(f"the rate of the grid is {rate:g} Hz, expected more than 0 and at most {MOST_RATE:g}")
+    options = with_changes(ScoreOptions, options, changes)
     trials = gather(recordings, model)
     for trial in trials:
         check_columns(model, trial)
     scores = []
-    chosen = engine_for(model, engine, positions=[trial.position for trial in trials])
+    chosen = engine_for(model, options.engine, positions=[trial.position for trial in trials])
     for k, trial in enumerate(trials):
         predicted = predict(model, trial, engine=chosen.name)
-        error = _scored_error(trial, predicted, window, rate)
+        error = _scored_error(trial, predicted, options.window, options.rate)
         squares = (error**2).sum(axis=0)
         scores.append(TrialScore(trial, predicted, np.sqrt(squares / len(error)), squares, len(error)))
         if progress is not None:

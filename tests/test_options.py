@@ -1,0 +1,167 @@
+"""Options of verbs: what the command line offers is what the library takes, with the same defaults."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import FrozenInstanceError, fields, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+import typer
+
+from equimus_ctrl import workflow
+from equimus_ctrl.cli import diagnose, identify, prove, score, sensitivity, validate
+from equimus_ctrl.cli.main import app, main
+from equimus_ctrl.cli.options import filled
+from equimus_ctrl.diagnosis.policy import SearchSettings
+from equimus_ctrl.errors import ConfigError, EquimusError
+from equimus_ctrl.options import (
+    KINDS,
+    DiagnoseOptions,
+    IdentifyOptions,
+    ProveOptions,
+    ScoreOptions,
+    SensitivityOptions,
+    ValidateOptions,
+    offered,
+    with_changes,
+)
+from equimus_ctrl.proof.designs import DURATION, TRIALS
+from equimus_ctrl.proof.drawing import Kind
+from equimus_ctrl.workflow import prove as proving
+from equimus_ctrl.workflow import validate as validating
+
+VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
+    "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose_recordings", ["trials"]),
+    "identify": (identify.identify, IdentifyOptions, workflow, "identify_files", ["trials"]),
+    "prove": (prove.prove, ProveOptions, proving, "put_to_proof", []),
+    "score": (score.score, ScoreOptions, workflow, "score_recordings", ["trials"]),
+    "sensitivity": (sensitivity.sensitivity, SensitivityOptions, workflow, "sensitivity_of", ["trials"]),
+    "validate": (validate.validate, ValidateOptions, validating, "validate_physics", []),
+}
+"""Verb → its function, its options, where the library's function is, that function's name, and what it needs."""
+LIBRARY_ONLY = {"settings"}
+"""Fields that are too much for a command line."""
+EXAMPLES: dict[str, tuple[str, Any]] = {
+    "baselines": ("--no-baselines", False),
+    "bounds": ("--bound a=1,2 --bound b=-1e-3,0", {"a": (1.0, 2.0), "b": (-1e-3, 0.0)}),
+    "budget": ("--budget 60", 60.0),
+    "cases": ("--cases 7", 7),
+    "dt": ("--dt 0.002", 0.002),
+    "duration": ("--duration 3.5", 3.5),
+    "engine": ("--engine mujoco", "mujoco"),
+    "exclude": ("--exclude creep --exclude hysteresis", ["creep", "hysteresis"]),
+    "fit_start": ("--fit-start", True),
+    "fix": ("--fix a.mass", ["a.mass"]),
+    "folds": ("--folds 0", 0),
+    "free": ("--free a.* --free b", ["a.*", "b"]),
+    "heldout": ("--heldout one --heldout two", ["one", "two"]),
+    "kind": ("--kind pair", "pair"),
+    "quick": ("--quick", True),
+    "rate": ("--rate 60", 60.0),
+    "shares": ("--share 20 --share -5 --share 20", (-0.05, 0.2)),
+    "most": ("--most 2", 2),
+    "parameters": ("--parameters free.toml", Path("free.toml")),
+    "seed": ("--seed 9", 9),
+    "select": ("--select step_*", ["step_*"]),
+    "shoot": ("--shoot 2", 2.0),
+    "threads": ("--threads 3", 3),
+    "trials": ("--trials 2", 2),
+    "test": ("--test last", ["last"]),
+    "until": ("--until 20", 20.0),
+    "validation": ("--validation step_* --validation chirp", ["step_*", "chirp"]),
+    "window": ("--window 5 9", (5.0, 9.0)),
+    "workers": ("--workers 2", 2),
+}
+"""Field → how the command line is told, and what the library is told."""
+
+
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
+    """What the library's function of a verb is called with; nothing more happens."""
+    found: dict[str, Any] = {}
+    monkeypatch.chdir(tmp_path)
+
+    def library(*given: Any, **more: Any) -> None:
+        (found["options"],) = [value for value in given if type(value).__name__.endswith("Options")]
+        raise EquimusError("seen")
+
+    for _, _, module, name, _ in VERBS.values():
+        monkeypatch.setattr(module, name, library)
+    return found
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_option_is_a_field_with_the_same_default(verb: str) -> None:
+    function, kind, *_ = VERBS[verb]
+    command = typer.main.get_command(app).commands[verb]  # type: ignore[attr-defined]
+    parameters = {parameter.name: parameter for parameter in command.params}
+    own = set(inspect.signature(function.__wrapped__).parameters) - {"options"}
+    assert own | set(offered(kind)) == set(parameters)
+    assert set(offered(kind)) == {f.name for f in fields(kind)} - LIBRARY_ONLY
+    assert filled(kind, {name: parameters[name].default for name in offered(kind)}) == kind()
+    assert all(parameters[name].help for name in offered(kind))
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_without_options_the_library_is_told_the_defaults(verb: str, told: dict[str, Any]) -> None:
+    _, kind, *_, needs = VERBS[verb]
+    assert main([verb, *needs]) == 2
+    assert told["options"] == kind()
+
+
+@pytest.mark.parametrize(("verb", "name"), [(verb, name) for verb, own in VERBS.items() for name in offered(own[1])])
+def test_an_option_sets_its_field_and_no_other(verb: str, name: str, told: dict[str, Any]) -> None:
+    _, kind, *_, needs = VERBS[verb]
+    text, value = EXAMPLES[name]
+    if (verb, name) == ("sensitivity", "parameters"):
+        text, value = "--parameter baa.* --parameter gravity", ["baa.*", "gravity"]
+    if (verb, name) == ("identify", "heldout"):
+        value = [Path(item) for item in value]
+    assert main([verb, *needs, *text.split()]) == 2
+    assert told["options"] == replace(kind(), **{name: value})
+    assert told["options"] != kind()
+
+
+def test_defaults_that_other_modules_have_too_are_the_same() -> None:
+    assert DiagnoseOptions().most == SearchSettings().most_parts
+    assert get_args(Kind) == KINDS
+    assert f"{TRIALS} by default" in offered(ProveOptions)["trials"].help
+    assert f"{DURATION:g} by default" in offered(ProveOptions)["duration"].help
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "sentence"),
+    [
+        (DiagnoseOptions, {"most": 7}, "the largest number of effects is 7, expected 1 to 6"),
+        (DiagnoseOptions, {"until": float("nan")}, "the end of what is fitted is nan s, expected a finite time"),
+        (DiagnoseOptions, {"threads": 0}, "threads is 0, expected at least 1"),
+        (DiagnoseOptions, {"mots": 2}, "there is no option 'mots'; did you mean 'most'"),
+        (IdentifyOptions, {"folds": -1}, "the cross-check has -1 folds, expected 0 or more"),
+        (IdentifyOptions, {"threads": -2}, "threads is -2, expected at least 1"),
+        (ScoreOptions, {"rate": 0.0}, "the rate of the grid is 0 Hz, expected more than 0 and at most 100000"),
+        (SensitivityOptions, {"threads": 0}, "threads is 0, expected at least 1"),
+        (ValidateOptions, {"seed": -1}, "seed is -1, expected at least 0"),
+        (ValidateOptions, {"threads": 0}, "threads is 0, expected at least 1"),
+        (ProveOptions, {"cases": 0}, "cases is 0, expected at least 1"),
+        (ProveOptions, {"seed": -1}, "seed is -1, expected at least 0"),
+        (ProveOptions, {"kind": "singel"}, "there is no kind of ground truth 'singel'; did you mean 'single'"),
+        (ProveOptions, {"trials": 0}, "trials is 0, expected at least 1"),
+        (ProveOptions, {"duration": 1.9}, "duration is 1.9 s, expected at least 2 s"),
+        (ProveOptions, {"duration": float("nan")}, "duration is nan s, expected at least 2 s"),
+        (ProveOptions, {"workers": 0}, "workers is 0, expected at least 1"),
+    ],
+)
+def test_values_that_cannot_be_are_refused(kind: type[Any], changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        with_changes(kind, None, changes)
+    assert str(refused.value).startswith(sentence)
+
+
+def test_changes_leave_the_options_as_they_are() -> None:
+    options = DiagnoseOptions(most=2)
+    assert with_changes(DiagnoseOptions, options, {"until": 5.0}) == DiagnoseOptions(most=2, until=5.0)
+    assert options == DiagnoseOptions(most=2)
+    with pytest.raises(FrozenInstanceError):
+        options.most = 1  # type: ignore[misc]
