@@ -129,7 +129,7 @@ def test_the_terminal_is_told_every_verdict(diagnosis: Diagnosis, verdict: str, 
     assert story.verdict(d) in text
     for one in d.findings:
         assert sentence(one, d.model) in text
-    assert ("the error changes by" in text) == bool(d.findings)
+    assert ("the error changes by" in text) == bool(d.findings) and ("the error is" in text) != bool(d.findings)
     assert ("Where the refitted model is off" in text) == (verdict != "consistent")
     assert ("What remains unexplained" in text) == bool(d.unexplained)
     assert ("equimus-ctrl run hold --set p1=12 --set p2=2.5" in text) == (d.experiment is not None)

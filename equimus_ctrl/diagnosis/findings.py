@@ -215,7 +215,10 @@ def notes(found: Searched, split: Split, excluded: Sequence[str], not_done: Sequ
     if not split.validation:
         said.append("Nothing was held out, so nothing judged what was found but the trials that it was fitted to.")
     elif not split.test:
-        said.append("There are too few trials for a test set: errors are told of validation trials, which chose too.")
+        said.append(
+            "There is no test set (from eight trials on, or by --test), so errors are those of validation trials, "
+            "which chose too."
+        )
     fit = found.best.fit
     held = [f.name for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
     if held:

@@ -105,7 +105,8 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
         f"<style>{CSS}</style>\n</head>\n<body>\n<header>\n<h1>{escape(title)}</h1>\n"
         f'<p class="faint">{escape(story.trials(diagnosis))}</p>\n'
-        f'<p class="verdict {escape(diagnosis.verdict)}">{escape(story.verdict(diagnosis))}</p>\n{notes}\n'
+        f'<p class="verdict {escape(diagnosis.verdict)}">{escape(story.verdict(diagnosis))}</p>\n'
+        f"<p>{escape(story.headline(diagnosis))}</p>\n{notes}\n"
         f"<nav>{links}</nav>\n{_figure(figures['summary'], told)}\n</header>\n<main>\n{sections}\n"
         f"</main>\n</body>\n</html>\n"
     )
@@ -192,12 +193,11 @@ def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
         f"<h3>{escape(text)}</h3>{_figure(figures[f'finding_{k + 1}'], f'Curves of {short(finding.named)}: {text}')}"
         for k, (finding, text) in enumerate(zip(diagnosis.findings, told, strict=True))
     ]
-    improved = f"<p>{escape(story.headline(diagnosis))}</p>"
     explained = (
         '<p class="faint">Gain: fall of −2 log likelihood with the effect, everything else free without it. Share: of '
         "the mean squared error in excess of the noise.</p>"
     )
-    return f"{_list(told)}{improved}{_table(head, rows)}{explained}{''.join(shown)}"
+    return f"{_list(told)}{_table(head, rows)}{explained}{''.join(shown)}"
 
 
 def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:

@@ -88,18 +88,23 @@ def where(diagnosis: Diagnosis) -> list[str]:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """What the findings do on the test trials, or on those of validation where there are none; "" without findings."""
+    """The error on the test trials, or on those of validation where there are none, and what the findings do to it."""
     part: Literal["test", "validation"] = "test" if diagnosis.test else "validation"
     segments = getattr(diagnosis, part)
-    if not (diagnosis.findings and segments):
+    if not segments:
         return ""
     before, after = (diagnosis.rmse(state, part) for state in ("refitted", "corrected"))
     shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
-    parts = [_fall(j, b, a, u) for j, b, a, u in zip(diagnosis.joints, before, after, shown, strict=True)]
+    if diagnosis.findings:
+        parts = [_fall(j, b, a, u) for j, b, a, u in zip(diagnosis.joints, before, after, shown, strict=True)]
+    else:
+        of = zip(diagnosis.joints, before, shown, strict=True)
+        parts = [f"{number(size * unit.factor)} {unit.unit} at the {joint}" for joint, size, unit in of]
+    told = f"the error {'changes by' if diagnosis.findings else 'is'} {listed(parts)}"
     n = len({s.recording for s in segments})
     who = f"On the {part} trial" if n == 1 else f"On the {n} {part} trials"
     seen = "no fit and no choice has seen" if part == "test" else "not fitted, though they chose"
-    return f"{who}, {'which ' * (part == 'test')}{seen}, the error changes by {listed(parts)}."
+    return f"{who}, {'which ' * (part == 'test')}{seen}, {told}."
 
 
 def _fall(joint: str, before: float, after: float, unit: Reading) -> str:
@@ -220,6 +225,8 @@ def tell(console: Console, diagnosis: Diagnosis) -> None:
     if diagnosis.engine.reason:
         say(diagnosis.engine.sentence, style="dim")
     head(verdict(diagnosis))
+    if told := headline(diagnosis):
+        say(told)
     first, *joints = against_noise(diagnosis)
     say(first)
     for line in joints:
@@ -233,8 +240,6 @@ def tell(console: Console, diagnosis: Diagnosis) -> None:
         for k, finding in enumerate(diagnosis.findings):
             say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
             say(evidence(diagnosis, k), 5, "dim")
-        if told := headline(diagnosis):
-            say(told)
     if lines := remains(diagnosis):
         head("What remains unexplained")
         for line in lines:
