@@ -274,7 +274,7 @@ def test_the_same_recordings_give_the_same_bits_on_any_number_of_threads() -> No
 @pytest.mark.slow
 def test_the_report_is_plain_data_of_the_schema() -> None:
     record = found_in((parse("dead_zone:baa:threshold=1500"),)).to_dict()
-    assert record["schema"] == SCHEMA == "equimus-ctrl/diagnosis/1"
+    assert record["schema"] == SCHEMA == "equimus-ctrl/diagnosis/2"
     assert json.loads(json.dumps(record, allow_nan=False)) == record
     finding = record["findings"][0]
     assert set(finding) == {"effect", "locations", "parameters", "evidence", "equivalent"}
@@ -346,7 +346,7 @@ def test_equivalents_come_with_the_experiment_that_tells_them_apart() -> None:
         t = np.arange(0, 5, 0.01)
         wave = 1.2e4 + amplitude * np.sin(4 * t)[:, None] * np.ones(2)
         designs.append(Design("chirp", {"amplitude": amplitude / 1e3}, t, wave))
-    found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2), designs=designs)
+    found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2), designs=lambda: designs)
     (finding,) = found.findings
     named = {(finding.named.effect, finding.named.locations)}
     named |= {(e.effect, e.locations) for e in finding.equivalent}

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.diagnosis import stages
 from equimus_ctrl.diagnosis.budget import Asked, Budget, BudgetSpent, never
-from equimus_ctrl.diagnosis.experiment import Design
+from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.policy import SearchPolicy
@@ -32,7 +31,7 @@ def diagnose(
     *,
     settings: DiagnosisSettings | None = None,
     simulator: Simulator | None = None,
-    designs: Sequence[Design] = (),
+    designs: Designs = tuple,
     progress: Progress = lambda stage, share, best: None,
     asked: Asked = never,
 ) -> Diagnosis:

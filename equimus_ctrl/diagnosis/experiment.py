@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,8 +38,12 @@ class Design:
     commands: Array
 
 
+Designs = Callable[[], Sequence[Design]]
+"""Experiments to choose from, made where one is looked for."""
+
+
 def separating(
-    data: Data, found: Searched, findings: Sequence[Finding], designs: Sequence[Design]
+    data: Data, found: Searched, findings: Sequence[Finding], designs: Designs
 ) -> Experiment | None:
     """The design in which the strongest finding that has an equivalent differs most from it.
 
@@ -52,7 +56,7 @@ def separating(
     first, second, named = pair
     best: Experiment | None = None
     sigma = white_noise(found.best.fit.residuals)
-    for design in designs:
+    for design in designs():
         distance = _distance(data, first, second, design, np.array([s.sigma for s in sigma]))
         if best is None or distance > best.distance:
             best = Experiment(design.scenario, design.settings, named, distance)

@@ -1,4 +1,4 @@
-"""What a diagnosis found, for people, for figures and as plain data (``equimus-ctrl/diagnosis/1``)."""
+"""What a diagnosis found, for people, for figures and as plain data (``equimus-ctrl/diagnosis/2``)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-SCHEMA = "equimus-ctrl/diagnosis/1"
+SCHEMA = "equimus-ctrl/diagnosis/2"
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
 PARTS: tuple[Literal["train"], Literal["validation"], Literal["test"]] = ("train", "validation", "test")
 """Of the trials: fitted, by which effects were confirmed or rejected, and not touched before the report."""
@@ -371,7 +371,7 @@ class Diagnosis:
         return np.asarray(np.sqrt((np.concatenate(residuals) ** 2).mean(axis=0)))
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines: schema ``equimus-ctrl/diagnosis/1``."""
+        """For machines: schema ``equimus-ctrl/diagnosis/2``."""
         own = self.best.fit
         return {
             "schema": SCHEMA,

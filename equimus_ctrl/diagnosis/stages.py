@@ -21,7 +21,7 @@ from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import Judge, confirmed
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
-from equimus_ctrl.diagnosis.experiment import Design, separating
+from equimus_ctrl.diagnosis.experiment import Designs, separating
 from equimus_ctrl.diagnosis.findings import (
     beyond_range,
     detectable,
@@ -97,7 +97,7 @@ class Question:
     data: Data
     split: Split
     settings: DiagnosisSettings
-    designs: Sequence[Design]
+    designs: Designs
     progress: Progress
     begun: float
 
@@ -319,8 +319,7 @@ def report(state: State) -> Diagnosis:
     data, split, model = state.data, question.split, question.data.free.model
     judge = Judge(data, split, found)
     named = findings(own, found, judge, state.equivalent)
-    asked = question.designs and not state.ended_in
-    experiment = separating(data, found, named, question.designs) if asked else None
+    experiment = None if state.ended_in else separating(data, found, named, question.designs)
     residuals = {
         name: Residuals(train, tuple(judge.left(own_model)), tuple(residuals_of(own_model, split.test, data.simulator)))
         for name, own_model, train in zip(

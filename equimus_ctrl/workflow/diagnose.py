@@ -68,7 +68,7 @@ def diagnose_recordings(
     check_settings(chosen, parts)
     search = SearchSettings(most_parts=options.most)
     settings = DiagnosisSettings(search, options.threads, options.engine, tuple(options.exclude), options.budget)
-    return diagnose(chosen, parts, settings=settings, designs=sweeps(model), progress=progress, asked=asked)
+    return diagnose(chosen, parts, settings=settings, designs=lambda: sweeps(model), progress=progress, asked=asked)
 
 
 def sweeps(model: Model) -> list[Design]:

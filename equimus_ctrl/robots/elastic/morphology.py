@@ -10,9 +10,9 @@ its parent's frame; the base frame is the world's. Units are SI.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from numbers import Real
 from typing import Any, ClassVar, Literal, TypeVar
 
@@ -297,16 +297,19 @@ class Morphology(Robot):
         Raises:
             ModelError: for a name that does not exist or a value that cannot be.
         """
-        known = self._parameters
-        for name in values:
-            if name not in known:
-                owner = name.partition(".")[0]
-                likely = [key for key in known if key.startswith(owner + ".")] or list(known)
-                raise ModelError(
-                    f"{self.name}: there is no parameter {name!r}{nearest(name, known)} (known: {', '.join(likely)})"
-                )
-            require(isinstance(values[name], Real), f"{self.name}: {name} is {values[name]!r}, expected a number")
-        return _replaced(self, "", values)
+        for name, value in values.items():
+            require(isinstance(value, Real), f"{self.name}: {name} is {value!r}, expected a number")
+        taken: set[str] = set()
+        changed = _replaced(self, "", values, {name.partition(".")[0] for name in values}, taken)
+        if len(taken) < len(values):
+            known = self._parameters
+            name = next(name for name in values if name not in known)
+            owner = name.partition(".")[0]
+            likely = [key for key in known if key.startswith(owner + ".")] or list(known)
+            raise ModelError(
+                f"{self.name}: there is no parameter {name!r}{nearest(name, known)} (known: {', '.join(likely)})"
+            )
+        return changed
 
     def unit(self, name: str) -> str:
         """The SI unit of a parameter."""
@@ -421,19 +424,31 @@ def _walk(part: _Part, prefix: str = "") -> Iterator[tuple[str, float]]:
         yield from _walk(child, child_prefix)
 
 
-def _replaced(part: _P, prefix: str, values: Mapping[str, float]) -> _P:
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(kind))
+
+
+def _replaced(part: _P, prefix: str, values: Mapping[str, float], owners: Set[str], taken: set[str]) -> _P:
+    """A part with values by their dotted names; ``owners`` are what these begin with, ``taken`` gets those used."""
     changes: dict[str, object] = {}
-    for item in fields(part):
-        value = getattr(part, item.name)
-        if prefix + item.name in values:
-            changes[item.name] = float(values[prefix + item.name])
-        elif isinstance(value, JointStop | Point):
-            if (child := _replaced(value, f"{prefix}{item.name}.", values)) is not value:
-                changes[item.name] = child
-        elif isinstance(value, tuple):
-            children = tuple(_replaced(child, f"{child.name}.", values) for child in value)
+    kind: type = type(part)
+    for name in _field_names(kind):
+        value = getattr(part, name)
+        key = prefix + name
+        if isinstance(value, tuple):
+            children = [
+                _replaced(child, f"{child.name}.", values, owners, taken) if child.name in owners else child
+                for child in value
+            ]
             if any(new is not old for new, old in zip(children, value, strict=True)):
-                changes[item.name] = children
+                changes[name] = tuple(children)
+        elif isinstance(value, JointStop | Point):
+            if (child := _replaced(value, f"{key}.", values, owners, taken)) is not value:
+                changes[name] = child
+        elif key in values and isinstance(value, Real):
+            changes[name] = float(values[key])
+            taken.add(key)
     return replace(part, **changes) if changes else part  # type: ignore[arg-type]  # mypy cannot follow it so far
 
 
