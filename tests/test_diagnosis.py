@@ -346,7 +346,9 @@ def test_equivalents_come_with_the_experiment_that_tells_them_apart() -> None:
         t = np.arange(0, 5, 0.01)
         wave = 1.2e4 + amplitude * np.sin(4 * t)[:, None] * np.ones(2)
         designs.append(Design("chirp", {"amplitude": amplitude / 1e3}, t, wave))
-    found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2), designs=lambda: designs)
+    found = diagnose(
+        uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2), designs=lambda: designs
+    )
     (finding,) = found.findings
     named = {(finding.named.effect, finding.named.locations)}
     named |= {(e.effect, e.locations) for e in finding.equivalent}

@@ -42,9 +42,7 @@ Designs = Callable[[], Sequence[Design]]
 """Experiments to choose from, made where one is looked for."""
 
 
-def separating(
-    data: Data, found: Searched, findings: Sequence[Finding], designs: Designs
-) -> Experiment | None:
+def separating(data: Data, found: Searched, findings: Sequence[Finding], designs: Designs) -> Experiment | None:
     """The design in which the strongest finding that has an equivalent differs most from it.
 
     The distance is that of the two predictions after the second model's free parameters have been moved such that it is
