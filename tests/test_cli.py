@@ -155,7 +155,7 @@ def test_help_is_quick_because_it_imports_nothing_heavy() -> None:
 
 def test_lists_for_machines(ran: Any) -> None:
     found = {}
-    for kind in ("scenarios", "controllers", "plants", "effects", "models"):
+    for kind in ("scenarios", "controllers", "plants", "effects", "models", "thresholds"):
         code, out, err = ran("list", kind, "--json")
         assert code == 0 and err == ""
         (key,) = data = json.loads(out)
@@ -170,7 +170,7 @@ def test_lists_for_machines(ran: Any) -> None:
     assert found["effects"]["transport_delay"]["sits_at"] == ["actuator"]
 
 
-@pytest.mark.parametrize("kind", ["scenarios", "controllers", "plants", "effects", "models"])
+@pytest.mark.parametrize("kind", ["scenarios", "controllers", "plants", "effects", "models", "thresholds"])
 def test_lists_for_people(kind: str, ran: Any) -> None:
     code, out, err = ran("list", kind)
     assert code == 0 and err == ""

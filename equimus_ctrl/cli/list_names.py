@@ -30,6 +30,7 @@ class Kind(StrEnum):
     effects = "effects"
     models = "models"
     parameters = "parameters"
+    thresholds = "thresholds"
 
 
 def list_names(
@@ -42,7 +43,7 @@ def list_names(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List scenarios, controllers, plants, effects, built-in models, or the parameters of a model.
+    """List scenarios, controllers, plants, effects, models, parameters of a model, or thresholds of a diagnosis.
 
     \b
     [bold]Examples[/bold]
@@ -108,6 +109,8 @@ def _rows(kind: Kind) -> list[dict[str, Any]]:
         from equimus_ctrl.plants.registry import PLANTS
 
         return [{"name": name, "summary": entry.summary} for name, entry in PLANTS.items()]
+    if kind is Kind.thresholds:
+        return _thresholds()
     if kind is Kind.models:
         from equimus_ctrl.robots.elastic.leg import MORPHOLOGIES
 
@@ -127,6 +130,21 @@ def _rows(kind: Kind) -> list[dict[str, Any]]:
             },
         }
         for name, cls in sorted(REGISTRY.items())
+    ]
+
+
+def _thresholds() -> list[dict[str, Any]]:
+    from equimus_ctrl.diagnosis.policy import Thresholds
+
+    return [
+        {
+            "name": t.name,
+            "summary": f"{t.value:g} {t.unit}".rstrip() + f": {t.meaning}",
+            "parameters": {"origin": f"{t.origin.basis}: {t.origin.why}"},
+            "value": t.value,
+            "unit": t.unit,
+        }
+        for t in Thresholds.listed()
     ]
 
 
