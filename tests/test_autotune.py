@@ -181,8 +181,8 @@ def test_another_seed_gives_others(study: Study, problem: Problem, result: Tunin
     assert bits(other.history[1:10]) != bits(result.history[1:10])
 
 
-# Batches of this study end after 1, 7 and 25 candidates, so that 6 and 24 leave one alone of its batch.
-@pytest.mark.parametrize("kept", [0, 1, 4, 6, 7, 15, 24, 25, 30, 39, 40])
+# Batches of this study end after 1, 7 and 25 candidates, so that 6 leaves one alone of its batch.
+@pytest.mark.parametrize("kept", [1, 6, 25, 39])
 def test_it_goes_on_with_the_same_bits(
     kept: int, study: Study, problem: Problem, result: TuningResult, rows: Rows
 ) -> None:

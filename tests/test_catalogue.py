@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from effect_cases import CASES as NUMBERS
 
-from equimus_ctrl.controllers.pid import PidController, PidGains, PidSettings
+from equimus_ctrl.controllers.pid import PidGains, PidSettings
 from equimus_ctrl.effects import REGISTRY, Effect, catalogue, make
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.elastic.morphology import Phase
-from equimus_ctrl.scenarios.references import HoldReference
-from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Recording, Start
 
 LEG = nominal_leg()
@@ -90,16 +88,3 @@ def test_plant_and_reduced_engine_agree(name: str, kind: str, phase: Phase) -> N
         assert change < 1e-12  # it stands still
     else:
         assert change > 10 * tolerance
-
-
-@every_case
-def test_in_closed_loop_too(name: str, kind: str) -> None:
-    """What a controller's own commands did to the plant is what they do to the reduced engine."""
-    model = Model(LEG, (effect_of(name, kind),))
-    start = Start(position=START, command=np.array([12e3, 4e3]))
-    done = run(MujocoPlant(model), PidController(PID), HoldReference([1.5, 0.3]), 1.0, start=start)
-    recorded = done.recording("closed loop")
-    assert np.ptp(recorded.command, axis=0).min() > 1e3
-    tolerance = NUMBERS[name].apart
-    np.testing.assert_allclose(reduced(model, recorded), recorded.position, rtol=0, atol=tolerance)
-    assert np.abs(reduced(Model(LEG), recorded) - recorded.position).max() > 10 * tolerance

@@ -256,7 +256,6 @@ def test_these_are_sentences_in_time(arguments: Sequence[object], said: str, run
     [
         (("run", "hodl"), 2, "there is no scenario 'hodl'"),
         (("score", "good.csv", "--model", "fast.toml", "--engine", "mujoco"), 3, "diverged"),
-        (("score", "gap.csv"), 2, "gap.csv, row 3, column pos.hip"),
     ],
 )
 def test_processes_end_with_the_code(arguments: Sequence[str], code: int, said: str, wrong_folder: Path) -> None:

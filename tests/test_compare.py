@@ -208,7 +208,9 @@ def test_events_that_make_no_sense(make: object, message: str) -> None:
         make()  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("name", ["foot_circle", "push", "payload", "unreachable"])
+@pytest.mark.parametrize(
+    "name", ["foot_circle", "push", pytest.param("payload", marks=pytest.mark.slow), "unreachable"]
+)
 def test_the_scenarios_run(name: str) -> None:
     done = eq.run_scenario(name, "pid")
     window = done.run.time >= done.score.window[0]

@@ -63,21 +63,17 @@ LEAK = (Leak("maa", share=0.05),)
     ("text", "values", "outside"),
     [
         ("joint_stop:knee:angle=0.15,stiffness=50,damping=0.5", (0.15, 50.0, 0.5), LEAK),
-        ("joint_stop:knee:angle=0.14,stiffness=3.2,damping=0.045", (0.14, 3.0, 0.05), LEAK),
         ("joint_stop:knee:angle=0.14,stiffness=3.2,damping=0.045", (0.14, 3.0, 0.05), ()),
         ("joint_stop:hip:angle=1.6,stiffness=2.0,damping=0.045", (1.6, 1.9, 0.05), ()),
         ("sensor_scale:knee:scale=1.05", (1.05,), ()),
         ("coulomb_friction:knee:friction=0.01", (0.01,), LEAK),
-        ("transport_delay:maa:delay=0.05", (0.05,), LEAK),
     ],
     ids=[
         "hard stop beside a leak",
-        "soft stop beside a leak",
         "soft stop",
         "stop softer than the joint itself",
         "scale",
         "friction and leak",
-        "delay and leak",
     ],
 )
 def test_a_true_name_is_not(text: str, values: tuple[float, ...], outside: tuple[Effect, ...]) -> None:

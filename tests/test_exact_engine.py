@@ -10,7 +10,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 import pytest
-from mjcf_models import CRANE, RIG, cart, pendulum, swinging
+from mjcf_models import CRANE, RIG, pendulum, swinging
 
 from equimus_ctrl.effects import CoulombFriction, DriveCompliance, Effect, PayloadMass, ViscousFriction
 from equimus_ctrl.engines.batch import simulate
@@ -44,7 +44,7 @@ def tree(seed: int, joints: int) -> str:
 # --- accelerations ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(14))
 def test_accelerations_are_mujocos(seed: int) -> None:
     """At random states of random trees with all that the equations hold; in the limit of a step of nothing."""
     m = mujoco.MjModel.from_xml_string(tree(seed, 1 + seed % 7))
@@ -97,9 +97,9 @@ def accelerations(form: Any) -> ca.Function:
 # --- motion -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("seed", "joints"), [(0, 1), (1, 2), (16, 3)])
-def test_motions_are_what_mujocos_tend_to(seed: int, joints: int) -> None:
-    text, rng = tree(seed, joints), np.random.default_rng(seed)
+@pytest.mark.slow
+def test_the_motion_of_a_random_tree_is_what_mujocos_tend_to() -> None:
+    text, rng = tree(16, 3), np.random.default_rng(16)
     model = mujoco.MjModel.from_xml_string(text)
     times, commands = controls(rng, model, 2.0)
     exact = converged(text, times, commands, 2.0)
@@ -155,7 +155,7 @@ def test_effects_are_the_same_in_both_engines(effects: tuple[Effect, ...]) -> No
 
 
 def test_energy_is_kept_where_nothing_takes_it() -> None:
-    robot = MjcfRobot("p", pendulum('stiffness="2"', drive='<motor name="motor" joint="pivot"/>'))
+    robot = MjcfRobot("p", pendulum('stiffness="2"'))
     samples = np.linspace(0.0, 5.0, 501)
     trial = Trial("t", np.zeros(1), np.zeros((1, 1)), np.zeros(1), 0.0, np.array([1.0]), samples)
     q = simulate([Model(robot)], [trial], dt=1e-3, check=False)[0].position[0, :, 0]
@@ -165,6 +165,7 @@ def test_energy_is_kept_where_nothing_takes_it() -> None:
     np.testing.assert_allclose(energy[2:-2], energy[2], rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_spatial_arm_keeps_its_energy_and_its_momentum_about_a_vertical_first_joint() -> None:
     """Without friction; gravity has no torque about the first joint's axis."""
     robot = MjcfRobot("chain", chain(4).replace('<joint name="j0" axis="1 0.2 0"/>', '<joint name="j0" axis="0 0 1"/>'))
@@ -192,14 +193,17 @@ def test_slopes_are_those_of_a_pendulum() -> None:
 
 
 def test_a_command_within_a_step_counts_from_when_it_comes() -> None:
+    weightless = Model(MjcfRobot("p", pendulum().replace("<option ", '<option gravity="0 0 0" ')))
+    inertia = 0.02 + 0.01 + 1.0 * 0.3**2
+
     def path(dt: float, when: float) -> Array:
         trial = Trial(
             "t", np.array([0.0, when]), np.array([[0.0], [3.0]]), np.zeros(1), 0.0, np.zeros(1), np.array([0.0, 1.0])
         )
-        return simulate([Model(cart())], [trial], dt=dt, check=False)[0].position[0, -1]
+        return simulate([weightless], [trial], dt=dt, check=False)[0].position[0, -1]
 
     for when in (0.1003, 0.1017):
-        np.testing.assert_allclose(path(5e-3, when), 3.0 / 2.0 * (1 - when) ** 2 / 2, rtol=1e-9)
+        np.testing.assert_allclose(path(5e-3, when), 3.0 / inertia * (1 - when) ** 2 / 2, rtol=1e-9)
 
 
 # --- which engine -----------------------------------------------------------------------------------------------

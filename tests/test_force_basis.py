@@ -389,12 +389,12 @@ def concealed(outside: Effect) -> tuple[Fit, list[Motion]]:
     [
         (RoughSpot("knee", 0.015, 0.5, 0.15), "knee", "pos.knee·sign(vel.knee)"),
         (PeriodicTorque("hip", 0.02, 1.0), "hip", "time at 1 Hz"),
-        (PressureDamping("maa", 8.0), "maa", "cmd.maa·rate.maa"),
+        pytest.param(PressureDamping("maa", 8.0), "maa", "cmd.maa·rate.maa", marks=pytest.mark.slow),
         (Leak("maa", 0.02), "maa+baa", "cmd.maa−cmd.baa"),
-        (SquareDrag("knee", 0.04), "knee", "vel.knee"),
-        (StiffnessDrift("baa", 0.01), "baa", "time·len.baa"),
-        (PressureGrowth("baa", 3e-3), "baa", "cmd.baa"),
-        (Fade("maa", 0.1, 4.0), "maa", "time·cmd.maa"),
+        pytest.param(SquareDrag("knee", 0.04), "knee", "vel.knee", marks=pytest.mark.slow),
+        pytest.param(StiffnessDrift("baa", 0.01), "baa", "time·len.baa", marks=pytest.mark.slow),
+        pytest.param(PressureGrowth("baa", 3e-3), "baa", "cmd.baa", marks=pytest.mark.slow),
+        pytest.param(Fade("maa", 0.1, 4.0), "maa", "time·cmd.maa", marks=pytest.mark.slow),
     ],
     ids=lambda value: value.name if isinstance(value, Effect) else "",
 )

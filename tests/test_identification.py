@@ -178,6 +178,7 @@ def coloured(rng: np.random.Generator, shape: tuple[int, int], memory: float) ->
     return 0.002 * out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("memory", "each", "all_together"), [(0.0, 34, 107), (0.8, 30, 96)])
 def test_intervals_hold_what_they_promise(memory: float, each: int, all_together: int) -> None:
     """Of 40 draws Binomial(40, 0.95) covers fewer than 34 in less than 1 % of cases; colour costs a little."""

@@ -161,8 +161,9 @@ KINKED = {"two lags": 1e-3, "states": 2e-3, "dry friction": 6e-3, "play": 2e-3}
 """What is not smooth is not followed as well, largest error [rad]; all else within 0.4 mrad."""
 
 
-@pytest.mark.parametrize("space", ["length", "joint"])
-@pytest.mark.parametrize("name", KNOWN)
+@pytest.mark.parametrize(
+    ("name", "space"), [*((name, "length") for name in KNOWN), ("late valves", "joint"), ("sensors", "joint")]
+)
 def test_what_is_known_is_no_obstacle(name: str, space: str) -> None:
     """In MuJoCo a robot follows closely where all its effects are known, and much worse where they are not."""
     joint = eq.PidSettings(

@@ -105,18 +105,13 @@ def test_linearised_it_speaks_python_control() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", KNOWN)
-def test_it_follows_a_smooth_reference_through_lags_and_delays_that_it_knows(name: str) -> None:
-    assert np.all(rmse(tracked(KNOWN[name], KNOWN[name]), 3.0) < 2e-4)
-    assert np.all(rmse(tracked(KNOWN[name], KNOWN[name], integral=0.05), 3.0) < 5e-3)
-    assert np.all(rmse(tracked(KNOWN[name], KNOWN[name], noise=2e-3)) < 3e-3)  # the measurement's own included
-
-
-@pytest.mark.slow
-def test_knowing_a_delay_is_worth_it() -> None:
+def test_it_follows_a_smooth_reference_through_lags_and_delays_that_it_knows() -> None:
     late = KNOWN["late"]
-    known, unknown = tracked(late, late), tracked(late, LAG)
-    assert np.all(rmse(known, 3.0) < 0.1 * rmse(unknown, 3.0))
+    known = rmse(tracked(late, late), 3.0)
+    assert np.all(known < 2e-4)
+    assert np.all(known < 0.1 * rmse(tracked(late, LAG), 3.0))  # knowing a delay is worth it
+    assert np.all(rmse(tracked(late, late, integral=0.05), 3.0) < 5e-3)
+    assert np.all(rmse(tracked(late, late, noise=2e-3)) < 3e-3)  # the measurement's own included
 
 
 @pytest.mark.slow
@@ -127,8 +122,7 @@ def test_valves_that_are_later_than_it_knows_do_not_make_it_swing() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", ["integral", "disturbance"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(("how", "seed"), [("integral", 0), ("disturbance", 1)])
 def test_wrong_legs_end_where_they_should(how: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     wrong = {
@@ -164,17 +158,6 @@ def test_gains_between_poses_are_in_between() -> None:
         schedule.gain((node + other) / 2), (schedule.gain(node) + schedule.gain(other)) / 2, rtol=1e-9
     )
     np.testing.assert_array_equal(schedule.gain(high + 1.0), schedule.gain(high))
-
-
-@pytest.mark.slow
-def test_the_same_run_gives_the_same_bits_and_leaves_its_state_alone() -> None:
-    one, two = (tracked(KNOWN["late"], KNOWN["late"], noise=2e-3) for _ in range(2))
-    assert one.command.tobytes() == two.command.tobytes()
-    plant, controller = MujocoPlant(Model(LEG)), LqrController()
-    first = plant.reset()
-    state = controller.init(plant.spec, first)
-    commands = [controller.step(first, HoldReference(POSE), state)[0] for _ in range(2)]
-    np.testing.assert_array_equal(*commands)
 
 
 def test_without_measurements_it_says_so() -> None:

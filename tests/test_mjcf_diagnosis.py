@@ -125,6 +125,7 @@ def test_a_payload_shows_where_masses_are_known() -> None:
     assert ("payload_mass", ("tip",)) in group
 
 
+@pytest.mark.slow
 def test_a_late_drive_is_named() -> None:
     found = diagnosed(PENDULUM.format(drive=MOTOR), [TransportDelay("drive", 0.03)])
     group = set(named(found)) | {(o.effect, o.locations) for o in found.findings[0].equivalent}

@@ -111,6 +111,7 @@ def test_the_time_constant_is_a_number_that_is_identified_and_written() -> None:
     assert again.actuator_dynprm[0, 0] == 0.05
 
 
+@pytest.mark.slow
 def test_a_lag_beside_the_filter_is_found() -> None:
     found = workflow.diagnose_recordings(
         recorded(cart(SERVO), FirstOrderLag("motor", 0.05)), Model(cart(SERVO)), most=1

@@ -166,8 +166,8 @@ def test_where_there_are_several_it_is_a_stable_one() -> None:
         assert moved(model, COMMAND) < 1e-5
 
 
-@pytest.mark.slow
-def test_where_there_is_none_it_is_told() -> None:
+def test_where_there_is_none_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("equimus_ctrl.engines.rest.SINKING", 1.0)  # it turns ever faster, for a minute otherwise
     register(Push)
     robot = pendulum()
     pushed = Model(robot, (Push(robot.joint_names[0], size=100.0),))

@@ -79,6 +79,7 @@ def test_starts_follow_what_was_measured_ever_farther(
     assert rms(residuals_of(real, segments, simulator)).max() > 100 * NOISE
 
 
+@pytest.mark.slow
 def test_the_model_alone_is_fitted_to_the_noise_from_where_short_windows_lead(
     nominal: Model, real: Model, trials: list[Recording], simulator: Simulator
 ) -> None:
@@ -93,6 +94,7 @@ def test_the_model_alone_is_fitted_to_the_noise_from_where_short_windows_lead(
     assert np.all(np.abs(found.fit.theta / true - 1) < 0.02)
 
 
+@pytest.mark.slow
 def test_differences_are_small_where_changes_grow(
     nominal: Model, real: Model, trials: list[Recording], simulator: Simulator
 ) -> None:

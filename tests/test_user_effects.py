@@ -85,6 +85,7 @@ def test_it_takes_part_in_a_closed_loop(folder: Path, capsys: pytest.CaptureFixt
     assert rmse[0] != rmse[1]
 
 
+@pytest.mark.slow
 def test_the_example_is_the_drag_that_it_says() -> None:
     load_effects([DRAG])
     leg = nominal_leg()

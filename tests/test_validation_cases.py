@@ -163,6 +163,7 @@ def test_errors_do_not_hide_a_divergence() -> None:
     assert np.isnan(Errors.of(error[:0]).rmse).all()
 
 
+@pytest.mark.slow
 def test_a_whole_validation_meets_the_goals(found: Validation) -> None:
     assert found.accurate
     assert not found.swing.touching.any()
@@ -178,12 +179,14 @@ def test_a_whole_validation_meets_the_goals(found: Validation) -> None:
     assert stance.reference_error < 1e-6
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_missed_is_said(found: Validation, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(ACCURACY_GOALS, "stance", 1e-12)
     assert not found.accurate
     assert [goal.name for goal in found.accuracy if not goal.met] == ["stance"]
 
 
+@pytest.mark.slow
 def test_runs_that_touch_a_stop_are_judged_apart_too(found: Validation) -> None:
     """One bad run among many that are good meets the goal of all together, but not that of its kind."""
     case = found.swing
@@ -208,6 +211,7 @@ def test_an_engine_whose_steps_do_not_follow_stops_misses_the_goal(monkeypatch: 
     np.testing.assert_array_equal(wrong.free.found["mujoco"], right.free.found["mujoco"])
 
 
+@pytest.mark.slow
 def test_nothing_scored_meets_no_goal(found: Validation) -> None:
     none = replace(found, three_dof=replace(found.three_dof, scored=np.zeros(1, dtype=bool)))
     assert not none.accurate
@@ -229,11 +233,13 @@ def test_the_same_seed_gives_the_same_bits_on_any_number_of_threads(found: Valid
         assert shares[0] == 0.0 and shares[-1] == 1.0 and shares == sorted(shares)
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_poses(found: Validation) -> None:
     other = static_case(nominal_leg(), 12, np.random.default_rng(4))
     assert not np.array_equal(other.poses, found.static.poses)
 
 
+@pytest.mark.slow
 def test_the_record_is_plain_json_with_the_figures_in_their_places(found: Validation) -> None:
     record = json.loads(json_text(found.to_dict()))
     for case, joints in (("static", 2), ("swing", 2), ("stance", 2), ("three_dof", 3)):
