@@ -66,6 +66,7 @@ def found() -> Comparison:
     return result
 
 
+@pytest.mark.slow
 def test_every_controller_has_its_row(found: Comparison) -> None:
     named = [(e.condition, e.controller) for e in found.entries]
     assert named == [(c, k) for c in ("nominal", "noisy") for k in ("pid", "lqr", "breaks", "Plays")]

@@ -198,6 +198,7 @@ def test_a_controller_that_is_killed_is_vented_by_the_device(tmp_path: Path) -> 
     assert len(found.time) > 80 and np.all(found.command[2:] == [5e3, 3e3])  # the first are within the slew limit
 
 
+@pytest.mark.slow
 def test_someone_else_who_sends_commands_is_noticed(leg: Path) -> None:
     with (
         closing(DdsHost(Wire(domain=SHARED))) as rival,
@@ -275,6 +276,7 @@ def test_an_extra_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         transport_entry("seriell")
 
 
+@pytest.mark.slow
 def test_a_domain_that_cannot_be_joined_is_told(tmp_path: Path) -> None:
     code = "from equimus_ctrl.cli.main import entry; entry()"
     uri = '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="nosuch0"/></Interfaces></General></Domain></CycloneDDS>'
@@ -286,6 +288,7 @@ def test_a_domain_that_cannot_be_joined_is_told(tmp_path: Path) -> None:
     assert f"equimus-ctrl: DDS domain {DOMAIN} cannot be joined" in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_the_commands_run_and_diagnose_can_read_what_was_recorded(leg: Path, tmp_path: Path) -> None:
     own = tmp_path / "quick.toml"
     own.write_text(f"settle = 0.3\n[wire]\ndomain = {SHARED}\n")

@@ -187,6 +187,7 @@ def test_a_recording_that_cannot_go_on_vents_and_stays_readable(
     assert np.all(wire.pressures[-3:] == 0) and len(read(tmp_path / "run.csv").time) == 39
 
 
+@pytest.mark.slow
 def test_a_process_that_is_told_to_end_vents_first(tmp_path: Path) -> None:
     code = """
     import sys, time

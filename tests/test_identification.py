@@ -365,6 +365,7 @@ def test_poses_at_rest_give_stiffness_area_and_rest_length() -> None:
     assert data["rmse_rad"]["after_together"] < 1e-6 < data["rmse_rad"]["before_together"]
 
 
+@pytest.mark.slow
 def test_noisy_poses_are_explained_to_the_noise_and_the_truth_is_inside() -> None:
     done = identify_poses(poses_of(TRUE, 0.002), heldout=[poses_of(TRUE)])
     assert np.all(done.fit.rmse < 0.003)

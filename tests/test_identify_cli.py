@@ -144,6 +144,7 @@ def test_poses_alone(ran: Any, data: Path, tmp_path: Path) -> None:
     assert files(tmp_path) == ["identification/results/poses/record.json"]
 
 
+@pytest.mark.slow
 def test_poses_first_then_trials(ran: Any, data: Path) -> None:
     code, out, err = ran(
         "identify", data / "trials", data / "poses.csv", *FREE, "--folds", 0, "--output", "o", "--json"

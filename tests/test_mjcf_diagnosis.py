@@ -355,6 +355,7 @@ def test_intervals_hold_although_the_physics_step_is_long() -> None:
     assert ahead[delay] == pytest.approx(0.002, rel=0.1) and known.half_width[delay] < 1.5 * off[delay]
 
 
+@pytest.mark.slow
 def test_an_unstable_robot_is_fitted_in_windows() -> None:
     """It stands on its head: what is concealed soon leads far astray, and its own model does not."""
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR).replace("0 0 -0.4", "0 0 0.4"))

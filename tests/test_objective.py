@@ -78,9 +78,11 @@ def in_mujoco(
 # The loop.
 
 
-@pytest.mark.parametrize("settings", [GENTLE, BRISK, JOINT], ids=["gentle", "brisk", "joint"])
-@pytest.mark.parametrize("task", [0, 1], ids=["hold", "sway"])
-@pytest.mark.parametrize("member", [1, 3], ids=["hardest", "drawn"])
+@pytest.mark.parametrize(
+    ("settings", "task", "member"),
+    [(GENTLE, 0, 1), (BRISK, 1, 1), (BRISK, 0, 3), (JOINT, 1, 3)],
+    ids=["gentle, hold, hardest", "brisk, sway, hardest", "brisk, hold, drawn", "joint, sway, drawn"],
+)
 def test_the_compiled_loop_is_the_plant_and_the_pid(
     problem: Problem, settings: eq.PidSettings, task: int, member: int
 ) -> None:

@@ -328,6 +328,7 @@ def test_the_same_ground_truth_gives_the_same_bits() -> None:
         assert np.array_equal(a, b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect",
     [

@@ -246,6 +246,7 @@ def test_it_holds_where_a_joint_hits_and_leaves_its_stop(change: str, effects: t
     assert error(found, difference(base, make(small, effects, "swing"), given, small)) < most
 
 
+@pytest.mark.slow
 def test_it_holds_for_other_robots() -> None:
     robot = random_morphology("branched", 3)
     base, small = Model(robot), 1e-6

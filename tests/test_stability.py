@@ -254,8 +254,7 @@ def test_a_jump_is_no_slope() -> None:
         np.testing.assert_allclose(found, np.eye(2), atol=1e-8)
 
 
-@pytest.mark.parametrize("space", ["length", "joint"])
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize(("name", "space"), [(name, ("length", "joint")[k % 2]) for k, name in enumerate(EFFECTS)])
 def test_a_small_disturbance_with_effects_dies_as_the_linear_loop_says(name: str, space: str) -> None:
     """From the same pose under the same commands, with and without a small push: what differs is linear."""
     effects, settings, n = EFFECTS[name], SETTINGS[space], 180

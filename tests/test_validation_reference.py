@@ -164,6 +164,7 @@ def test_poses_come_from_the_published_workspace_or_from_between_the_stops() -> 
     assert np.isfinite(workspace(random_morphology("branched", 0))).all()
 
 
+@pytest.mark.slow
 def test_processes_change_nothing() -> None:
     runs = switched(n=6)
     near = np.array([True, False, True, False, False, True])
