@@ -34,8 +34,8 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("repeatable")
 
 
-LONG = ("test_readme", "test_diagnosis", "test_mjcf_diagnosis", "test_prove_mjcf", "test_nmpc", "test_sampling")
-"""Files begun early, for whoever runs the last of them runs it alone."""
+LONG = ("test_readme", "test_diagnosis", "test_mjcf_diagnosis", "test_confounding", "test_prove_mjcf", "test_autotune")
+"""Files begun early, the longest first, for whoever runs the last of them runs it alone."""
 
 
 @pytest.hookimpl(trylast=True)
@@ -49,7 +49,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if item.get_closest_marker("real_time") is not None:
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=3))
             clocked.add(item.path)
-    items.sort(key=lambda item: (item.path not in clocked, item.path.stem not in LONG))
+    place = {stem: k for k, stem in enumerate(LONG)}
+    items.sort(key=lambda item: (item.path not in clocked, place.get(item.path.stem, len(LONG))))
 
 
 @pytest.hookimpl(wrapper=True)

@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from hardware_rig import DOMAIN, LOOPBACK
 
 from equimus_ctrl.cli.main import main
 
@@ -41,12 +40,17 @@ def arguments(command: str) -> list[str]:
     return [*words, *" ".join(more).split()]
 
 
-@pytest.fixture
-def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def prepared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to work in with what a checkout has."""
     for folder in ("controllers", "hardware", "scenarios", "tuning", "docs"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results", "images"))
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return prepared(tmp_path, monkeypatch)
 
 
 def tour() -> tuple[list[str], list[str]]:
@@ -64,24 +68,6 @@ def test_readme_commands_run_one_after_the_other(workspace: Path) -> None:
         assert main(arguments(command)) == 0, command
     assert (workspace / "my_pid.toml").is_file()
     assert (workspace / "my_recordings" / "chirp.csv").is_file()
-
-
-@pytest.mark.slow
-@pytest.mark.real_time
-def test_readme_commands_for_hardware_run_beside_the_emulator(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    emulate, *found = tour()[1]
-    assert len(found) >= 3
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    code = "from equimus_ctrl.cli.main import entry; entry()"
-    beside = subprocess.Popen([sys.executable, "-c", code, *shlex.split(emulate)[1:-1]])
-    try:
-        for command in found:
-            assert main(arguments(command)) == 0, command
-    finally:
-        beside.terminate()
-        beside.wait(30)
-    assert (workspace / "real").is_dir()
 
 
 def test_every_command_is_shortened_that_is_to_be() -> None:
