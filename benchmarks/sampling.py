@@ -92,7 +92,7 @@ class Plain:
         self.kinematics = Kinematics(robot, "swing")
         self.angles = np.array(LEG.joint_range)
 
-    def __call__(self, start: Array, push: Array, inputs: Array, wanted: Wanted, each_step: bool) -> Array:
+    def __call__(self, start: Array, disturbance: Array, inputs: Array, wanted: Wanted, each_step: bool) -> Array:
         """(n,) what plans cost."""
         model, data = self.model, self.data
         place(model, data, self.kinematics, start[:2], start[2:4])
@@ -103,7 +103,7 @@ class Plain:
         for i, plan in enumerate(inputs):
             mujoco.mj_resetData(model, data)
             data.qpos[:], data.qvel[:] = first[: model.nq], first[model.nq :]
-            data.qfrc_applied[self.dofs] = push
+            data.qfrc_applied[self.dofs] = disturbance
             pressure = start[4:]
             states[i, 0] = start
             for k, u in enumerate(plan):
@@ -133,17 +133,19 @@ class Plain:
 def plans_alone() -> dict[str, Any]:
     """Rollouts and costs of the same plans."""
     rng = np.random.default_rng(0)
-    start, push = np.array([1.45, 0.6, 0.1, -0.2, 1e4, 8e3]), np.array([0.02, -0.01])
+    start, disturbance = np.array([1.45, 0.6, 0.1, -0.2, 1e4, 8e3]), np.array([0.02, -0.01])
     inputs = np.repeat(rng.uniform(5e3, 2e4, (SAMPLES, STEPS // 8, 2)), 8, axis=1)
     wanted = Wanted(np.tile(start, (STEPS + 1, 1)), np.full((STEPS, 2), 1e4), np.diag([9.0, 9, 1, 1, 1e-4, 1e-4]))
     plain, model, span = Plain(), Model(LEG, LAG), np.full(STEPS, DT)
     engines = {name: make_rollouts([model], SAMPLES, STEPS, DT, name) for name in ("mujoco", "reduced")}
     ways: dict[str, Any] = {
-        name: (lambda roll=roll: costs(WEIGHTS, span, plain.angles, wanted, roll(start, push, inputs)[0], inputs))
+        name: (
+            lambda roll=roll: costs(WEIGHTS, span, plain.angles, wanted, roll(start, disturbance, inputs)[0], inputs)
+        )
         for name, roll in engines.items()
     }
-    ways["plain Python, costs at each step"] = lambda: plain(start, push, inputs, wanted, True)
-    ways["plain Python, costs at the end"] = lambda: plain(start, push, inputs, wanted, False)
+    ways["plain Python, costs at each step"] = lambda: plain(start, disturbance, inputs, wanted, True)
+    ways["plain Python, costs at the end"] = lambda: plain(start, disturbance, inputs, wanted, False)
     spent: dict[str, list[float]] = {name: [] for name in ways}
     found = {name: way() for name, way in ways.items()}
     for name in list(ways)[2:]:

@@ -47,21 +47,24 @@ def rest(pose: Array, n: int, model: Model = MODEL) -> Wanted:
 
 
 def solved(
-    p: Problem, start: Array, wanted: Wanted, push: Array | None = None, **options: object
+    p: Problem, start: Array, wanted: Wanted, disturbance: Array | None = None, **options: object
 ) -> tuple[Answer, Plan]:
-    given, push = {"iterations": 60, "tolerance": 1e-7, **options}, np.zeros(2) if push is None else push
-    guess = p.first_guess(0.0, start, push, wanted)
-    answer = p.solve(start, push, wanted, guess, **given)  # type: ignore[arg-type]
+    given, disturbance = (
+        {"iterations": 60, "tolerance": 1e-7, **options},
+        np.zeros(2) if disturbance is None else disturbance,
+    )
+    guess = p.first_guess(0.0, start, disturbance, wanted)
+    answer = p.solve(start, disturbance, wanted, guess, **given)  # type: ignore[arg-type]
     return answer, answer.plan
 
 
-def by_interior_point(p: Problem, start: Array, wanted: Wanted, push: Array) -> tuple[float, Array]:
+def by_interior_point(p: Problem, start: Array, wanted: Wanted, disturbance: Array) -> tuple[float, Array]:
     """The same problem written down once more: cost and inputs (n, na)."""
     n, na, nj, nx = len(p.durations), 2, 2, p.prediction.nx
     u, x, slack = ca.MX.sym("u", na, n), ca.MX.sym("x", nx, n + 1), ca.MX.sym("slack", nj, n)
     cost, same = ca.MX(0), [x[:, 0] - start]
     for k in range(n):
-        same.append(p.prediction.step(x[:, k], u[:, k], push, DT) * 1.0 - x[:, k + 1])
+        same.append(p.prediction.step(x[:, k], u[:, k], disturbance, DT) * 1.0 - x[:, k + 1])
         cost += DT / 2 * ca.sumsqr((u[:, k] - wanted.feed[k]) / WEIGHTS.pressure)
         cost += DT / 2 * ca.sumsqr(slack[:, k] / WEIGHTS.limit)
         if k > 0:
@@ -87,12 +90,12 @@ def by_interior_point(p: Problem, start: Array, wanted: Wanted, push: Array) -> 
 
 @pytest.mark.parametrize("far", [0.02, 0.3])
 def test_its_plan_is_the_one_an_interior_point_solver_finds(far: float) -> None:
-    p, wanted, push = problem(), rest(POSE, 12), np.array([0.05, -0.02])
+    p, wanted, disturbance = problem(), rest(POSE, 12), np.array([0.05, -0.02])
     start = np.concatenate([POSE + np.array([far, -far]), [0.5, -1.0], [1e4, 2e4]])
-    answer, plan = solved(p, start, wanted, push)
-    cost, inputs = by_interior_point(p, start, wanted, push)
+    answer, plan = solved(p, start, wanted, disturbance)
+    cost, inputs = by_interior_point(p, start, wanted, disturbance)
     assert answer.outcome == "converged"
-    again, _ = solved(p, start, wanted, push)
+    again, _ = solved(p, start, wanted, disturbance)
     assert answer.cost == pytest.approx(cost, rel=1e-5)
     np.testing.assert_allclose(plan.inputs, inputs, atol=20.0)
     np.testing.assert_array_equal(again.plan.inputs, plan.inputs)
@@ -101,7 +104,7 @@ def test_its_plan_is_the_one_an_interior_point_solver_finds(far: float) -> None:
     # The states of the plan are what the inputs lead to.
     x = start
     for k in range(12):
-        x = np.array(p.prediction.step(x, plan.inputs[k], push, DT)).ravel()
+        x = np.array(p.prediction.step(x, plan.inputs[k], disturbance, DT)).ravel()
         np.testing.assert_allclose(plan.states[k + 1], x, atol=1e-5 * np.array([1, 1, 10, 10, 1e5, 1e5]).max())
 
 
@@ -188,15 +191,19 @@ def test_a_state_that_is_no_number_fails_in_words() -> None:
 
 def test_an_interval_in_several_steps_is_the_finer_motion() -> None:
     p, one = problem(4, steps=3), prediction(MODEL, stops=False).step
-    start, u, push = np.concatenate([POSE + 0.2, [1.0, -2.0], [1e4, 2e4]]), np.array([3e4, 1e3]), np.array([0.1, 0.0])
+    start, u, disturbance = (
+        np.concatenate([POSE + 0.2, [1.0, -2.0], [1e4, 2e4]]),
+        np.array([3e4, 1e3]),
+        np.array([0.1, 0.0]),
+    )
     wanted = rest(POSE, 4)
-    _, plan = solved(p, start, wanted, push, fixed=np.tile(u, (4, 1)))
+    _, plan = solved(p, start, wanted, disturbance, fixed=np.tile(u, (4, 1)))
     x = start
     for k in range(4):
         for _ in range(3):
-            x = np.array(one(x, u, push, DT / 3)).ravel()
+            x = np.array(one(x, u, disturbance, DT / 3)).ravel()
         np.testing.assert_allclose(plan.states[k + 1], x, rtol=1e-7, atol=1e-7)
-    answer, _ = solved(p, start, wanted, push)
+    answer, _ = solved(p, start, wanted, disturbance)
     assert answer.outcome == "converged" and answer.defect < 1e-6  # so its derivatives are right
 
 

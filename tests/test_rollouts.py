@@ -28,7 +28,7 @@ CREEP: tuple[Effect, ...] = (
     *LAG, make("creep", "maa", {"stiffness": 500.0, "time_constant": 0.5}),
 )  # fmt: skip
 START = np.array([1.45, 0.6, 0.1, -0.2, 1e4, 8e3])
-PUSH = np.array([0.2, -0.1])
+DISTURBANCE = np.array([0.2, -0.1])
 
 
 def plans(count: int = 6, seed: int = 0) -> Array:
@@ -53,21 +53,23 @@ def test_pressures_are_those_of_the_plants_valves(effects: tuple[Effect, ...]) -
 def test_both_engines_follow_the_exact_motion() -> None:
     """The exact reduced model at a twelfth of the step, an unknown torque on its joints."""
     model, inputs = Model(LEG, LAG), plans()
-    truth = ReducedRollouts([model], 6, 12 * STEPS, DT / 12, False)(START, PUSH, np.repeat(inputs, 12, axis=1))[0]
+    truth = ReducedRollouts([model], 6, 12 * STEPS, DT / 12, False)(START, DISTURBANCE, np.repeat(inputs, 12, axis=1))[
+        0
+    ]
     truth = truth[:, ::12]
-    reduced = ReducedRollouts([model], 6, STEPS, DT, False)(START, PUSH, inputs)[0]
-    found = MujocoRollouts([model], 6, STEPS, DT)(START, PUSH, inputs)[0]
+    reduced = ReducedRollouts([model], 6, STEPS, DT, False)(START, DISTURBANCE, inputs)[0]
+    found = MujocoRollouts([model], 6, STEPS, DT)(START, DISTURBANCE, inputs)[0]
     moved = np.abs(truth[:, -1, :2] - START[:2]).mean(axis=0)
     assert np.all(moved > 0.05)
     np.testing.assert_allclose(reduced[..., :2], truth[..., :2], atol=2e-4)
     assert np.all(np.sqrt(((found - truth)[..., :2] ** 2).mean(axis=(0, 1))) < [1.5e-3, 1e-2])
     np.testing.assert_allclose(found[..., 4:], truth[..., 4:], rtol=1e-6)
     np.testing.assert_allclose(reduced[..., 4:], truth[..., 4:], rtol=1e-6)
-    unpushed = MujocoRollouts([model], 6, STEPS, DT)(START, 0 * PUSH, inputs)[0]
-    assert np.abs(unpushed - found)[:, -1, :2].min() > 1e-3
+    undisturbed = MujocoRollouts([model], 6, STEPS, DT)(START, 0 * DISTURBANCE, inputs)[0]
+    assert np.abs(undisturbed - found)[:, -1, :2].min() > 1e-3
 
 
-def test_a_batch_pushed_by_torques_moves_as_its_equations_of_motion_say() -> None:
+def test_a_batch_under_constant_torques_moves_as_its_equations_of_motion_say() -> None:
     leg, dt, n = LEG.without_stops(), 1e-5, 4
     rng = np.random.default_rng(0)
     q, torque = np.tile([1.45, 0.6], (n, 1)), rng.normal(0, 0.2, (n, 2))
@@ -91,14 +93,14 @@ def test_models_of_an_ensemble_are_each_its_own() -> None:
         assert sum(abs(value - 1) > 1e-3 for value in strays.values()) >= 8
     inputs = plans()
     for engine in ("mujoco", "reduced"):
-        together = make_rollouts(models, 6, STEPS, DT, engine, False)(START, PUSH, inputs)
+        together = make_rollouts(models, 6, STEPS, DT, engine, False)(START, DISTURBANCE, inputs)
         assert together.shape[:3] == (3, 6, STEPS + 1)
         for one, states in zip(models, together, strict=True):
-            alone = make_rollouts([one], 6, STEPS, DT, engine, False)(START, PUSH, inputs)[0]
+            alone = make_rollouts([one], 6, STEPS, DT, engine, False)(START, DISTURBANCE, inputs)[0]
             np.testing.assert_allclose(states, alone, rtol=1e-6, atol=1e-7)
 
 
-def test_effects_that_push_are_the_reduced_models() -> None:
+def test_force_effects_are_the_reduced_models() -> None:
     model = Model(LEG, CREEP)
     assert isinstance(make_rollouts([Model(LEG, LAG)], 4, 5, DT), MujocoRollouts)
     assert isinstance(make_rollouts([model], 4, 5, DT, compiled=False), ReducedRollouts)
@@ -109,8 +111,8 @@ def test_effects_that_push_are_the_reduced_models() -> None:
 @pytest.mark.parametrize("engine", ["mujoco", "reduced"])
 def test_long_steps_are_divided(engine: str) -> None:
     models, inputs = [Model(LEG, LAG)], plans()[:, ::8]
-    fine = make_rollouts(models, 6, STEPS, DT, engine, False)(START, PUSH, np.repeat(inputs, 8, axis=1))[0]
-    coarse = make_rollouts(models, 6, STEPS // 8, 8 * DT, engine, False)(START, PUSH, inputs)[0]
+    fine = make_rollouts(models, 6, STEPS, DT, engine, False)(START, DISTURBANCE, np.repeat(inputs, 8, axis=1))[0]
+    coarse = make_rollouts(models, 6, STEPS // 8, 8 * DT, engine, False)(START, DISTURBANCE, inputs)[0]
     np.testing.assert_allclose(coarse[..., :2], fine[:, ::8, :2], atol=2e-3)
 
 

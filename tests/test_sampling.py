@@ -273,7 +273,7 @@ def test_where_all_plans_diverge_it_falls_back_and_says_so() -> None:
     _, state = own.step(later(observation), HoldReference(POSE), state)
     planned = state.plan
 
-    def lost(start: Array, push: Array, inputs: Array) -> Array:
+    def lost(start: Array, disturbance: Array, inputs: Array) -> Array:
         return np.full((1, len(inputs), 41, 6), np.nan)
 
     state = replace(state, tools=replace(state.tools, rollouts=lost))
@@ -287,8 +287,8 @@ def test_some_that_diverge_are_left_out() -> None:
     observation, state = begun(own)
     whole = state.tools.rollouts
 
-    def some(start: Array, push: Array, inputs: Array) -> Array:
-        states = whole(start, push, inputs)
+    def some(start: Array, disturbance: Array, inputs: Array) -> Array:
+        states = whole(start, disturbance, inputs)
         states[:, 1::2, 5:] = np.nan
         return states
 

@@ -182,9 +182,9 @@ WRONG = {
     TEXT.replace('"quadratic_drag"', '"quadratic drag"'): "name is 'quadratic drag', expected a plain name",
     TEXT.replace('name = "quadratic_drag"', ""): "lacks 'name'",
     TEXT.replace('("joint",)', '"joint"'): "sits_at is 'joint', expected a tuple of joint, actuator",
-    TEXT.replace('("joint",)', '("foot",)'): "sits_at is ('foot',), but what pushes sits at a joint or an actuator",
+    TEXT.replace('("joint",)', '("foot",)'): "sits_at is ('foot',), but a force acts at a joint or an actuator",
     TEXT.replace('neutral = {"coefficient": 0.0}', ""): "neutral must give values of some of coefficient",
-    TEXT.replace('{"coefficient": 0.0}', '{"coefficient": 0.1}'): "it still pushes with its neutral parameters",
+    TEXT.replace('{"coefficient": 0.0}', '{"coefficient": 0.1}'): "it still exerts a force with its neutral parameters",
     TEXT.replace(
         'parameter("N·m·s²/rad²", 0.0, 10.0, "torque at 1 rad/s")', "1.0"
     ): "parameters are made with parameter(",

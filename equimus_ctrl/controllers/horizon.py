@@ -151,7 +151,7 @@ class Outlook:
         observer: what is known of the robot.
         arrival: when the next command first takes hold [s].
         known: of the robot then.
-        push: (nj,) torques that the model does not explain, taken as lasting [N·m].
+        disturbance: (nj,) torques that the model does not explain, taken as lasting [N·m].
         against: (na,) what holds against them [Pa].
         path: a robot that follows.
         sight: what is known of the reference ahead.
@@ -164,7 +164,7 @@ class Outlook:
     observer: ObserverState
     arrival: float
     known: Estimate
-    push: Array
+    disturbance: Array
     against: Array
     path: Ahead
     sight: Sight
@@ -248,15 +248,15 @@ class Horizon:
         own = known.state[2 * p.nj + p.na :]
         followed = replace(state.followed, states=np.tile(own, (len(state.followed.states), 1)))
         path, sight = self._preview.look(reference, observation.time, followed, state.sight)
-        push = known.disturbance if self.settings.disturbance else np.zeros_like(known.disturbance)
-        against = -self.inverse.counter(known.position, push)
+        disturbance = known.disturbance if self.settings.disturbance else np.zeros_like(known.disturbance)
+        against = -self.inverse.counter(known.position, disturbance)
         path = replace(path, feed=path.feed + against, pressure=path.pressure + against)
         fixed, first = self._fixed(observer, arrival)
         wanted = Wanted(
             np.hstack([path.position, path.velocity, path.pressure]), path.feed, self._behind(path.position[-1])
         )
         before = observer.sent.values[-1]
-        return Outlook(observer, arrival, known, push, against, path, sight, wanted, fixed, first, before)
+        return Outlook(observer, arrival, known, disturbance, against, path, sight, wanted, fixed, first, before)
 
     def choose(
         self,

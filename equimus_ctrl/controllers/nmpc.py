@@ -161,10 +161,10 @@ class NmpcController:
         if state.plan is not None and view.arrival < state.plan.time + problem.times[-1]:
             guess = shifted = problem.shifted(state.plan, view.arrival, view.wanted)
         else:
-            guess = problem.first_guess(view.arrival, view.known.state, view.push, view.wanted)
+            guess = problem.first_guess(view.arrival, view.known.state, view.disturbance, view.wanted)
         answer = problem.solve(
-            view.known.state, view.push, view.wanted, guess, fixed=view.fixed, before=view.before, period=horizon.dt,
-            iterations=s.iterations, tolerance=s.tolerance, enough=pace.enough,
+            view.known.state, view.disturbance, view.wanted, guess, fixed=view.fixed, before=view.before,
+            period=horizon.dt, iterations=s.iterations, tolerance=s.tolerance, enough=pace.enough,
         )  # fmt: skip
         late = horizon.late(pace.end())
         failed = answer.outcome == "failed"

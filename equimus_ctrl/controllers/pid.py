@@ -54,7 +54,7 @@ class PidSettings:
         derivative_weight: share of the reference in the derivative term.
         start_time: over which the first measured pose fades out of the reference (bumpless start) [s].
         feedforward: whether pressures are added that follow from the reference alone.
-        inverse: whether these pressures are the inverse of all that is known of the plant: motion, what pushes, valves
+        inverse: whether these pressures are the inverse of all that is known of the plant: motion, forces, valves
             and sensors (``controllers.inverse``); else they hold the reference pose at rest.
     """
 

@@ -267,7 +267,7 @@ class SamplingController:
     def _cost(self, tools: SamplingTools, view: Outlook, inputs: Array) -> Array:
         """(n,) of plans; infinite where a rollout diverged on any model."""
         s, horizon = self.settings, tools.horizon
-        states = tools.rollouts(view.known.state, view.push, inputs)
+        states = tools.rollouts(view.known.state, view.disturbance, inputs)
         members = []
         with np.errstate(all="ignore"):  # what diverges may overflow
             for some in states:

@@ -191,19 +191,19 @@ def seen_places(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
     found = {}
     for j, name in enumerate(m.joint_names):
         low, high = _covered(stacked[:, j])
-        push = abs(float(slope[j, j])) * (high - low)
-        found[name] = Seen(low, high, max(float(speed[j]), 1e-3), push, float(largest.max()), interval, duration, mass)
+        force = abs(float(slope[j, j])) * (high - low)
+        found[name] = Seen(low, high, max(float(speed[j]), 1e-3), force, float(largest.max()), interval, duration, mass)
     for i, actuator in enumerate(m.actuators):
         low, high = _covered(lengths[:, i])
         rate = float(np.median(along[:, i]) * speed.max())
-        push = actuator.stiffness * (high - low)
-        found[actuator.name] = Seen(low, high, max(rate, 1e-4), push, float(largest[i]), interval, duration, mass)
+        force = actuator.stiffness * (high - low)
+        found[actuator.name] = Seen(low, high, max(rate, 1e-4), force, float(largest[i]), interval, duration, mass)
     first = found[m.joint_names[0]]
     return {name: first for kind in ("link", "foot", "base") for name in m.places()[kind]} | found
 
 
 def _seen_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
-    """The same where drives are at joints: pushes are those of drives and of gravity along what was measured."""
+    """The same where drives are at joints: forces of drives and gravity along the measured motion."""
     own = realise(model)
     robot = own.robot
     times = [s.trial.sample_times for s in segments]
@@ -226,10 +226,10 @@ def _seen_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str, Seen
         low, high = _covered(angles[:, j])
         own_drives = [i for i, drive in enumerate(robot.actuators) if drive.joint == joint.name]
         whole = drives[:, own_drives].sum(axis=1)
-        push = max(float(np.quantile(np.abs(v), 0.95)) for v in (whole, weights[:, j])) or 1.0
-        pulled = max((by_drive[robot.actuators[i].name] for i in own_drives), default=push)
+        force = max(float(np.quantile(np.abs(v), 0.95)) for v in (whole, weights[:, j])) or 1.0
+        drive_force = max((by_drive[robot.actuators[i].name] for i in own_drives), default=force)
         found[joint.name] = Seen(
-            low, high, float(speed[j]), push, float(largest.max()), interval, duration, mass, pulled
+            low, high, float(speed[j]), force, float(largest.max()), interval, duration, mass, drive_force
         )
     ends = {
         drive.name: replace(found[drive.joint], command=float(largest[i]), drive=by_drive[drive.name])

@@ -227,7 +227,7 @@ def _intervals(motion: Motion, coded: Encoded) -> tuple[Array, Array]:
     if used.any():
         own = np.maximum(np.diagonal(rub.delassus, axis1=1, axis2=2), 1e-12)
         lock = np.minimum(stuck * (rub.bound > 0) * LOCK + slope * rub.bound * own, LOCK) / own
-        slopes[:, :nv, nv : 2 * nv] -= (rub.push * lock[:, None]) @ field.rows(states)
+        slopes[:, :nv, nv : 2 * nv] -= (rub.per_impulse * lock[:, None]) @ field.rows(states)
     for limit in np.flatnonzero(hit.any(axis=0)):
         _count_blow(field, states, depths[:, limit], hit[:, limit], int(limit), lasts, slopes)
     nx = slopes.shape[2]
@@ -237,7 +237,7 @@ def _intervals(motion: Motion, coded: Encoded) -> tuple[Array, Array]:
     places = rubbing_places(coded.form, force_laws(coded.models[0].robot.traits.catalogue))
     columns = [places.index(("joint", int(joint))) for joint in coded.mechanics[0].joints]
     b = np.zeros((n, nx, len(columns)))
-    b[:, nv : 2 * nv] = rub.push[:, :, columns]
+    b[:, nv : 2 * nv] = rub.per_impulse[:, :, columns]
     return a, b
 
 

@@ -73,7 +73,7 @@ def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> Linear
 
     def scale() -> Array:
         seen = seen_places(model, data.segments)
-        return np.array([seen[name].push for name in model.robot.joint_names])
+        return np.array([seen[name].force for name in model.robot.joint_names])
 
     try:
         linearised = force_response(data.simulator.engine, model, trials, starts, scale, dt)

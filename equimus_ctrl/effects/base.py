@@ -78,7 +78,7 @@ class Effect:
 
     @classmethod
     def depends(cls) -> set[str] | None:
-        """On what its push at its place depends: ``pos``, ``vel``, ``cmd``, ``past``; None where it is no push."""
+        """On what its generalised force depends: ``pos``, ``vel``, ``cmd``, ``past``; None where it exerts none."""
         return None
 
     def bounds(self, key: str, robot: Any) -> tuple[float, float]:
@@ -118,9 +118,9 @@ class Effect:
 
     @classmethod
     def barely(cls, values: Mapping[str, float], seen: Seen) -> bool:
-        """Whether with these values of its parameters it is hardly what its name says, and could be any push.
+        """Whether these parameter values strain its law so far that any generalised force would fit as well.
 
-        It is believed then only where it leaves nothing unexplained.
+        A diagnosis then accepts it only where it leaves nothing unexplained.
         """
         return False
 

@@ -144,9 +144,9 @@ class JointStop(BodyEffect):
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
         places = [seen.low + share * seen.span for share in (0.02, 0.1, 0.25, 0.75, 0.9, 0.98)]
-        slope = seen.push / seen.span
+        slope = seen.force / seen.span
         return [
-            {"angle": angle, "stiffness": hard * slope, "damping": 0.1 * hard * seen.push / seen.speed}
+            {"angle": angle, "stiffness": hard * slope, "damping": 0.1 * hard * seen.force / seen.speed}
             for angle in places
             for hard in (3.0, 30.0)
         ]
@@ -158,7 +158,7 @@ class JointStop(BodyEffect):
     @classmethod
     def barely(cls, values: Mapping[str, float], seen: Seen) -> bool:
         # Softer than what holds the joint anyway it stops nothing: a spring that sets in.
-        return values["stiffness"] * seen.span < seen.push
+        return values["stiffness"] * seen.span < seen.force
 
     def slot(self, robot: Any) -> str:
         return f"{self.location}, {self._side(robot)} side"

@@ -148,15 +148,15 @@ class AsymmetricFriction(ForceEffect):
 @register
 @dataclass(frozen=True)
 class LoadFriction(ForceEffect):
-    """Dry friction of size share·|push of the drive|, beside any other: a gear's losses."""
+    """Dry friction of size share·|force of the drive|, beside any other: a gear's losses."""
 
     name = "load_friction"
     robots = ("mjcf",)
     sits_at = ("joint",)
-    summary = "dry friction in proportion to what the drive pushes"
+    summary = "dry friction in proportion to the drive's force"
     neutral = {"share": 0.0}  # noqa: RUF012
     mjcf_sizes = (Share("share", 0.01, 0.4),)
-    share: float = parameter("1", 0.0, 1.0, "of the drive's push")
+    share: float = parameter("1", 0.0, 1.0, "of the drive's force")
 
     @classmethod
     def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
@@ -165,22 +165,22 @@ class LoadFriction(ForceEffect):
     @classmethod
     def sentence(cls, t: Told) -> str:
         share = t.scaled("share", "%", 100.0)
-        return f"Dry friction at {t.the} of {share} of what the drive pushes: a gear's losses."
+        return f"Dry friction at {t.the} of {share} of the drive's force: a gear's losses."
 
 
 @register
 @dataclass(frozen=True)
 class ConstantForce(ForceEffect):
-    """A constant push."""
+    """A constant generalised force."""
 
     name = "constant_force"
     robots = ("mjcf",)
     sits_at = ("joint",)
-    summary = "a constant push: a drive's offset, a weight on a string"
+    summary = "a constant force: a drive's offset, a weight on a string"
     alike = False
     neutral = {"size": 0.0}  # noqa: RUF012
     mjcf_sizes = (Share("size", 0.003, 0.3, "either sign"),)
-    size: float = parameter("N·m", -1e3, 1e3, "of the push")
+    size: float = parameter("N·m", -1e3, 1e3, "of the force")
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
@@ -188,7 +188,7 @@ class ConstantForce(ForceEffect):
 
     @classmethod
     def sentence(cls, t: Told) -> str:
-        return f"A constant push on {t.the} of {t['size']}."
+        return f"A constant force on {t.the} of {t['size']}."
 
 
 @register
@@ -213,9 +213,9 @@ class DriveCompliance(BodyEffect):
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        stiff = seen.push / seen.span
+        stiff = seen.force / seen.span
         return [
-            {"stiffness": hard * stiff, "damping": 0.02 * hard * seen.push / seen.speed} for hard in (3.0, 10.0, 30.0)
+            {"stiffness": hard * stiff, "damping": 0.02 * hard * seen.force / seen.speed} for hard in (3.0, 10.0, 30.0)
         ]
 
     def bounds(self, key: str, robot: Any) -> tuple[float, float]:
@@ -269,7 +269,7 @@ class ActuatorGain(BodyEffect):
     name = "actuator_gain"
     robots = ("mjcf",)
     sits_at = ("actuator",)
-    summary = "the drive pushes more or less than it is taken to"
+    summary = "the drive exerts more or less force than its command says"
     nothing = 1.0
     exclusive = "actuator_gain"
     mjcf_sizes = (Share("factor", 0.01, 0.3, "about one"),)
@@ -290,7 +290,7 @@ class ActuatorGain(BodyEffect):
     def sentence(cls, t: Told) -> str:
         side = "more" if t.value("factor") > 1 else "less"
         size = t.scaled("factor", "%", math.copysign(100.0, t.value("factor") - 1), 1.0)
-        return f"{t.at} {t.one_or('pushes', 'push')} {size} {side} than {t.one_or('it is', 'they are')} taken to."
+        return f"{t.at} {t.one_or('exerts', 'exert')} {size} {side} force than the model says."
 
 
 @register
@@ -320,4 +320,4 @@ class TorqueSaturation(BodyEffect):
 
     @classmethod
     def sentence(cls, t: Told) -> str:
-        return f"{t.pushes} {t.one_or('stops', 'stop')} growing at {t['level']}: a saturation."
+        return f"{t.actuation} {t.one_or('stops', 'stop')} growing at {t['level']}: a saturation."

@@ -1,4 +1,4 @@
-"""Effects that push: on a joint (torque) or along an actuator (force), as CasADi expressions.
+"""Effects that exert a generalised force: a joint torque or a force along an actuator, as CasADi expressions.
 
 The one law of each effect is written over scalars: x is the joint's angle [rad] or the actuator's length [m], rate its
 derivative, z the effect's own states. Forces count positive where they would increase x. An effect may also scale what
@@ -34,7 +34,7 @@ PROBE, REST, LOAD = (0.73, -1.9, 1.9), 0.47, 1.3
 
 @dataclass(frozen=True)
 class ForceEffect(Effect):
-    """An effect that pushes along one coordinate x."""
+    """An effect that exerts a generalised force along one coordinate x."""
 
     side = "force"
     n_states: ClassVar[int] = 0
@@ -75,7 +75,7 @@ class ForceEffect(Effect):
         who = f"effect class {cls.__name__}"
         info = cls.parameter_info()
         if not set(cls.sits_at) <= {"joint", "actuator"}:
-            raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but what pushes sits at a joint or an actuator")
+            raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but a force acts at a joint or an actuator")
         if cls.scales and set(cls.sits_at) != {"actuator"}:
             raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but only an actuator has an area that may change")
         if cls.loads and "elastic" in cls.robots:
@@ -88,12 +88,12 @@ class ForceEffect(Effect):
         states = ca.vertsplit(z) if cls.n_states else []
         try:
             rates, rests = list(cls.state_rate(x, rate, states, p)), list(cls.rest_state(x, p))
-            pushes = (
+            terms = (
                 cls.force(x, rate, states, p) + cls.friction_of_load(ca.SX(LOAD), speed, p),
                 cls.dry_friction(x, speed, p), cls.more_area(x, ca.SX(REST), p),
             )  # fmt: skip
             symbols = [x, rate, speed, z, ca.vertcat(*p.values())]
-            law = ca.Function("law", symbols, [*map(ca.SX, pushes), ca.vertcat(*rates), ca.vertcat(*rests)])
+            law = ca.Function("law", symbols, [*map(ca.SX, terms), ca.vertcat(*rates), ca.vertcat(*rests)])
         except Exception as error:
             reason = (str(error).strip() or "no reason given").splitlines()[-1]
             raise ConfigError(
@@ -107,7 +107,7 @@ class ForceEffect(Effect):
             )
         idle = [cls.neutral.get(key, meta["high"]) for key, meta in info.items()]
         if any(float(size) != 0.0 for size in law(*PROBE, ca.DM.ones(cls.n_states) * 0.41, idle)[:3]):
-            raise ConfigError(f"{who}: it still pushes with its neutral parameters {dict(cls.neutral)}")
+            raise ConfigError(f"{who}: it still exerts a force with its neutral parameters {dict(cls.neutral)}")
 
     def curves(self, robot: Any, seen: Seen) -> tuple[Curve, ...]:
         """Of what scales an actuator's area that area; nothing else is told by it."""
@@ -126,28 +126,28 @@ class ForceEffect(Effect):
 
     @classmethod
     def depends(cls) -> set[str]:
-        """On what its push depends: ``pos``, ``vel``, ``cmd``; with states of its own it is the ``past`` alone.
+        """On what its force depends: ``pos``, ``vel``, ``cmd``; with states of its own it is the ``past`` alone.
 
         Dry friction depends on the direction of the speed.
         """
         x, rate, p = ca.SX.sym("x"), ca.SX.sym("rate"), {key: ca.SX.sym(key) for key in cls.parameter_info()}
         z = [ca.SX.sym(f"z{k}") for k in range(cls.n_states)]
-        push = ca.SX(cls.force(x, rate, z, p)) + ca.SX(cls.dry_friction(x, ca.fabs(rate), p)) * ca.sign(rate)
-        push += ca.SX(cls.friction_of_load(ca.SX(LOAD), ca.fabs(rate), p)) * ca.sign(rate)
+        total = ca.SX(cls.force(x, rate, z, p)) + ca.SX(cls.dry_friction(x, ca.fabs(rate), p)) * ca.sign(rate)
+        total += ca.SX(cls.friction_of_load(ca.SX(LOAD), ca.fabs(rate), p)) * ca.sign(rate)
         area = ca.SX(cls.more_area(x, ca.SX(1), p))
-        if z and ca.depends_on(push, ca.vertcat(*z)):
+        if z and ca.depends_on(total, ca.vertcat(*z)):
             return {"past"}
-        found = {name for name, symbol in (("pos", x), ("vel", rate)) if ca.depends_on(push, symbol)}
+        found = {name for name, symbol in (("pos", x), ("vel", rate)) if ca.depends_on(total, symbol)}
         return found | {"pos", "cmd"} if ca.depends_on(area, x) else found
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
-        """The push [N·m] or [N]."""
+        """The generalised force [N·m] or [N]."""
         return ca.SX(0)
 
     @classmethod
     def more_area(cls, x: ca.SX, rest: ca.SX, p: Parameters) -> ca.SX:
-        """By what share of its area an actuator's pressure pushes more at length x; rest is its rest length [m]."""
+        """Relative increase of an actuator's effective area at length x [1]; rest is its rest length [m]."""
         return ca.SX(0)
 
     @classmethod
@@ -167,7 +167,7 @@ class ForceEffect(Effect):
 
     @classmethod
     def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
-        """How much more dry friction there can be under a drive's push of a size ≥ 0 [N·m] or [N]."""
+        """How much more dry friction there can be under a drive's force of a size ≥ 0 [N·m] or [N]."""
         return ca.SX(0)
 
 
@@ -461,6 +461,6 @@ class Hysteresis(ForceEffect):
 
 
 def force_laws(robots: Robots = "elastic") -> tuple[type[ForceEffect], ...]:
-    """All registered effects that push and that a kind of robots can have, by name."""
+    """All registered effects that exert a force and that a kind of robots can have, by name."""
     found = (cls for cls in REGISTRY.values() if issubclass(cls, ForceEffect) and robots in cls.robots)
     return tuple(sorted(cast("list[type[ForceEffect]]", list(found)), key=lambda cls: cls.name))

@@ -13,18 +13,18 @@ class Seen:
         low: lower end of what its coordinate covers: a joint's angle [rad] or an actuator's length [m].
         high: upper end.
         speed: what its rate seldom exceeds [rad/s or m/s].
-        push: torque or force that moves it from one end to the other [N·m or N].
+        force: generalised force that moves it from one end to the other [N·m or N].
         command: largest command of the actuator, or of any where the place is none [Pa].
         interval: usual time between samples [s].
         duration: of a trial [s].
         mass: of what moves [kg].
-        drive: largest push of the actuator, or of any, as the model has it [N·m or N]; 0 where it is not known.
+        drive: largest force of the actuator, or of any, according to the model [N·m or N]; 0 where unknown.
     """
 
     low: float
     high: float
     speed: float
-    push: float
+    force: float
     command: float
     interval: float
     duration: float
@@ -50,12 +50,12 @@ class Seen:
             "rad": _shares(self.span, 0.01, 0.05),
             "m": _shares(self.span, 0.01, 0.05),
             "1": (0.02, 0.1),
-            **dict.fromkeys(("N·m", "N"), _shares(self.push, 0.005, 0.02, 0.08)),
-            **dict.fromkeys(("N·m/rad", "N/m"), _shares(self.push / self.span, 0.05, 0.2)),
-            **dict.fromkeys(("N·m·s/rad", "N·s/m"), _shares(self.push / self.speed, 0.05, 0.2)),
-            **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), _shares(self.push / self.speed**2, 0.05, 0.2)),
-            **dict.fromkeys(("N·m/rad²", "N/m²"), _shares(self.push / self.span**2, 0.05, 0.2)),
-            **dict.fromkeys(("N·m/rad³", "N/m³"), _shares(self.push / self.span**3, 0.05, 0.2)),
+            **dict.fromkeys(("N·m", "N"), _shares(self.force, 0.005, 0.02, 0.08)),
+            **dict.fromkeys(("N·m/rad", "N/m"), _shares(self.force / self.span, 0.05, 0.2)),
+            **dict.fromkeys(("N·m·s/rad", "N·s/m"), _shares(self.force / self.speed, 0.05, 0.2)),
+            **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), _shares(self.force / self.speed**2, 0.05, 0.2)),
+            **dict.fromkeys(("N·m/rad²", "N/m²"), _shares(self.force / self.span**2, 0.05, 0.2)),
+            **dict.fromkeys(("N·m/rad³", "N/m³"), _shares(self.force / self.span**3, 0.05, 0.2)),
         }
         return known.get(joint, known.get(actuator, ()))
 
@@ -68,10 +68,10 @@ class Seen:
             "kg": self.mass,
             **dict.fromkeys(("rad", "m"), self.span),
             **dict.fromkeys(("rad/s", "m/s"), self.speed),
-            **dict.fromkeys(("N·m", "N"), self.push),
-            **dict.fromkeys(("N·m/rad", "N/m"), self.push / self.span),
-            **dict.fromkeys(("N·m·s/rad", "N·s/m"), self.push / self.speed),
-            **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), self.push / self.speed**2),
+            **dict.fromkeys(("N·m", "N"), self.force),
+            **dict.fromkeys(("N·m/rad", "N/m"), self.force / self.span),
+            **dict.fromkeys(("N·m·s/rad", "N·s/m"), self.force / self.speed),
+            **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), self.force / self.speed**2),
         }
         return known.get(unit, 1.0)
 

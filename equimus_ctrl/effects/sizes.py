@@ -7,7 +7,7 @@ On the nominal leg they are numbers. A knee of this leg gives way by 1 rad for a
 below that. With middling noise the weak ends leave an excess of mostly 0.01 to 0.1, the strong ones 10 to 200. Commands
 reach 42 kPa (MAA) and 30 kPa (BAA), but BAA is mostly below 22 kPa.
 
-On an MJCF robot they are shares of what its recordings show of each place: pushes of the largest that the drive or
+On an MJCF robot they are shares of what its recordings show of each place: forces of the largest that the drive or
 gravity exerts there, rates and ways of what is covered.
 """
 
@@ -75,7 +75,7 @@ class Share:
         low: smallest share.
         high: largest.
         law: as of ``Size``.
-        of: what it is a share of: what goes with the parameter's unit (``Seen.scale``), the drive's largest push, the
+        of: what it is a share of: what goes with the parameter's unit (``Seen.scale``), the drive's largest force, the
             range that the coordinate covers (from its lower end on), or nothing, so that it is a number [SI].
     """
 

@@ -32,8 +32,8 @@ class Told(Protocol):
         ...
 
     @property
-    def pushes(self) -> str:
-        """What commands become there, to begin a sentence: ``The pressure of maa``, ``The pushes of a and b``."""
+    def actuation(self) -> str:
+        """What commands become there, to begin a sentence: ``The pressure of maa``, ``The forces of a and b``."""
         ...
 
     @property

@@ -127,7 +127,7 @@ class FirstOrderLag(ValveEffect):
     @classmethod
     def sentence(cls, t: Told) -> str:
         verb = t.one_or("follows its command", "follow their commands")
-        return f"{t.pushes} {verb} with a time constant of {t['time_constant']}."
+        return f"{t.actuation} {verb} with a time constant of {t['time_constant']}."
 
 
 @register
@@ -166,7 +166,7 @@ class AsymmetricLag(ValveEffect):
     @classmethod
     def sentence(cls, t: Told) -> str:
         rises, falls = t.one_or("rises", "rise"), t.one_or("falls", "fall")
-        return f"{t.pushes} {rises} with a time constant of {t['fill']} and {falls} with one of {t['vent']}."
+        return f"{t.actuation} {rises} with a time constant of {t['fill']} and {falls} with one of {t['vent']}."
 
 
 @register
@@ -187,7 +187,7 @@ class RateLimit(ValveEffect):
 
     @classmethod
     def sentence(cls, t: Told) -> str:
-        return f"{t.pushes} {t.one_or('changes', 'change')} no faster than {t['rate']}: the flow is limited."
+        return f"{t.actuation} {t.one_or('changes', 'change')} no faster than {t['rate']}: the flow is limited."
 
 
 @register
@@ -226,7 +226,7 @@ class FillingFlow(ValveEffect):
     @classmethod
     def sentence(cls, t: Told) -> str:
         return (
-            f"{t.pushes} {t.one_or('rises', 'rise')} no faster than {t['rate']} under a command of 10 kPa, and as its "
+            f"{t.actuation} {t.one_or('rises', 'rise')} no faster than {t['rate']} under a command of 10 kPa, and as its "
             f"power {t['power']} under others: the flow grows with the command."
         )
 
@@ -271,7 +271,7 @@ class SupplyCoupling(CompiledShaping):
     @classmethod
     def sentence(cls, t: Told) -> str:
         lost = t.scaled("share", "%", 100.0)
-        return f"{t.pushes} {t.one_or('falls', 'fall')} by {lost} of what is asked of the others: a shared supply."
+        return f"{t.actuation} {t.one_or('falls', 'fall')} by {lost} of what is asked of the others: a shared supply."
 
 
 @register
@@ -296,7 +296,7 @@ class Saturation(CompiledShaping):
 
     @classmethod
     def sentence(cls, t: Told) -> str:
-        return f"{t.pushes} {t.one_or('stops', 'stop')} rising at {t['level']}: a saturation."
+        return f"{t.actuation} {t.one_or('stops', 'stop')} rising at {t['level']}: a saturation."
 
 
 @register

@@ -288,10 +288,10 @@ def _friction_routines(
     turns = (m.rows_before * m.rows < 0) * (ca.fabs(m.rows_before) > SLIDING)
     span = ca.if_else(turns, dt * m.rows / (m.rows - m.rows_before), dt)
     s = sticking.sticking(nr)
-    push = ca.SX.sym("push", nj, nr)
+    per_impulse = ca.SX.sym("per_impulse", nj, nr)
     impulse = (s.phi - earlier) * s.span
-    moved = ca.vertcat(m.q + push @ (0.5 * s.span * impulse), m.v + push @ impulse)
-    at = {name: rows[name.upper()] for name in ("side", "sought", "phi", "slip", "bound", "span", "push")}
+    moved = ca.vertcat(m.q + per_impulse @ (0.5 * s.span * impulse), m.v + per_impulse @ impulse)
+    at = {name: rows[name.upper()] for name in ("side", "sought", "phi", "slip", "bound", "span", "per_impulse")}
     at |= {"mobility": rows["DELASSUS"], "earlier": rows["SUM"], "dt": rows["DT"], "v0": rows["START"] + nj}
     at |= {"pressure": rows["PRESSURE"], "grip": rows["GRIP"], **state}
     known = {"mobility": s.mobility, "bound": s.bound, "span": s.span, "slip": s.slip, "phi": s.phi, "side": s.side}
@@ -300,15 +300,15 @@ def _friction_routines(
         lane_code.LaneRoutine(
             "lane_friction",
             {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "grip": m.grip, "v0": m.v0, "dt": dt},
-            ca.vertcat(ca.vec(m.push), ca.vec(m.delassus), m.bound, span, m.rows),
+            ca.vertcat(ca.vec(m.per_impulse), ca.vec(m.delassus), m.bound, span, m.rows),
             at,
-            at["push"],
+            at["per_impulse"],
         ),
         lane_code.LaneRoutine("lane_sides", known, ca.vertcat(s.sides, s.still_sought), at, at["side"]),
         lane_code.LaneRoutine("lane_hold", known, s.found, at, at["slip"]),
         lane_code.LaneRoutine(
             "lane_rub",
-            {"q": m.q, "v": m.v, "push": push, "phi": s.phi, "span": s.span, "earlier": earlier},
+            {"q": m.q, "v": m.v, "per_impulse": per_impulse, "phi": s.phi, "span": s.span, "earlier": earlier},
             moved,
             at,
             at["q"],
@@ -324,7 +324,7 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
     nx = 2 * nj + nz
     sizes = {
         "X": nx, "RATE": nx, "SUM": max(nx, nr), "START": nx, "PRESSURE": na,
-        "PUSH": nj * nr, "DELASSUS": nr * nr, "BOUND": nr, "SPAN": nr, "SLIP": nr, "PHI": nr,
+        "PER_IMPULSE": nj * nr, "DELASSUS": nr * nr, "BOUND": nr, "SPAN": nr, "SLIP": nr, "PHI": nr,
         "SIDE": nr, "SOUGHT": 1, "WORST": 1,
         "PRESSED": nl, "GRIP": nl, "PULL": nl, "GAPS": nl, "DEPTHS": nl, "QUICK": 1,
         "MEAN": na, "SLOPE": na, "DT": 1, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx,
@@ -385,7 +385,7 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
         f"BOUNDED = {form.n_inside > 0}",
         f"SHORT = {short}",
         f"QUICK_INSIDE = {not symbolic.build(form, phase).inside.quickness.is_zero()}",
-        f"SOFT_LIMITS = {any(limit.push is None for limit in symbolic.build(form, phase).limits)}",
+        f"SOFT_LIMITS = {any(limit.force is None for limit in symbolic.build(form, phase).limits)}",
         *[f"ROW_{name} = {first}" for name, first in rows.items()],
         f"ROW_CONSTANTS = {row}\n",
         f"load(Path(__file__).with_suffix('.o'), '{prefix}', {('prepare', *made.names)})\n\n",

@@ -52,13 +52,13 @@ class Rub:
     """What dry friction does at n states.
 
     Attributes:
-        push: (n, nv, nr) velocities that a unit impulse at each row makes, M⁻¹Gᵀ.
+        per_impulse: (n, nv, nr) change of the velocities per unit impulse at each row, M⁻¹Gᵀ.
         delassus: (n, nr, nr) rates that it makes.
         rate: (n, nr).
         bound: (n, nr) the greatest friction.
     """
 
-    push: Array
+    per_impulse: Array
     delassus: Array
     rate: Array
     bound: Array
@@ -111,8 +111,8 @@ class Field:
         out = np.empty((n, nr * (nv + nr + 3)))
         if nr:
             self.kernel.rubbing_field(self.parameters, s.q, s.v, s.z, s.pressure, s.pressed, out)
-        push, delassus, bound, _, rate = np.split(out, np.cumsum([nv * nr, nr * nr, nr, nr]), axis=1)
-        columns = push.reshape(n, nr, nv).transpose(0, 2, 1)
+        per_impulse, delassus, bound, _, rate = np.split(out, np.cumsum([nv * nr, nr * nr, nr, nr]), axis=1)
+        columns = per_impulse.reshape(n, nr, nv).transpose(0, 2, 1)
         return Rub(columns, delassus.reshape(n, nr, nr).transpose(0, 2, 1), rate, bound)
 
     def rows(self, s: States) -> Array:

@@ -33,7 +33,7 @@ ROW_RATE = 0
 ROW_SUM = 0
 ROW_START = 0
 ROW_PRESSURE = 0
-ROW_PUSH = 0
+ROW_PER_IMPULSE = 0
 ROW_DELASSUS = 0
 ROW_BOUND = 0
 ROW_SPAN = 0
@@ -89,7 +89,7 @@ def lane_keep(w: Array) -> None:
 
 
 def lane_friction(w: Array) -> None:
-    """From state, pressure, ROW_GRIP, ROW_DT and the start's v: ROW_PUSH to ROW_SLIP."""
+    """From state, pressure, ROW_GRIP, ROW_DT and the start's v: ROW_PER_IMPULSE to ROW_SLIP."""
     raise NotImplementedError
 
 
@@ -104,7 +104,7 @@ def lane_hold(w: Array) -> None:
 
 
 def lane_rub(w: Array) -> None:
-    """From ROW_PUSH, ROW_SPAN, ROW_PHI and what was there before, in ROW_SUM: the rows of q and v with what is new."""
+    """From ROW_PER_IMPULSE, ROW_SPAN, ROW_PHI and the earlier friction, in ROW_SUM: the new rows of q and v."""
     raise NotImplementedError
 
 

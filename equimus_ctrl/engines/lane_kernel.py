@@ -29,10 +29,10 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_DEPTHS,
     ROW_DT,
     ROW_GAPS,
+    ROW_PER_IMPULSE,
     ROW_PHI,
     ROW_PRESSED,
     ROW_PRESSURE,
-    ROW_PUSH,
     ROW_RATE,
     ROW_SIDE,
     ROW_SLIP,
@@ -80,8 +80,8 @@ def sweep(w: Array, rubbing: Array) -> None:
             old = w[(ROW_PHI + r) * LANES + l]
             # An actuator without a lever arm cannot rub.
             span = w[(ROW_SPAN + r) * LANES + l]
-            push = w[(ROW_SLIP + r) * LANES + l] / (w[own + l] * span) if w[own + l] > 0.0 else 0.0
-            new = min(max(old - push, -bound), bound) if w[ROW_SOUGHT * LANES + l] > 0.0 else old
+            correction = w[(ROW_SLIP + r) * LANES + l] / (w[own + l] * span) if w[own + l] > 0.0 else 0.0
+            new = min(max(old - correction, -bound), bound) if w[ROW_SOUGHT * LANES + l] > 0.0 else old
             w[(ROW_PHI + r) * LANES + l] = new
             w[ROW_RATE * LANES + l] = (new - old) * span
             w[ROW_WORST * LANES + l] = max(w[ROW_WORST * LANES + l], abs(new - old) * span * w[own + l])
@@ -483,7 +483,7 @@ def rubbing_field(parameters: Array, q: Array, v: Array, z: Array, pressure: Arr
         lane_friction(w)
         for l in range(here):  # noqa: E741
             for i in range(out.shape[1]):
-                out[begin + l, i] = w[(ROW_PUSH + i) * LANES + l]
+                out[begin + l, i] = w[(ROW_PER_IMPULSE + i) * LANES + l]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

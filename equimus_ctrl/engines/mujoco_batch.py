@@ -153,8 +153,8 @@ class MujocoBatch:
             ConfigError: for arrays of the wrong shape or with numbers that are not finite.
             ModelError: where an actuator has no length at the start.
         """
-        start, rate, held, push = self._checked(q0, v0, pressure, torque)
-        q, v = self._rolled_out(start, rate, held, push)
+        start, rate, held, applied = self._checked(q0, v0, pressure, torque)
+        q, v = self._rolled_out(start, rate, held, applied)
         dt, model = self.settings.timestep, self.mujoco_model
         divisors = np.ones(len(q), dtype=np.int64)
         for i in np.flatnonzero(near_stop(self.morphologies, q, v, dt)):
@@ -166,7 +166,7 @@ class MujocoBatch:
             most = max(FINE_NUMBERS // numbers, self.threads)
             for some in np.split(rows, range(most, len(rows), most)):
                 fine = self._with_shorter_steps(int(divisor), some)
-                found = fine._rolled_out(start[some], rate[some], np.repeat(held[some], divisor, axis=1), push[some])
+                found = fine._rolled_out(start[some], rate[some], np.repeat(held[some], divisor, axis=1), applied[some])
                 q[some], v[some] = (x[:, ::divisor] for x in found)
         return q, v
 
@@ -183,7 +183,7 @@ class MujocoBatch:
             self._finer[divisor] = own, fine
         return fine
 
-    def _rolled_out(self, start: Array, rate: Array, held: Array, push: Array) -> tuple[Array, Array]:
+    def _rolled_out(self, start: Array, rate: Array, held: Array, applied: Array) -> tuple[Array, Array]:
         """All runs at the settings' step, as ``run`` returns them."""
         qpos, qvel = self._closed(start, rate)
         n, steps = held.shape[:2]
@@ -191,7 +191,7 @@ class MujocoBatch:
         runs.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         runs.bind("qpos")[:] = qpos
         runs.bind("qvel")[:] = qvel
-        runs.bind("qfrc_applied")[:, self._joints[1]] = push
+        runs.bind("qfrc_applied")[:, self._joints[1]] = applied
         clock = mujoco.mjtState.mjSTATE_TIME
         model = self.mujoco_model
         record = {"qpos": np.empty((n, steps, model.nq)), "qvel": np.empty((n, steps, model.nv))}
@@ -221,14 +221,14 @@ class MujocoBatch:
         m = self.morphologies[0]
         nj, na = len(m.joints), len(m.actuators)
         start, rate, held = (np.asarray(x, dtype=np.float64) for x in (q0, v0, pressure))
-        push = np.zeros_like(start) if torque is None else np.asarray(torque, dtype=np.float64)
+        applied = np.zeros_like(start) if torque is None else np.asarray(torque, dtype=np.float64)
         n = len(start) if len(self._numbers) == 1 and start.ndim == 2 else len(self._numbers)
         steps = held.shape[1] if held.ndim == 3 else 0
         for key, array, shape, names in (
             ("q0", start, (n, nj), m.joint_names),
             ("v0", rate, (n, nj), m.joint_names),
             ("pressure", held, (n, max(steps, 1), na), m.actuator_names),
-            ("torque", push, (n, nj), m.joint_names),
+            ("torque", applied, (n, nj), m.joint_names),
         ):
             if n < 1 or array.shape != shape:
                 wanted = shape if key != "pressure" else f"({n}, steps, {na}) with at least one step"
@@ -238,7 +238,7 @@ class MujocoBatch:
             if not np.all(np.isfinite(array)):
                 run = int(np.argmin(np.isfinite(array).reshape(n, -1).all(axis=1)))
                 raise ConfigError(f"{m.name}: {key} of run {run} holds numbers that are not finite")
-        return start, rate, held, push
+        return start, rate, held, applied
 
     def _addresses(self, names: Sequence[str]) -> tuple[list[int], list[int]]:
         joints = [self.mujoco_model.joint(name) for name in names]

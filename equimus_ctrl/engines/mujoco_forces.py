@@ -30,8 +30,8 @@ def _functions(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, 
     m = augmented_model(form, phase, laws)
     bound = ca.substitute(m.bound, m.v0, m.v)
     force = m.force + m.more_area * m.pressure
-    push = ca.Function("push", [m.q, m.v, m.z, m.pressure, m.p], [m.torque, force, m.z_rate, bound])
-    return push, ca.Function("rest", [m.q, m.p], [m.rest_state])
+    forces = ca.Function("forces", [m.q, m.v, m.z, m.pressure, m.p], [m.torque, force, m.z_rate, bound])
+    return forces, ca.Function("rest", [m.q, m.p], [m.rest_state])
 
 
 class ForceStepper:
@@ -52,9 +52,9 @@ class ForceStepper:
         augmented = augmented_model(form, model.phase, laws)
         names = robot.joint_names, robot.actuator_names
         self._parameters = np.concatenate([pack(robot), law_parameters(augmented.slots, model.effects, *names)])
-        push, self._rest = _functions(form, model.phase, laws)
-        self._push = Buffered(push)
-        self._push.arguments[-1][:] = self._parameters
+        forces, self._rest = _functions(form, model.phase, laws)
+        self._forces = Buffered(forces)
+        self._forces.arguments[-1][:] = self._parameters
         self._model = mujoco_model
         self._dof = np.array([mujoco_model.joint(name).dofadr[0] for name in robot.joint_names])
         self._qpos = np.array([mujoco_model.joint(name).qposadr[0] for name in robot.joint_names])
@@ -85,25 +85,25 @@ class ForceStepper:
         if not self.active:
             return
         half = 0.5 * self._model.opt.timestep
-        own_q, own_v, own_z, pressure, _ = self._push.arguments
+        own_q, own_v, own_z, pressure, _ = self._forces.arguments
         own_q[:], own_v[:], own_z[:] = data.qpos[self._qpos], data.qvel[self._dof], self._z
         pressure[:] = data.ctrl[self._actuators]
-        self._push()
+        self._forces()
         if self._begins:
             # What stands in the data are accelerations without commands and effects.
             self._exert(data)
             mujoco.mj_forward(self._model, data)
             self._begins = False
-        a, rate = data.qacc[self._dof], self._push.results[2]
+        a, rate = data.qacc[self._dof], self._forces.results[2]
         own_q += half * own_v + 0.5 * half * half * a
         own_v += half * a
         own_z += half * rate
-        self._push()
+        self._forces()
         self._z += 2 * half * rate
         self._exert(data)
 
     def _exert(self, data: mujoco.MjData) -> None:
-        torque, force, _, bound = self._push.results
+        torque, force, _, bound = self._forces.results
         data.qfrc_applied[self._dof] = torque
         data.qfrc_applied[self._slides] = force[:, None]
         for (kind, i), size in zip(self._rubbing, bound, strict=True):

@@ -45,7 +45,7 @@ class ObserverSettings:
 
     Attributes:
         noise: standard deviation of a measured angle [rad].
-        torque: of what pushes the joints at random, in shares times √s.
+        torque: of the white torque noise on the joints, in shares times √s.
         disturbance: of what the unknown torques walk in a second, in shares.
         pressure: of what pressures stray in a second, in shares of the commands' range.
         patience: how long it goes on without a measurement of some joint before that is a fault [s].

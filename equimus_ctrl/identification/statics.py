@@ -75,7 +75,7 @@ class RestPoses:
         position: (n, nj) measured angles, sensors included [rad].
         angles: (n, nj) joint angles [rad].
         found: (n,) whether a stable equilibrium was found.
-        unstable: (n,) whether one was found that the slightest push makes the robot leave.
+        unstable: (n,) whether an unstable equilibrium was found.
         by_parameter: (n, nj, np) ∂position/∂p of the parameter vector.
     """
 

@@ -80,8 +80,8 @@ def _pid(
 
     def force(u: Sequence[ca.SX]) -> ca.SX:
         c = commands(u)
-        push = kp * (c["pos"] - length) + kv * (c["vel"] - rate) + c["ff"] + bias[0]
-        return push + ki * inside["integral"] if "integral" in inside else push
+        total = kp * (c["pos"] - length) + kv * (c["vel"] - rate) + c["ff"] + bias[0]
+        return total + ki * inside["integral"] if "integral" in inside else total
 
     def rates(u: Sequence[ca.SX]) -> Sequence[ca.SX]:
         return [_integral(commands(u)["pos"] - length, state, dynamics[0]) for state in inside.values()]

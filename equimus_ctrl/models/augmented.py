@@ -72,7 +72,7 @@ class AugmentedModel:
         z_rate: (nz,) dz/dt.
         rest_state: (nz,) z after a long rest at q.
         rows: (nr,) rates that friction acts against, G(q) v.
-        push: (nj, nr) velocities that a unit impulse at each row makes, M⁻¹Gᵀ, limits gripping.
+        per_impulse: (nj, nr) change of the velocities per unit impulse at each row, M⁻¹Gᵀ, limits gripping.
         delassus: (nr, nr) G M⁻¹ Gᵀ.
         gaps: (nl,) above 0 where a limit would be pressed at the accelerations ``a``, see ``parts.gaps``.
         depths: (nl,) above 0 beyond a limit; below it no gap is above 0.
@@ -107,7 +107,7 @@ class AugmentedModel:
     z_rate: ca.SX
     rest_state: ca.SX
     rows: ca.SX
-    push: ca.SX
+    per_impulse: ca.SX
     delassus: ca.SX
     gaps: ca.SX
     depths: ca.SX
@@ -146,7 +146,7 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     z, pressure, v0 = ca.SX.sym("z", nz), ca.SX.sym("pressure", m.u.numel()), ca.SX.sym("v0", nj)
     lengths, jacobian = m.lengths, m.jacobian
     coordinates = {"joint": (m.q, m.v), "actuator": (lengths, jacobian @ m.v)}
-    push = {"joint": [ca.SX(0)] * nj, "actuator": [ca.SX(0)] * na}
+    exerted = {"joint": [ca.SX(0)] * nj, "actuator": [ca.SX(0)] * na}
     shares = [ca.SX(0)] * na
     rates = ca.vertsplit(m.inside.rate(pressure)) if ny else []
     rests = ca.vertsplit(m.inside.rest) if ny else []
@@ -155,12 +155,12 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
         own = {key: p[slot.first + k] for k, key in enumerate(law.parameter_info())}
         x, rate = coordinates[kind][0][i], coordinates[kind][1][i]
         states = [z[len(rates) + k] for k in range(law.n_states)]
-        push[kind][i] = push[kind][i] + law.force(x, rate, states, own)
+        exerted[kind][i] = exerted[kind][i] + law.force(x, rate, states, own)
         if law.scales:
             shares[i] = shares[i] + law.more_area(x, m.rest_length[i], own)
         rates += law.state_rate(x, rate, states, own)
         rests += law.rest_state(x, own)
-    torque, force = ca.vertcat(*push["joint"]), ca.vertcat(*push["actuator"], ca.SX(0, 1))
+    torque, force = ca.vertcat(*exerted["joint"]), ca.vertcat(*exerted["actuator"], ca.SX(0, 1))
     more_area = ca.vertcat(*shares, ca.SX(0, 1)) * m.area
     area = m.area + more_area
     drive = m.actuation.torque(pressure, area, force)
@@ -178,8 +178,8 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     in_mode = grips(m.limits, pressed)
     smooth_acceleration = ldl_solve(*constrained(*rigid, *in_mode))
     grip, pull = ca.SX.sym("grip", len(m.limits)), ca.SX.sym("pull", len(m.limits))
-    mass, pushed = constrained(*rigid, grip, pull)
-    gripped_acceleration = ldl_solve(mass, pushed)
+    mass, loaded = constrained(*rigid, grip, pull)
+    gripped_acceleration = ldl_solve(mass, loaded)
     reach = ca.horzcat(*[ldl_solve(mass, gradient[r, :].T) for r in range(len(rubbing))], ca.SX(nj, 0))
     outputs = [
         torque,
@@ -277,13 +277,15 @@ def _quickness(m: SymbolicModel, acceleration: ca.SX, pressed: ca.SX) -> ca.SX:
         return ca.sqrt(ca.fmax(ca.trace(matrix @ matrix), 0.0))
 
     found = m.inside.quickness
-    pushes = [limit.row.T * (pressed[k] * limit.push) for k, limit in enumerate(m.limits) if limit.push is not None]
-    if pushes:
-        stiffness = -ca.jacobian(sum(pushes, ca.SX(m.q.numel(), 1)), m.q)
+    springs_of_limits = [
+        limit.row.T * (pressed[k] * limit.force) for k, limit in enumerate(m.limits) if limit.force is not None
+    ]
+    if springs_of_limits:
+        stiffness = -ca.jacobian(sum(springs_of_limits, ca.SX(m.q.numel(), 1)), m.q)
         springs = ca.horzcat(*[ldl_solve(m.mass, stiffness[:, i]) for i in range(m.q.numel())])
         found = ca.fmax(found, ca.fmax(largest(ca.jacobian(acceleration, m.v)), ca.sqrt(largest(springs))))
     for k, limit in enumerate(m.limits):
-        if limit.push is None:
+        if limit.force is None:
             found = ca.fmax(found, pressed[k] * limit.quickness)
     return found
 

@@ -103,8 +103,8 @@ def stops_in_mode(q: ca.SX, v: ca.SX, stops: ca.SX, pressed: ca.SX) -> tuple[ca.
     """
     low, low_k, low_c, high, high_k, high_c = ca.vertsplit(stops)
     below, above = ca.fmax(low, -NO_STOP) - q, q - ca.fmin(high, NO_STOP)
-    push_up, push_down = low_k * below - low_c * v, high_k * above + high_c * v
-    return pressed[0] * push_up - pressed[1] * push_down, ca.vertcat(ca.fmin(below, push_up), ca.fmin(above, push_down))
+    of_lower, of_upper = low_k * below - low_c * v, high_k * above + high_c * v
+    return pressed[0] * of_lower - pressed[1] * of_upper, ca.vertcat(ca.fmin(below, of_lower), ca.fmin(above, of_upper))
 
 
 def _stops(q: ca.SX, v: ca.SX, stops: ca.SX, joint: int) -> tuple[Limit, Limit]:

@@ -241,7 +241,7 @@ class Kinematics:
 def _at_rest(torque: Array, slope: Array, mass: Array) -> NDArray[np.bool_]:
     """(n,) whether poses are at rest and stable.
 
-    At rest means no torque, and stable means that torque pushes back against any small displacement.
+    At rest means no torque, and stable means that torque acts against any small displacement.
 
     Args:
         torque: (n, nj) [N·m].

@@ -38,7 +38,7 @@ def _jacobians(form: Structure, phase: Phase) -> ca.Function:
 
 
 @lru_cache(maxsize=16)
-def _pushed_jacobians(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, ca.Function]:
+def _jacobians_with_effects(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, ca.Function]:
     """(q, pressure, p) → ∂a/∂q, ∂a/∂v, ∂a/∂P at rest: the effects' states following quick motion, and slow motion."""
     m = augmented_model(form, phase, laws)
     by_q, by_v, by_p = (ca.jacobian(m.acceleration, x) for x in (m.q, m.v, m.pressure))
@@ -79,7 +79,7 @@ def state_matrices(
     if laws:
         slots = slots_of(form, laws)
         numbers = law_parameters(slots, effects, morphology.joint_names, morphology.actuator_names)
-        function = _pushed_jacobians(form, phase, laws)[0 if quick else 1]
+        function = _jacobians_with_effects(form, phase, laws)[0 if quick else 1]
         found = function(at, given, np.append(pack(morphology), numbers))
         by_q, by_v, by_p = (np.where(np.isfinite(x), x, 0.0) for x in map(np.array, found))
     else:
@@ -184,8 +184,8 @@ def _rate_jacobians(form: Structure, phase: Phase) -> ca.Function:
             *[stops_in_mode(m.q[i], m.v[i], joint_stops(m.p, i), ca.SX(ca.DM(pressed)))[0] for i in range(nj)]
         )
         for x in (m.q, m.v):
-            # How deep the stops are pressed does not matter here, only how they push back.
+            # How deep the stops are pressed does not matter here, only by what force they act.
             slope = ca.jacobian(torque, x)
-            push = ca.horzcat(*[ldl_solve(m.mass, slope[:, i]) for i in range(nj)])
-            outputs.append(ca.substitute(ca.jacobian(free, x) + push, m.v, ca.SX.zeros(m.v.shape)))
+            of_stops = ca.horzcat(*[ldl_solve(m.mass, slope[:, i]) for i in range(nj)])
+            outputs.append(ca.substitute(ca.jacobian(free, x) + of_stops, m.v, ca.SX.zeros(m.v.shape)))
     return ca.Function("rates", [m.q, m.p], outputs)

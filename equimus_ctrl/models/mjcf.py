@@ -105,7 +105,7 @@ def add_elastic_actuator(
         settings: whose equality settings to use.
 
     Returns:
-        The actuator; its command pushes the ends apart.
+        The actuator; a positive command lengthens it.
 
     Raises:
         ModelError: where a site does not exist or a number cannot be.

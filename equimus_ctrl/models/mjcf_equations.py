@@ -186,8 +186,8 @@ class _Builder:
             ahead, faster = self.ahead[i], self.faster[i]
             beyond = ca.fmax(ahead - play, 0) + ca.fmin(ahead + play, 0)
             end = hard * beyond + dull * faster * (ca.fabs(ahead) > play)
-            pushes = ca.if_else(beyond > 0, ca.fmax(end, 0), ca.fmin(end, 0))
-            found.append(stiffness * ahead + damping * faster + pushes)
+            at_end = ca.if_else(beyond > 0, ca.fmax(end, 0), ca.fmin(end, 0))
+            found.append(stiffness * ahead + damping * faster + at_end)
         return found
 
     def _felt(self, torque: ca.SX) -> ca.SX:
@@ -195,11 +195,11 @@ class _Builder:
         return (1 - loose) * torque + loose * ca.vertcat(*self._springs())
 
     def _drive_rates(self, torque: ca.SX) -> ca.SX:
-        pushes = [
+        rates = [
             drive[0] * (torque[i] - spring) / drive[1]
             for i, (drive, spring) in enumerate(zip(self.drives, self._springs(), strict=True))
         ]
-        return ca.vertcat(self.faster, *pushes)
+        return ca.vertcat(self.faster, *rates)
 
     def _quickness_of_drives(self) -> ca.SX:
         fastest = ca.SX(0)

@@ -17,7 +17,7 @@ class Limit:
     Attributes:
         depth: how far beyond it the coordinate is, below 0 short of it.
         row: (1, n) direction of its force: −∂depth/∂q.
-        push: force of its spring and damper; None for a soft constraint.
+        force: of its spring and damper; None for a soft constraint.
         target: acceleration along the row that a soft constraint asks for.
         softness: of a soft constraint.
         quickness: rate at which a soft constraint's motion dies away, about [1/s].
@@ -25,7 +25,7 @@ class Limit:
 
     depth: ca.SX
     row: ca.SX
-    push: ca.SX | None = None
+    force: ca.SX | None = None
     target: ca.SX = field(default_factory=lambda: ca.SX(0))
     softness: ca.SX = field(default_factory=lambda: ca.SX(1))
     quickness: ca.SX = field(default_factory=lambda: ca.SX(0))
@@ -103,16 +103,16 @@ class Actuation:
             scale = ca.if_else(whole == kept, 1, kept / whole)
             for i in members:
                 along[i] = along[i] * scale
-        pushed = ca.vertcat(*along, ca.SX(0, 1))
+        along_lengths = ca.vertcat(*along, ca.SX(0, 1))
         if self.force is not None:
-            pushed = ca.fmin(ca.fmax(pushed, self.force[0]), self.force[1])
+            along_lengths = ca.fmin(ca.fmax(along_lengths, self.force[0]), self.force[1])
         for more in (self.beside, force):
-            pushed = pushed if more is None else pushed + more
-        at_joint = ca.SX(pushed.numel(), 1)
+            along_lengths = along_lengths if more is None else along_lengths + more
+        at_joint = ca.SX(along_lengths.numel(), 1)
         if self.through is not None:
             for i in self.at_joints:
-                at_joint[i], pushed[i] = pushed[i], 0
-        torque = self.jacobian.T @ pushed
+                at_joint[i], along_lengths[i] = along_lengths[i], 0
+        torque = self.jacobian.T @ along_lengths
         if self.added is not None:
             torque = torque + self.added
         own = self.jacobian.T @ at_joint
@@ -154,8 +154,8 @@ def grips(limits: Sequence[Limit], pressed: ca.SX) -> tuple[ca.SX, ca.SX]:
     """
     stiff, pull = [], []
     for k, limit in enumerate(limits):
-        stiff.append(pressed[k] / limit.softness if limit.push is None else ca.SX(0))
-        pull.append(stiff[-1] * limit.target if limit.push is None else pressed[k] * limit.push)
+        stiff.append(pressed[k] / limit.softness if limit.force is None else ca.SX(0))
+        pull.append(stiff[-1] * limit.target if limit.force is None else pressed[k] * limit.force)
     return ca.vertcat(*stiff, ca.SX(0, 1)), ca.vertcat(*pull, ca.SX(0, 1))
 
 
@@ -176,7 +176,7 @@ def constrained(
         mass = mass + h.row.T @ h.row / h.softness
         load = load + h.row.T * (h.target / h.softness)
     for k, limit in enumerate(limits):
-        if limit.push is None:
+        if limit.force is None:
             mass = mass + limit.row.T @ limit.row * grip[k]
         load = load + limit.row.T * pull[k]
     return mass, load
@@ -184,5 +184,5 @@ def constrained(
 
 def gaps(limits: Sequence[Limit], acceleration: ca.SX) -> ca.SX:
     """(nl,) above 0 where a limit would be pressed: the depth, or the force where that is less, for none ever pulls."""
-    found = [ca.fmin(k.depth, k.push if k.push is not None else k.target - k.row @ acceleration) for k in limits]
+    found = [ca.fmin(k.depth, k.force if k.force is not None else k.target - k.row @ acceleration) for k in limits]
     return ca.vertcat(*found, ca.SX(0, 1))

@@ -2,7 +2,7 @@
 
     M(q) a + h(q, v) = J(q)ᵀ f + tau
 
-with joint coordinates q, rates v, drive forces f (positive when they push an actuator's ends apart) and joint torques
+with joint coordinates q, rates v, drive forces f (positive where they lengthen an actuator) and joint torques
 tau. Rigid-body mechanics are those of ``models.tree``; what a kind of robot adds is in ``models.elastic_equations`` and
 ``models.mjcf_equations``.
 """

@@ -117,7 +117,7 @@ class SymbolicModel:
         """
         na = lengths.numel()
         f, tau = ca.SX.sym("f", na), ca.SX.sym("tau", q.numel())
-        springs = [k.row.T * (ca.fmin(k.depth, k.push) > 0) * k.push for k in limits if k.push is not None]
+        springs = [k.row.T * (ca.fmin(k.depth, k.force) > 0) * k.force for k in limits if k.force is not None]
         stop_torque = sum(springs, ca.SX(q.numel(), 1))
         load = actuation.jacobian.T @ f + tau - bias
         open_ended, none = ca.SX(len(limits), 1), ca.SX(0, 1)

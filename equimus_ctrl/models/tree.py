@@ -313,13 +313,13 @@ def equations(tree: Tree, q: ca.SX, v: ca.SX) -> Equations:
             matrix[i, k] += entry
             matrix[k, i] += entry
         momentum[:, i] += f
-        push = step.up(force[i])
+        carried_force = step.up(force[i])
         if link.parent == BASE:
-            rest += push
+            rest += carried_force
             continue
         up = link.parent
-        force[up] += push
-        moment[up] += step.up(moment[i]) + ca.cross(step.way, push)
+        force[up] += carried_force
+        moment[up] += step.up(moment[i]) + ca.cross(step.way, carried_force)
         moved, carried = step.inertia_up(six, h, mass[i])
         mass[up], first[up], inertia[up] = mass[up] + mass[i], first[up] + moved, inertia[up] + carried
     h = ca.vertcat(*bias)
@@ -327,11 +327,11 @@ def equations(tree: Tree, q: ca.SX, v: ca.SX) -> Equations:
         ends = (spread.first, spread.second)
         rises, arms = [frames.acceleration(spot) for spot in ends], [frames.jacobian(spot) for spot in ends]
         for k in range(2):
-            push = spread.mass / 6 * (2 * rises[k] + rises[1 - k])
+            carried_force = spread.mass / 6 * (2 * rises[k] + rises[1 - k])
             matrix += spread.mass / 6 * (2 * arms[k].T @ arms[k] + arms[k].T @ arms[1 - k])
             momentum += spread.mass / 2 * arms[k]
-            h += arms[k].T @ push
-            rest += push
+            h += arms[k].T @ carried_force
+            rest += carried_force
     if tree.pinned is not None:
         arm = frames.jacobian(tree.pinned)
         whole = base_mass + sum((m for m in _roots(links, mass)), ca.SX(0))

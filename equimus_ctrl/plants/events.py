@@ -1,4 +1,4 @@
-"""What befalls a robot while it runs, of which no controller is told: a push, a load taken up."""
+"""What befalls a robot while it runs, unknown to every controller: a push (disturbance torques), a load taken up."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ class Problem:
     def solve(
         self,
         start: Array,
-        push: Array,
+        disturbance: Array,
         wanted: Wanted,
         guess: Plan,
         *,
@@ -162,7 +162,7 @@ class Problem:
 
         Args:
             start: (nx,) the state at its beginning.
-            push: (nj,) torques that the model does not explain, taken as lasting [N·m].
+            disturbance: (nj,) torques that the model does not explain, taken as lasting [N·m].
             wanted: where the robot is to be.
             guess: where to begin.
             fixed: (n, na) inputs that are no longer free; NaN for those that are [Pa].
@@ -188,7 +188,7 @@ class Problem:
             limits = _Limits(low, high, np.where(bound, UNBOUNDED, span), np.asarray(before))
             # Steps go from one admissible plan to another, and so does any part of one.
             plan = Plan(plan.time, limits.nearest(plan.inputs), plan.states)
-        self._slopes.arguments[2][:] = np.tile(push, n)
+        self._slopes.arguments[2][:] = np.tile(disturbance, n)
         self._slopes.arguments[3][:] = self.durations
         origin, moved, share, closed = plan, None, 1.0, False
         penalty, merit = np.zeros(self.prediction.nx), math.inf
@@ -209,7 +209,7 @@ class Problem:
                     return answer(origin, "iterated", "no step leads to a better plan")
                 share = share / 2 if closed else 1.0
                 closed = True
-                plan = self._rolled(origin, moved[0], share, push)
+                plan = self._rolled(origin, moved[0], share, disturbance)
                 continue
             if not math.isfinite(value + float(found.jumps.sum())):
                 return answer(origin, "failed", "the predicted motion leaves every bound")
@@ -244,19 +244,19 @@ class Problem:
         states = (1 - part) * plan.states[place] + part * plan.states[place + 1]
         return Plan(time, inputs, states)
 
-    def first_guess(self, time: float, start: Array, push: Array, wanted: Wanted) -> Plan:
+    def first_guess(self, time: float, start: Array, disturbance: Array, wanted: Wanted) -> Plan:
         """What the reference takes, as far as it is within limits, and where it leads from a state (nx,)."""
         inputs = np.clip(wanted.feed, *self.inputs)
         nothing = Plan(time, inputs, np.tile(start, (len(self.times), 1)))
-        return self._rolled(nothing, np.zeros_like(inputs), 0.0, push)
+        return self._rolled(nothing, np.zeros_like(inputs), 0.0, disturbance)
 
-    def _rolled(self, plan: Plan, by: Array, share: float, push: Array) -> Plan:
+    def _rolled(self, plan: Plan, by: Array, share: float, disturbance: Array) -> Plan:
         """A plan with a share of a change of its inputs, and where these lead without a defect."""
         inputs = plan.inputs + share * by
         states = np.empty_like(plan.states)
         states[0] = plan.states[0]
         x, u, d, h = self._one.arguments
-        d[:] = push
+        d[:] = disturbance
         for k, span in enumerate(self.durations):
             x[:], u[:], h[:] = states[k], inputs[k], span / self._steps
             for _ in range(self._steps):

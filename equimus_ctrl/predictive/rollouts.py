@@ -2,7 +2,7 @@
 
 Both carry the pressures behind the valves, take torques that the model does not explain as lasting, and leave the
 joints' stops out: ranges are the cost's, as in ``predictive.problem``. The reduced model simulates all effects, MuJoCo
-those that push no joint.
+those that exert no force.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ ENGINES = ("auto", "mujoco", "reduced")
 class Rollouts(Protocol):
     """Many plans at once."""
 
-    def __call__(self, start: Array, push: Array, inputs: Array) -> Array:
+    def __call__(self, start: Array, disturbance: Array, inputs: Array) -> Array:
         """Where plans lead.
 
         Args:
             start: (nx,) of ``models.prediction``.
-            push: (nj,) torques that the model does not explain [N·m].
+            disturbance: (nj,) torques that the model does not explain [N·m].
             inputs: (n, steps, na) what reaches the valves [Pa].
 
         Returns:
@@ -88,13 +88,13 @@ def make_rollouts(
         ConfigError: for an effect that the engine does not simulate here.
         ModelError: where MuJoCo cannot simulate the robot.
     """
-    pushing = [effect for effect in models[0].effects if isinstance(effect, ForceEffect)]
-    if engine == "mujoco" and pushing:
+    with_forces = [effect for effect in models[0].effects if isinstance(effect, ForceEffect)]
+    if engine == "mujoco" and with_forces:
         raise ConfigError(
-            f"engine is 'mujoco', which does not simulate {pushing[0].name} in many rollouts at once; expected 'auto' "
-            "or 'reduced'"
+            f"engine is 'mujoco', which does not simulate {with_forces[0].name} in many rollouts at once; expected "
+            "'auto' or 'reduced'"
         )
-    if engine == "reduced" or pushing:
+    if engine == "reduced" or with_forces:
         return ReducedRollouts(models, samples, steps, step, compiled)
     return MujocoRollouts(models, samples, steps, step)
 
@@ -124,14 +124,14 @@ class MujocoRollouts:
         self._ends = np.empty((samples, steps + 1, na))
         self._step = step
 
-    def __call__(self, start: Array, push: Array, inputs: Array) -> Array:
+    def __call__(self, start: Array, disturbance: Array, inputs: Array) -> Array:
         nj, members, samples = self._nj, self._members, len(inputs)
         first = start[2 * nj : 2 * nj + inputs.shape[2]].copy()
         pressure_rollouts(first, inputs, self._valve, self._step / self._parts, self._means, self._ends)
         n = samples * members
         q, v = self._batch.run(
             np.tile(start[:nj], (n, 1)), np.tile(start[nj : 2 * nj], (n, 1)), np.repeat(self._means, members, axis=0),
-            np.tile(push, (n, 1)),
+            np.tile(disturbance, (n, 1)),
         )  # fmt: skip
         moved = np.concatenate([q, v], axis=2)[:, :: self._parts].reshape(samples, members, -1, 2 * nj)
         ends = np.broadcast_to(self._ends[:, None], (*moved.shape[:3], inputs.shape[2]))
@@ -154,14 +154,14 @@ class ReducedRollouts:
             call.arguments[3][:] = step / self._parts
             self._calls.append(call)
 
-    def __call__(self, start: Array, push: Array, inputs: Array) -> Array:
+    def __call__(self, start: Array, disturbance: Array, inputs: Array) -> Array:
         samples = len(inputs)
         found = np.empty((len(self._calls), samples, self._steps + 1, self._nx))
         found[:, :, 0] = start
         for call, states in zip(self._calls, found, strict=True):
             x, u, d, _ = call.arguments
             after, before = call.results[0].T, x.reshape(samples, self._nx)
-            before[:], d.reshape(samples, -1)[:] = start, push
+            before[:], d.reshape(samples, -1)[:] = start, disturbance
             for k in range(self._steps):
                 u.reshape(samples, -1)[:] = inputs[:, k]
                 for _ in range(self._parts):

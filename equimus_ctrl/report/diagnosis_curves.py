@@ -1,4 +1,4 @@
-"""The curves of what was found: of effects that push, evaluated from their own laws, and of what has no name."""
+"""The curves of the findings: of force effects, from their own laws, and of unstructured residual forces."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ CYCLES, CYCLE = 3, 2000
 RAMP, LONGEST, STEP = 0.05, 20.0, 1e-3
 """A step's duration, what follows at most, and the integration step of both [s]."""
 FAST = 1.3
-"""A push is drawn up to so many times the speed that is seldom exceeded."""
+"""A force is drawn up to this multiple of the speed that is seldom exceeded."""
 VISIBLE = 0.02
-"""Share of the largest push that a curve must vary by to be drawn."""
+"""A curve is drawn where it varies by at least this share of the largest force."""
 CLIPPED = 1.6
 """A modelled stop is drawn up to so many times the torque of the one found."""
 
@@ -71,14 +71,14 @@ def unexplained_panel(scene: Scene, left: Unexplained) -> Panel | None:
     if not left.axis or len(left.x) == 0:
         return None
     along = reading(left.axis_unit, float(np.abs(left.x).max()))
-    push = reading(left.unit, float(np.abs(left.push).max()))
-    x, y, half = left.x * along.factor, left.push * push.factor, left.band * push.factor
+    unit = reading(left.unit, float(np.abs(left.push).max()))
+    x, y, half = left.x * along.factor, left.push * unit.factor, left.band * unit.factor
     values = scene.values(left.axis)
     return Panel(
         f"at {' and '.join(left.places)}",
         f"{coordinate(left.axis, scene.model).removeprefix('the ')} {along.bracket}",
-        f"push {push.bracket}",
-        (Line(x, np.zeros(len(x)), "as modelled", True), Line(x, y, "push that is left")),
+        f"residual force {unit.bracket}",
+        (Line(x, np.zeros(len(x)), "as modelled", True), Line(x, y, "unstructured residual force")),
         (x, y - half, y + half),
         None if values is None else values * along.factor,
     )
@@ -90,7 +90,7 @@ class _Law:
 
     Attributes:
         effect: whose.
-        function: (x, rate, |rate|, z, p) → push, dry friction, dz/dt.
+        function: (x, rate, |rate|, z, p) → force, dry friction, dz/dt.
         rest: (x, p) → z.
         p: (np, 1) its parameters.
     """
@@ -121,14 +121,14 @@ class _Law:
         found = self.rest(x[None, :], np.repeat(self.p, len(x), axis=1))
         return np.array(found).reshape(self.effect.n_states, len(x))
 
-    def push(self, x: Array, rate: Array, z: Array) -> Array:
+    def exerted(self, x: Array, rate: Array, z: Array) -> Array:
         """(n,) what acts on the coordinate [N·m or N], dry friction against the rate."""
         many = np.repeat(self.p, len(x), axis=1)
-        push, rub, _ = self.function(x[None, :], rate[None, :], np.abs(rate)[None, :], z, many)
-        return np.array(push).ravel() - np.sign(rate) * np.array(rub).ravel()
+        force, rub, _ = self.function(x[None, :], rate[None, :], np.abs(rate)[None, :], z, many)
+        return np.array(force).ravel() - np.sign(rate) * np.array(rub).ravel()
 
     def along(self, x: Array, rate: Array, dt: float) -> Array:
-        """((n + 1)/2,) the push at every other instant of a motion (n,) given at half steps of ``dt``; Runge–Kutta."""
+        """((n + 1)/2,) the force at every other instant of a motion (n,) given at half steps of ``dt``; Runge–Kutta."""
         z = self.settled(x[:1])
         if self.effect.n_states:
             n = (len(x) - 1) // 2
@@ -147,7 +147,7 @@ class _Law:
             z = np.hstack([z, np.array(later)])
         else:
             z = np.zeros((0, (len(x) + 1) // 2))
-        return self.push(x[::2], rate[::2], z)
+        return self.exerted(x[::2], rate[::2], z)
 
 
 def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) -> list[Panel]:
@@ -156,7 +156,7 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
     joint = place in scene.model.robot.joint_names
     short = units.noun(scene.model, place) if joint else "length"
     long, torque = (place_unit(scene.model, unit, place) for unit in ("rad | m", "N·m | N"))
-    law, rest = _Law.of(best, seen.push), [_Law.of(o, seen.push) for o in others]
+    law, rest = _Law.of(best, seen.force), [_Law.of(o, seen.force) for o in others]
     middle, half = (seen.low + seen.high) / 2, seen.span / 2
     x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
     rate = np.concatenate(
@@ -169,11 +169,11 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
     jump = middle + half * (np.clip(after / RAMP, 0, 1) - 0.5), np.where((after >= 0) & (after < RAMP), half / RAMP, 0)
 
     def at_rest(own: _Law) -> Array:
-        return own.push(x, np.zeros(len(x)), own.settled(x))
+        return own.exerted(x, np.zeros(len(x)), own.settled(x))
 
     def in_motion(own: _Law) -> Array:
         at = np.full(len(rate), middle)
-        return own.push(at, rate, own.settled(at))
+        return own.exerted(at, rate, own.settled(at))
 
     def around(own: _Law) -> Array:
         return own.along(*to_and_fro)[-CYCLE - 1 :]
@@ -183,22 +183,22 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
 
     loop, still, moving = around(law), at_rest(law), in_motion(law)
     size = max(float(np.abs(curve).max()) for curve in (loop, still, moving))
-    push = reading(torque, size)
-    label = f"{'torque' if torque == 'N·m' else 'force'} {push.bracket}"
+    unit = reading(torque, size)
+    label = f"{'torque' if torque == 'N·m' else 'force'} {unit.bracket}"
     far, quick = reading(long, float(np.abs(x).max())), reading(f"{long}/s", seen.speed)
     axis, data = f"{short} of {place} {far.bracket}", scene.position(place) * far.factor
 
     def panel(title: str, x: str, along: Array, of: Callable[[_Law], Array], where: Array | None = None) -> Panel:
-        curve = of(law) * push.factor
+        curve = of(law) * unit.factor
         ends = np.array([along.min(), along.max()])
         lines = Line(ends, np.zeros(2), "without", True), Line(along, curve, name_of([best]))
-        return Panel(title, x, label, lines, band(along, curve, [of(o) * push.factor for o in rest]), where)
+        return Panel(title, x, label, lines, band(along, curve, [of(o) * unit.factor for o in rest]), where)
 
     def varies(curve: Array) -> bool:
         return float(np.ptp(curve)) > VISIBLE * size
 
     found = []
-    sliding = law.push(x, np.full(len(x), seen.speed), law.settled(x))
+    sliding = law.exerted(x, np.full(len(x), seen.speed), law.settled(x))
     if best.n_states or varies(sliding - still):
         title = f"to and fro, once in {quantity(period, 's')}"
         found.append(panel(title, axis, to_and_fro[0][::2][-CYCLE - 1 :] * far.factor, around, data))
@@ -263,16 +263,16 @@ def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence
             if not changes(curve, plain):
                 continue
             size = float(np.abs(curve).max()) or float(np.abs(plain).max())
-            push = reading("N·m", size)
+            unit = reading("N·m", size)
             clipped = np.where(np.abs(plain) <= CLIPPED * size, plain, np.nan)
             x = np.degrees(angles)
             lines = (
-                Line(x, clipped * push.factor, "as modelled", True),
-                Line(x, curve * push.factor, name_of(best)),
+                Line(x, clipped * unit.factor, "as modelled", True),
+                Line(x, curve * unit.factor, name_of(best)),
             )
-            curves = [_torque(own, scene.model, what, poses)[:, j] * push.factor for own in rest]
-            around = band(x, curve * push.factor, curves)
-            axes = f"angle of {joint} [°]", f"torque of {what} {push.bracket}"
+            curves = [_torque(own, scene.model, what, poses)[:, j] * unit.factor for own in rest]
+            around = band(x, curve * unit.factor, curves)
+            axes = f"angle of {joint} [°]", f"torque of {what} {unit.bracket}"
             found.append(Panel(f"{what} at the {joint}", *axes, lines, around, np.degrees(seen)))
     return [*found, Panel("numbers of the robot", rows=_changed_numbers(scene.model, modelled, now))]
 

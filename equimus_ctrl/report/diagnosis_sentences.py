@@ -35,10 +35,10 @@ class FoundEffect:
         return units.noun(self.model, self.places[0])
 
     @property
-    def pushes(self) -> str:
+    def actuation(self) -> str:
         if self.robot.traits.commands_are_pressures:
             return f"The {self.one_or('pressure', 'pressures')} of {self.at}"
-        return f"The {self.one_or('push', 'pushes')} of {self.at}"
+        return f"The {self.one_or('force', 'forces')} of {self.at}"
 
     @property
     def numbers(self) -> str:

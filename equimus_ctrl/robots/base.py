@@ -216,9 +216,9 @@ class Robot(ABC):
     def check(self, effects: Sequence[Effect]) -> None:
         """Raise ConfigError where effects cannot be attached: not to this kind of robot, not there, not together."""
         effects_base.check_robots(effects, self.traits.catalogue, self.name)
-        anywhere, pushed = self.places(), self.force_places()
+        anywhere, force_places = self.places(), self.force_places()
         for effect in effects:
-            here = pushed if isinstance(effect, ForceEffect) else anywhere
+            here = force_places if isinstance(effect, ForceEffect) else anywhere
             effects_base.check_locations([effect], here, self.name)
         effects_base.check_exclusive(effects, self, self.name)
 

@@ -128,7 +128,7 @@ class Tracked:
 
 
 def laws_of(effects: Sequence[Effect]) -> Laws:
-    """The force laws that the kernel has: none where nothing pushes, else all, so that few kernels have to be made."""
+    """The kernel's force laws: none without force effects, else all of them, so that few kernels are compiled."""
     return force_laws() if any(isinstance(effect, ForceEffect) for effect in effects) else ()
 
 

@@ -77,7 +77,7 @@ def linear_leg(
 ) -> LinearLeg:
     """Linearise a member of an ensemble about a pose it holds with its own static pressures.
 
-    What is not linear counts as far as it can be: effects that push by their slopes, commands by the steepest slope
+    What is not linear counts as far as it can be: force effects by their slopes, commands by the steepest slope
     that shaping leaves of them. Dry friction, rate limits, filling flows, jumps and play are left to simulation.
 
     Args:

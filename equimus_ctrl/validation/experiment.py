@@ -89,5 +89,5 @@ def undamped(morphology: Morphology) -> Morphology:
 
 
 def any_force(morphology: Morphology) -> Morphology:
-    """A robot whose commands are not bounded: its actuators push and pull with any force."""
+    """A robot whose commands are not bounded: its actuators exert forces of either sign."""
     return replace(morphology, command_low=-1e9, command_high=1e9)

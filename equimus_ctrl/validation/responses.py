@@ -137,7 +137,7 @@ def swing_case(
 def native_swing(result: Responses, count: int, threads: int | None = None) -> tuple[Errors, Array]:
     """The baseline on the first ``count`` scored runs that touch no stop: errors, and (k, m − 1, nj) themselves [rad].
 
-    Its steps do not follow a stop's push.
+    Its steps do not resolve a stop's force.
     """
     rows = np.flatnonzero(result.clear)[:count]
     error = native_runs(result.experiment.part(rows), threads=threads)[:, 1:] - result.exact[rows, 1:]

@@ -187,9 +187,9 @@ def _reactions(plant: HardwarePlant, pressure: float, notify: Callable[[str, flo
             command[i] = pressure if REACTION * rate <= k < 2 * REACTION * rate else 0.0
             seen.append(plant.step(command).position)
         angles, n = np.array(seen), round(REACTION * rate)
-        still, pushed = angles[n // 2 : n], angles[round(1.5 * n) : 2 * n]
+        still, pressurised = angles[n // 2 : n], angles[round(1.5 * n) : 2 * n]
         noise = float(still.std(axis=0).max())
-        moved = float(np.abs(pushed.mean(axis=0) - still.mean(axis=0)).max())
+        moved = float(np.abs(pressurised.mean(axis=0) - still.mean(axis=0)).max())
         found[name] = {"moved_rad": moved, "still_rad": noise, "reacts": bool(moved > max(5 * noise, LEAST_MOVED))}
     return found
 

@@ -160,7 +160,7 @@ class Joint:
 class ElasticActuator:
     """A linear elastic actuator that lengthens under pressure.
 
-    The force that pushes its ends apart is  area·P − stiffness·(l − rest_length) − damping·dl/dt.
+    Its force, positive where it lengthens, is  area·P − stiffness·(l − rest_length) − damping·dl/dt.
 
     Attributes:
         name: unique name.

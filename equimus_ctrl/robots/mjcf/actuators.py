@@ -103,9 +103,9 @@ def _check(base: Any, i: int, told: str) -> None:
 
 def _kind(base: Any, i: int, axis: Axis, at_joint: bool, given: str) -> tuple[bool, str]:
     """Whether a command is a goal for where something is, and its unit."""
-    place, push = ("m", "N") if axis.slides else ("rad", "N·m")
+    position_unit, force_unit = ("m", "N") if axis.slides else ("rad", "N·m")
     if given:
-        unit = {"pos": place, "vel": f"{place}/s", "ff": push, "voltage": "V"}[given]
+        unit = {"pos": position_unit, "vel": f"{position_unit}/s", "ff": force_unit, "voltage": "V"}[given]
         return given == "pos", unit if at_joint or given == "voltage" else "1"
     bias = base.actuator_biasprm[i]
     affine = int(base.actuator_biastype[i]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -113,9 +113,9 @@ def _kind(base: Any, i: int, axis: Axis, at_joint: bool, given: str) -> tuple[bo
     if not at_joint or int(base.actuator_gaintype[i]) != int(mujoco.mjtGain.mjGAIN_FIXED):
         return servo, "1"
     if int(base.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
-        return servo, f"{place}/s" if servo else "1"
-    unit = place if servo else push if not affine and base.actuator_gainprm[i, 0] == 1 else "1"
-    return servo, f"{place}/s" if affine and not servo and bias[2] != 0 else unit
+        return servo, f"{position_unit}/s" if servo else "1"
+    unit = position_unit if servo else force_unit if not affine and base.actuator_gainprm[i, 0] == 1 else "1"
+    return servo, f"{position_unit}/s" if affine and not servo and bias[2] != 0 else unit
 
 
 def drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
@@ -123,10 +123,10 @@ def drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
     found: list[Number] = []
     for drive in {drive.actuator: drive for drive in reversed(drives)}.values():
         slides = int(base.jnt_type[base.joint(drive.joint).id]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
-        push, place = ("N", "m") if slides else ("N·m", "rad")
+        force_unit, position_unit = ("N", "m") if slides else ("N·m", "rad")
         own = drive.actuator
         law = _own_law if int(base.actuator_gaintype[drive.index]) in OWN else _gain_and_bias
-        found += law(base, drive, push, place)
+        found += law(base, drive, force_unit, position_unit)
         if drive.state is not None:
             write = setter("actuator", own, "actuator_dynprm", 0)
             found.append(Number(f"{own}.time_constant", float(base.actuator_dynprm[drive.index, 0]), "s", write))
@@ -139,12 +139,12 @@ def drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
             def limit(model: Any, value: float, name: str = own) -> None:
                 model.actuator_forcerange[model.actuator(name).id] = -value, value
 
-            found.append(Number(f"{own}.force_limit", float(bounds[1]), push, limit))
+            found.append(Number(f"{own}.force_limit", float(bounds[1]), force_unit, limit))
     order = [drive.actuator for drive in drives]
     return sorted(found, key=lambda number: order.index(number.name.rpartition(".")[0]))
 
 
-def _gain_and_bias(base: Any, drive: Drive, push: str, place: str) -> Iterator[Number]:
+def _gain_and_bias(base: Any, drive: Drive, force_unit: str, position_unit: str) -> Iterator[Number]:
     i, own = drive.index, drive.actuator
     gain, bias = float(base.actuator_gainprm[i, 0]), base.actuator_biasprm[i]
     follows = not drive.servo and bias[2] != 0 and math.isclose(float(bias[2]), -gain)
@@ -154,31 +154,32 @@ def _gain_and_bias(base: Any, drive: Drive, push: str, place: str) -> Iterator[N
             k = model.actuator(own).id
             model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 1] = value, -value
 
-        yield Number(f"{own}.kp", gain, f"{push}/{place}", stiff)
+        yield Number(f"{own}.kp", gain, f"{force_unit}/{position_unit}", stiff)
     elif follows:
 
         def follow(model: Any, value: float) -> None:
             k = model.actuator(own).id
             model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 2] = value, -value
 
-        yield Number(f"{own}.kv", gain, f"{push}·s/{place}", follow)
+        yield Number(f"{own}.kv", gain, f"{force_unit}·s/{position_unit}", follow)
     elif int(base.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_FIXED):
-        unit = f"{push}/{drive.unit}" if drive.unit not in ("1", push) else "1" if drive.unit == push else push
+        per_command = f"{force_unit}/{drive.unit}"
+        unit = force_unit if drive.unit == "1" else "1" if drive.unit == force_unit else per_command
         yield Number(f"{own}.gain", gain, unit, setter("actuator", own, "actuator_gainprm", 0))
     if not follows and (bias[2] != 0 or drive.servo):
-        yield _negative(base, drive, "kv", "actuator_biasprm", 2, f"{push}·s/{place}")
+        yield _negative(base, drive, "kv", "actuator_biasprm", 2, f"{force_unit}·s/{position_unit}")
 
 
-def _own_law(base: Any, drive: Drive, push: str, place: str) -> Iterator[Number]:
+def _own_law(base: Any, drive: Drive, force_unit: str, position_unit: str) -> Iterator[Number]:
     i, own = drive.index, drive.actuator
-    stiffness, damping = f"{push}/{place}", f"{push}·s/{place}"
+    stiffness, damping = f"{force_unit}/{position_unit}", f"{force_unit}·s/{position_unit}"
     if int(base.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_PID):
         yield _negative(base, drive, "kp", "actuator_biasprm", 1, stiffness)
         yield _negative(base, drive, "kv", "actuator_biasprm", 2, damping)
-        entries = [("ki", 0, f"{push}/({place}·s)")]
+        entries = [("ki", 0, f"{force_unit}/({position_unit}·s)")]
     else:
-        entries = [("resistance", 0, "Ω"), ("motorconst", 1, f"{push}/A"), ("kp", 4, stiffness)]
-        entries += [("ki", 5, f"{push}/({place}·s)"), ("kd", 6, damping)]
+        entries = [("resistance", 0, "Ω"), ("motorconst", 1, f"{force_unit}/A"), ("kp", 4, stiffness)]
+        entries += [("ki", 5, f"{force_unit}/({position_unit}·s)"), ("kd", 6, damping)]
     for key, entry, unit in entries:
         value = float(base.actuator_gainprm[i, entry])
         if value > 0:
