@@ -44,7 +44,7 @@ from equimus_ctrl.workflow import load_controller, load_scenario
 MODEL, LOW, SLEW = nominal_model(), np.array([5e3, 3e3]), 1e6
 VENTING = {
     "stall": "stall:{t}:0.2", "silent": "silent:{t}", "nan": "nan:{t}:0.05", "jump": "jump:{t}:0.1",
-    "clock": "clock:{t}:1", "back": "back:{t}:1", "rival": "rival:{t}:1", "crash": "crash:{t}",
+    "clock": "clock:{t}:1", "back": "back:{t}:1", "second_publisher": "second_publisher:{t}:1", "crash": "crash:{t}",
 }  # fmt: skip
 BORNE = {
     "repeat": ("--fault", "repeat:{t}:1"), "reorder": ("--fault", "reorder:{t}:1"), "5 % loss": ("--loss", "0.05"),

@@ -116,7 +116,7 @@ def _window(text: str) -> Any:
 
 
 def _engine() -> Any:
-    text = "reduced (compiled equations of motion) or mujoco; by default reduced where it holds all of the robot."
+    text = "reduced (compiled equations of motion) or mujoco; by default reduced where it covers the whole robot."
     return option(None, str | None, text)
 
 
@@ -129,12 +129,12 @@ def _threads(text: str = "Of the simulations; all cores by default.") -> Any:
 
 
 def _bounds() -> Any:
-    text = "Between which values, in SI units."
+    text = "Bounds of a parameter, in SI units."
     return option(None, NAMES, text, "--bound", metavar="NAME=LOW,HIGH", read=bounds_of)
 
 
 def _parameters() -> Any:
-    text = "File (TOML) of what may be wrong about the model's numbers, see list parameters --write."
+    text = "File (TOML) of the parameters to estimate, see list parameters --write."
     return option(None, Path | None, text, metavar="FILE")
 
 
@@ -148,21 +148,20 @@ class DiagnoseOptions:
     """How a diagnosis is made.
 
     Attributes:
-        free: names or patterns of what may be wrong about the model's numbers; stiffness, area, rest length and damping
-            by default.
-        fix: names or patterns of what is right all the same.
+        free: names or patterns of the parameters to estimate; stiffness, area, rest length and damping by default.
+        fix: names or patterns of parameters to keep at their values all the same.
         bounds: (low, high) of some of them.
         parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
         select: patterns of the names of the trials to use; all by default.
         validation: patterns of the names of trials by which effects are confirmed or rejected; see
             ``diagnosis.holdout.split`` for the default.
         test: patterns of the names of trials that no fit and no choice sees.
-        until: of every trial only what comes before this time is fitted, and the rest judges too [s].
+        until: of every trial only what comes before this time is fitted; the rest is held out [s].
         window: (from, to) of each trial that counts at all [s].
-        shoot: length of the windows that trials are cut into where nothing holds the robot in place [s]; see
+        shoot: length of multiple-shooting intervals where nothing holds the robot in place [s]; see
             ``diagnosis.holdout.window_length``.
         most: largest number of effects, 1 to 6.
-        exclude: names of effects that are not looked for.
+        exclude: names of effects that are not tried.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         threads: of the simulations; all cores by default.
         budget: how long it may take; its best so far is given then. As long as it needs by default [s].
@@ -184,35 +183,35 @@ class DiagnoseOptions:
         metavar="PATTERN",
     )
     until: float | None = option(
-        None, float | None, "Fit each trial up to this time only, and judge by the rest.", metavar="SECONDS"
+        None, float | None, "Fit each trial up to this time only; the rest is held out.", metavar="SECONDS"
     )
     select: Sequence[str] | None = _select()
-    window: Window | None = _window("Compare this part of each trial only, in s.")
+    window: Window | None = _window("Use this part of each trial only, in s.")
     free: Sequence[str] | None = option(
         None,
         NAMES,
-        "Numbers of the model that may be wrong, such as '*.mass', or base_parameters; by default what is known least, "
-        "see list parameters.",
+        "Parameters to estimate, such as '*.mass', or base_parameters; by default the least certain ones, see list "
+        "parameters.",
         metavar="NAME",
     )
-    fix: Sequence[str] = option((), NAMES, "Numbers that are right all the same.", metavar="NAME")
+    fix: Sequence[str] = option((), NAMES, "Parameters to keep at their values all the same.", metavar="NAME")
     bounds: Bounds | None = _bounds()
     parameters: Path | None = _parameters()
     shoot: float | None = option(
         None,
         float | None,
-        "Of an MJCF robot: cut trials into windows of this length, each from its own free start; by default as long as "
-        "the model as it came stays near.",
+        "Of an MJCF robot: length of the multiple-shooting intervals, each with a free initial state; by default as "
+        "long as the nominal model's predictions stay close.",
         metavar="SECONDS",
     )
-    most: int = option(3, int, "Largest number of effects that are looked for together.")
-    exclude: Sequence[str] = option((), NAMES, "Do not look for this effect, see list effects.", metavar="EFFECT")
+    most: int = option(3, int, "Largest number of effects in a hypothesis.")
+    exclude: Sequence[str] = option((), NAMES, "Do not try this effect, see list effects.", metavar="EFFECT")
     engine: EngineName | None = _engine()
     threads: int | None = _threads()
     budget: float | None = option(
         None,
         float | None,
-        "Give the best so far after this time, with what was not looked at.",
+        "Give the best so far after this time, with what was not tried.",
         metavar="SECONDS",
     )
 
@@ -230,19 +229,19 @@ class IdentifyOptions:
     """How parameters are identified from trials, poses at rest, or both.
 
     Attributes:
-        free: names or patterns of what may change; stiffness, area, rest length and damping by default, of poses at
-            rest the first three.
-        fix: names or patterns of what stays as it is all the same.
+        free: names or patterns of the parameters to estimate; stiffness, area, rest length and damping by default, of
+            poses at rest the first three.
+        fix: names or patterns of parameters to keep at their values all the same.
         bounds: (low, high) of some of them.
         select: patterns of the names of the trials to use; all by default.
         parameters: file that says what is free, see ``workflow.mjcf.read_free``; ``free`` adds, ``bounds`` win.
-        heldout: files, folders, trials or poses that only judge; those that take part in the fit are left out.
+        heldout: held-out files, folders, trials or poses; those that take part in the fit are dropped.
         window: (from, to) of each trial that is compared; all of it by default [s].
-        shoot: cut into windows of this length, each from its own free start [s].
-        fit_start: let each trial's first angles be free.
+        shoot: length of multiple-shooting intervals, each with a free initial state [s].
+        fit_start: estimate each trial's first angles too.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         dt: physics step [s].
-        folds: of the cross-check; less than two for none.
+        folds: of the k-fold cross-validation; less than two for none.
         threads: all cores by default.
         settings: how it searches.
 
@@ -253,34 +252,34 @@ class IdentifyOptions:
     free: Sequence[str] | None = option(
         None,
         NAMES,
-        "What may change, such as 'maa.*', or base_parameters; by default what is known least, see list parameters.",
+        "Parameters to estimate, such as 'maa.*', or base_parameters; by default the least certain ones.",
         metavar="NAME",
     )
-    fix: Sequence[str] = option((), NAMES, "What stays as it is all the same.", metavar="NAME")
+    fix: Sequence[str] = option((), NAMES, "Parameters to keep at their values all the same.", metavar="NAME")
     bounds: Bounds | None = _bounds()
     select: Sequence[str] | None = _select()
     parameters: Path | None = _parameters()
     heldout: Some | Sequence[StaticPoses] = option(
         (),
         list[Path] | None,
-        "Trials or poses that only judge; those fitted are left out.",
+        "Held-out trials or poses; those that are fitted are dropped.",
         metavar="PATH",
     )
-    window: Window | None = _window("Compare this part of each trial only, in s.")
+    window: Window | None = _window("Use this part of each trial only, in s.")
     shoot: float | None = option(
-        None, float | None, "Cut into windows of this length, each from its own free start.", metavar="SECONDS"
+        None, float | None, "Length of multiple-shooting intervals, each with a free initial state.", metavar="SECONDS"
     )
-    fit_start: bool = option(False, bool, "Let each trial's first angles be free.", "--fit-start")
+    fit_start: bool = option(False, bool, "Estimate each trial's first angles too.", "--fit-start")
     engine: EngineName | None = _engine()
     dt: float | None = _dt()
-    folds: int = option(4, int, "Of the cross-check; 0 for none.")
+    folds: int = option(4, int, "Of the k-fold cross-validation; 0 for none.")
     threads: int | None = _threads()
     settings: FitSettings | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
         if self.folds < 0:
-            raise ConfigError(f"the cross-check has {self.folds} folds, expected 0 or more")
+            raise ConfigError(f"the cross-validation has {self.folds} folds, expected 0 or more")
         _at_least("threads", self.threads, 1)
 
     def given(self, names: Iterable[str]) -> list[str]:
@@ -391,7 +390,7 @@ class SensitivityOptions:
         read=_shares_of,
     )
     select: Sequence[str] | None = _select()
-    window: Window | None = _window("Compare this part of each trial only, in s.")
+    window: Window | None = _window("Use this part of each trial only, in s.")
     engine: EngineName | None = _engine()
     dt: float | None = _dt()
     threads: int | None = _threads()

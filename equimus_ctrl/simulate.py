@@ -48,7 +48,7 @@ def run(
     times, solve_time = np.empty(n), np.empty(n)
     position, wanted = np.empty((n, nj)), np.empty((n, nj))
     command, asked, clipped = np.empty((n, na)), np.empty((n, na)), np.zeros((n, na), dtype=bool)
-    # A simulated plant tells its true angles as an attribute.
+    # A simulated plant has its true angles as an attribute.
     truth = np.empty((n, nj)) if isinstance(getattr(type(plant), "position", None), property) else None
     status: list[str] = []
     observation = plant.reset(start, seed)

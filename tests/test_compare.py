@@ -108,16 +108,16 @@ def test_the_same_seed_gives_the_same_figures() -> None:
 
 def test_conditions_are_what_they_say() -> None:
     model = nominal_model()
-    own = {c.name: c for c in conditions(["nominal", "noisy", "late", "unknown_late"], model)}
+    own = {c.name: c for c in conditions(["nominal", "noisy", "delayed", "unmodelled_delay"], model)}
     assert own["nominal"].noise == 0 and own["noisy"].noise == 2e-3
-    late = own["late"]
-    assert late.known == late.model and own["unknown_late"].model == late.model
-    assert own["unknown_late"].known == model
-    assert [(e.name, e.location) for e in late.model.effects] == [
+    delayed = own["delayed"]
+    assert delayed.known == delayed.model and own["unmodelled_delay"].model == delayed.model
+    assert own["unmodelled_delay"].known == model
+    assert [(e.name, e.location) for e in delayed.model.effects] == [
         ("first_order_lag", "maa"), ("transport_delay", "maa"), ("first_order_lag", "baa"), ("transport_delay", "baa"),
     ]  # fmt: skip
-    assert {getattr(e, "time_constant", LAG) for e in late.model.effects} == {LAG}
-    assert {getattr(e, "delay", DELAY) for e in late.model.effects} == {DELAY}
+    assert {getattr(e, "time_constant", LAG) for e in delayed.model.effects} == {LAG}
+    assert {getattr(e, "delay", DELAY) for e in delayed.model.effects} == {DELAY}
     robots = conditions(["perturbed"], model, draws=4, seed=1)
     assert [c.name for c in robots] == [f"perturbed {k}" for k in (1, 2, 3, 4)]
     nominal = model.morphology.parameters()
@@ -129,7 +129,7 @@ def test_conditions_are_what_they_say() -> None:
     assert len({r.model.morphology.parameters()["maa.area"] for r in robots}) == 4
     with pytest.raises(ConfigError, match="condition corrected needs a corrected model; give it with --corrected"):
         conditions(["corrected"], model)
-    other = Model(model.morphology, late.model.effects)
+    other = Model(model.morphology, delayed.model.effects)
     both = conditions(["corrected", "uncorrected"], model, other)
     assert [c.known for c in both] == [other, model] and [c.model for c in both] == [other, other]
 

@@ -137,7 +137,7 @@ def test_commands_are_obeyed_unless_it_is_deaf_and_vented_where_they_end(emulati
 
 def test_every_fault_is_tried_here_or_over_the_wire() -> None:
     here = {"nan", "jump", "clock", "back", "stall", "silent", "repeat", "reorder", "deaf"}
-    assert set(KINDS) == {*here, "rival", "crash"}
+    assert set(KINDS) == {*here, "second_publisher", "crash"}
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_instants_begin_soon_after_a_measurement_and_stamps_are_even(tmp_path: P
 FAULTS = {
     "stall": ("stall:{t}:0.2", "the latest measurement is"),
     "nan": ("nan:{t}:0.05", "was measured as nan"),
-    "rival": ("rival:{t}:1", "/joint_states has 2 publishers|from another publisher"),
+    "second_publisher": ("second_publisher:{t}:1", "/joint_states has 2 publishers|from another publisher"),
     "crash": ("crash:{t}", "the latest measurement is"),
 }
 
@@ -201,11 +201,11 @@ def test_a_controller_that_is_killed_is_vented_by_the_device(tmp_path: Path) -> 
 @pytest.mark.slow
 def test_someone_else_who_sends_commands_is_noticed(leg: Path) -> None:
     with (
-        closing(DdsHost(Wire(domain=SHARED))) as rival,
+        closing(DdsHost(Wire(domain=SHARED))) as second_publisher,
         closing(HardwarePlant(MODEL, quick(SHARED), armed=True)) as plant,
     ):
-        assert not plant._wire.trouble()  # who only listens is no rival
-        rival.prepare()
+        assert not plant._wire.trouble()  # who only listens is no publisher
+        second_publisher.prepare()
         assert until(plant._wire.trouble)
         with pytest.raises(NotAvailable, match="has another publisher, expected this one alone"):
             plant.reset()

@@ -123,7 +123,7 @@ def test_base_parameters_are_a_name_of_what_is_free() -> None:
 
 
 def test_a_leg_knows_no_base_parameters() -> None:
-    with pytest.raises(ConfigError, match="base_parameters are told of MJCF robots alone"):
+    with pytest.raises(ConfigError, match="base_parameters exist for MJCF robots alone"):
         matching(workflow.load_model(), ["base_parameters"])
 
 

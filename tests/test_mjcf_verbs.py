@@ -97,7 +97,7 @@ def test_models_that_cannot_be_are_told_in_a_sentence(
     ("options", "message"),
     [
         (["--engine", "foo"], "there is no engine 'foo' (known: mujoco, reduced)"),
-        (["--folds", "-1"], "the cross-check has -1 folds, expected 0 or more"),
+        (["--folds", "-1"], "the cross-validation has -1 folds, expected 0 or more"),
     ],
 )
 def test_identify_refuses_what_it_cannot_do(

@@ -11,7 +11,7 @@ from equimus_ctrl.identification.noise import (
     JointNoise,
     estimate_noise,
     log_likelihood,
-    rough_noise,
+    noise_of_differences,
     white_noise,
     whiten,
 )
@@ -79,6 +79,6 @@ def test_whitening_is_linear_and_keeps_shapes() -> None:
 def test_rough_sizes_do_not_see_slow_motion() -> None:
     times, residuals = series(2e-3, 0.0, 0.01, count=2)
     moving = [0.2 * np.sin(t)[:, None] + r for t, r in zip(times, residuals, strict=True)]
-    for own in rough_noise(moving):
+    for own in noise_of_differences(moving):
         assert own.white == pytest.approx(2e-3, rel=0.1)
     assert white_noise(residuals)[0].white == pytest.approx(2e-3, rel=0.05)

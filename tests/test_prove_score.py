@@ -305,7 +305,7 @@ def test_the_score_is_plain_json_and_lists_what_went_wrong() -> None:
     assert record["baselines"]["sparse"]["single"]["strong"]["count"] == 1
     text = markdown({"seed": "0"}, found)
     assert "| 7 | outside | 4 | cogging:knee | coulomb_friction:knee |" in text
-    assert "backlash:hip" not in text and "of which nothing was said are left out: 1." in text
+    assert "backlash:hip" not in text and "that were not detected are not listed: 1." in text
     assert "| false alarms | 50.0 % (1/2) | 9.45 to 90.5 % | ≤ 1 % | missed |" in text
     assert "bic: forward selection by BIC" in text and "parallel_spring.rest" in text
     assert len(sheets(found)[0].rich(3).rows) == 3

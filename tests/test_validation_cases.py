@@ -260,7 +260,7 @@ def test_the_record_is_plain_json_with_the_figures_in_their_places(found: Valida
 def test_effects_on_bodies_take_part_and_others_are_said_to_be_left_out(found: Validation) -> None:
     model = Model(nominal_leg(), (TransportDelay("baa", 0.1), PayloadMass("foot", 0.05)))
     loaded = validate(model, TINY, 3)
-    assert loaded.left_out == ("transport_delay at baa",)
+    assert loaded.effects_omitted == ("transport_delay at baa",)
     assert loaded.accurate
     assert not np.allclose(loaded.static.pressure, found.static.pressure)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, ElasticFile, Figures, Json, people, print_json, tell_files
+from equimus_ctrl.cli.common import EffectFiles, ElasticFile, Figures, Json, people, print_files, print_json
 from equimus_ctrl.cli.progress import bars, time_left
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def autotune_pid(
     figures: Figures = True,
     as_json: Json = False,
 ) -> None:
-    """Tune the PID in simulation, over an ensemble of perturbed legs with slow and late valves.
+    """Tune the PID in simulation, over an ensemble of perturbed legs whose valves have lag and dead time.
 
     Ctrl-C keeps the best so far. The same command goes on where it was stopped, even after a crash.
 
@@ -92,8 +92,8 @@ def autotune_pid(
         from equimus_ctrl.report.tuning_figures import save_tuning_figures
 
         files += save_tuning_figures(tuned.result, tuned.folder)
-    _tell(console, tuned)
-    tell_files(console, files)
+    _print(console, tuned)
+    print_files(console, files)
     if as_json:
         record = tuned.result.record()
         del record["evaluations"]
@@ -102,7 +102,7 @@ def autotune_pid(
         raise typer.Exit(130)
 
 
-def _tell(console: Console, tuned: TunedPid) -> None:
+def _print(console: Console, tuned: TunedPid) -> None:
     from rich.table import Table
 
     result = tuned.result
@@ -127,7 +127,7 @@ def _tell(console: Console, tuned: TunedPid) -> None:
     for key, value in best.terms.items():
         table.add_row(f"  {key}", f"{start.terms[key]:.4f}", f"{value:.4f}")
     table.add_row("largest overshoot", f"{start.overshoot:.1%}", f"{best.overshoot:.1%}")
-    table.add_row("largest share at a limit", f"{start.saturation:.1%}", f"{best.saturation:.1%}")
+    table.add_row("largest share in saturation", f"{start.saturation:.1%}", f"{best.saturation:.1%}")
     unseen = len(result.unseen)
     if unseen:
         before, after = (sum(e.stable for e in legs) for legs in (result.start_unseen, result.unseen))

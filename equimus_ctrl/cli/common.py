@@ -25,7 +25,7 @@ ElasticFile = Annotated[
 ]
 ModelFile = Annotated[
     Path | None,
-    typer.Option("--model", metavar="FILE", help="Model file (TOML), or MuJoCo's XML; the nominal leg by default."),
+    typer.Option("--model", metavar="FILE", help="Model file (TOML) or MJCF file (XML); the nominal leg by default."),
 ]
 Recordings = Annotated[
     Path | None,
@@ -39,7 +39,7 @@ Figures = Annotated[bool, typer.Option(help="Draw figures.")]
 
 
 def people() -> Console:
-    """Where people read: standard error, so that standard output stays clean for machines."""
+    """Console on standard error, so that standard output holds JSON alone."""
     from rich.console import Console
 
     return Console(stderr=True, highlight=False)
@@ -103,13 +103,13 @@ def shown_path(path: Path) -> str:
         return str(path)
 
 
-def tell_files(console: Console, files: Iterable[Path]) -> None:
+def print_files(console: Console, files: Iterable[Path]) -> None:
     """A line for each file that was written."""
     for file in files:
         console.print(f"wrote {shown_path(file)}", markup=False, soft_wrap=True)
 
 
-def tell_engine(console: Console, engine: Engine) -> None:
+def print_engine(console: Console, engine: Engine) -> None:
     """Which engine simulates and why, where there was something to choose."""
     if engine.reason:
         console.print(engine.sentence, style="dim", markup=False, soft_wrap=True)

@@ -15,8 +15,8 @@ from equimus_ctrl.cli.common import (
     Recordings,
     key_values,
     people,
+    print_files,
     print_json,
-    tell_files,
 )
 from equimus_ctrl.cli.progress import stage_bar
 
@@ -36,13 +36,16 @@ def compare(
         typer.Option(
             "--condition",
             metavar="NAME",
-            help="nominal, noisy, late, unknown_late, perturbed, corrected or uncorrected; repeatable.",
+            help="nominal, noisy, delayed, unmodelled_delay, perturbed, corrected or uncorrected; repeatable.",
         ),
     ] = None,
     model: ElasticFile = None,
     corrected: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The robot as a diagnosis found it: compares on it too, known and not."),
+        typer.Option(
+            metavar="FILE",
+            help="Augmented model from a diagnosis; compares on it too, known and not.",
+        ),
     ] = None,
     draws: Annotated[int, typer.Option(help="How many perturbed robots.")] = 3,
     option: Annotated[
@@ -68,7 +71,7 @@ def compare(
     \b
     [bold]Examples[/bold]
     equimus-ctrl compare triangle
-    equimus-ctrl compare triangle push --condition late --condition perturbed --draws 5
+    equimus-ctrl compare triangle push --condition delayed --condition perturbed --draws 5
     equimus-ctrl compare hold -c pid -c controllers/example_custom.py:Spring --json
     equimus-ctrl compare triangle --corrected corrected.toml
     """  # noqa: D301
@@ -80,7 +83,7 @@ def compare(
     workflow.load_effects(effects or ())
     folder = output or presets.workspace() / "results" / "compare"
     presets.check_folder(folder)
-    default = ["nominal", "noisy", "late", "perturbed"]
+    default = ["nominal", "noisy", "delayed", "perturbed"]
     if corrected is not None:
         default += ["corrected", "uncorrected"]
     with stage_bar(console, "compare", width=36, bar_width=24) as show:
@@ -100,7 +103,7 @@ def compare(
     record = found.to_dict()
     files = write_results(folder, lambda: comparison_figures(found) if figures else {}, record)
     console.print(comparison_table(found))
-    tell_files(console, files)
+    print_files(console, files)
     if as_json:
         print_json(record)
     if found.failures:

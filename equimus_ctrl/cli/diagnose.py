@@ -1,4 +1,4 @@
-"""``equimus-ctrl diagnose``: what a model leaves out of recordings."""
+"""``equimus-ctrl diagnose``: missing (unmodelled) physics from recordings."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from equimus_ctrl.cli.common import (
     ModelFile,
     check_model_file,
     people,
+    print_files,
     print_json,
-    tell_files,
 )
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import best_so_far, stage_bar
@@ -38,20 +38,20 @@ def diagnose(
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
-    """Find what a model leaves out of recordings: where it is off, which physics is missing, how much, how sure.
+    """Find the physics that a model lacks, from recordings: where, which effect, how large, and how certain.
 
-    The model's numbers are refitted first, so that a wrong number is not taken for missing physics. Then every known
-    effect is tried at every place, alone and together, and believed only if trials that were left out agree. What no
-    effect explains is said to be unexplained, and drawn over what it depends on.
+    The model parameters are re-identified first, so that a parameter error is not taken for missing physics. Then every
+    known effect is tried at every place, alone and in combination. An effect is accepted only where held-out trials
+    confirm it. What no effect explains is reported as an unstructured residual force, over what it depends on.
 
     Ctrl-C gives the best so far (exit code 130), and pressed again ends at once.
 
     \b
     [bold]Examples[/bold]
-    equimus-ctrl diagnose concealed --report report --write-model corrected.toml
+    equimus-ctrl diagnose recordings --report report --write-model corrected.toml
     equimus-ctrl diagnose triangle.csv --until 20 --json
-    equimus-ctrl diagnose concealed --exclude creep --exclude hysteresis
-    equimus-ctrl diagnose concealed --budget 60
+    equimus-ctrl diagnose recordings --exclude creep --exclude hysteresis
+    equimus-ctrl diagnose recordings --budget 60
     equimus-ctrl diagnose runs --model robot.xml --parameters free.toml --write-model corrected.toml
     """  # noqa: D301
     from equimus_ctrl import presets
@@ -89,7 +89,7 @@ def diagnose(
     tell(console, found)
     if write_model is not None:
         files += workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem), model)
-    tell_files(console, files)
+    print_files(console, files)
     if as_json:
         print_json(record)
     if asked():

@@ -1,4 +1,4 @@
-"""``equimus-ctrl hardware``: is the robot there, and how late is it?"""
+"""``equimus-ctrl hardware``: is the robot there, and what is its delay?"""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import ElasticFile, Json, check_model_file, key_values, people, print_json, tell_files
+from equimus_ctrl.cli.common import ElasticFile, Json, check_model_file, key_values, people, print_files, print_json
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
 
 app = typer.Typer(help="Check a real robot, and measure its delay.", no_args_is_help=True, rich_markup_mode="rich")
@@ -24,7 +24,7 @@ def check(
     pressure: Annotated[float, typer.Option(help="For each actuator in turn, in kPa.")] = 5.0,
     as_json: Json = False,
 ) -> None:
-    """Are both topics alive, at which rates, how late, and with --arm: do joints react to a little pressure?
+    """Are both topics alive, at which rates and delays, and with --arm: do joints react to a little pressure?
 
     Exit code 3 says that something is not as it must be, and the sentences say what.
 
@@ -84,11 +84,11 @@ def delay(
         Path | None, typer.Option("--record", metavar="DIR", help="Folder for the recording; results/hardware.")
     ] = None,
     write_model: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Model file to write, for --nominal: it knows how late it is.")
+        Path | None, typer.Option(metavar="FILE", help="Model file to write, for --nominal: with delays and lags.")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Sweep the pressures, and fit how late and how slow each actuator is from end to end.
+    """Sweep the pressures, and fit each actuator's dead time and lag from end to end.
 
     Controllers predict over it where they are given the model that is written: run … --nominal FILE.
 
@@ -99,7 +99,7 @@ def delay(
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.cli.progress import share_bar
-    from equimus_ctrl.cli.run import new_file, tell_stopped
+    from equimus_ctrl.cli.run import new_file, print_stopped
     from equimus_ctrl.errors import ConfigError, EquimusError
     from equimus_ctrl.recordings import read
 
@@ -117,7 +117,7 @@ def delay(
                 hardware=wired, armed=True, record=path, progress=show,
             )  # fmt: skip
     except (EquimusError, KeyboardInterrupt) as stop:
-        tell_stopped(console, stop, path)
+        print_stopped(console, stop, path)
         raise
     found = workflow.measure_delay([read(path)], robot)
     table: dict[str, Any] = {}
@@ -129,7 +129,7 @@ def delay(
             own[label] = {"value": values[f"{name}.{key}"], "half_width": widths[f"{name}.{key}"]}
         table[name] = own
         console.print(
-            f"{name}: {1e3 * own['delay_s']['value']:.1f} ± {1e3 * own['delay_s']['half_width']:.1f} ms late, lag "
+            f"{name}: {1e3 * own['delay_s']['value']:.1f} ± {1e3 * own['delay_s']['half_width']:.1f} ms dead time, lag "
             f"{1e3 * own['lag_s']['value']:.1f} ± {1e3 * own['lag_s']['half_width']:.1f} ms",
             markup=False,
             soft_wrap=True,
@@ -138,6 +138,6 @@ def delay(
     if write_model is not None:
         workflow.save_model(write_model, found.fit.model)
         files.append(write_model)
-    tell_files(console, files)
+    print_files(console, files)
     if as_json:
         print_json({"actuators": table, "files": [str(file) for file in files]})

@@ -15,9 +15,9 @@ from equimus_ctrl.cli.common import (
     check_model_file,
     light_table,
     people,
+    print_engine,
+    print_files,
     print_json,
-    tell_engine,
-    tell_files,
     write_results,
 )
 from equimus_ctrl.cli.options import with_options
@@ -55,7 +55,7 @@ def identify(
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
-    """Find a model's parameters by simulating recordings, with intervals, and judge them on what was left out.
+    """Identify a model's parameters by simulating recordings, with intervals, and validate them on held-out data.
 
     Poses at rest (P1 (kPa), P2 (kPa), theta1 (deg), theta2 (deg)) are recognised by their header. Where they are given
     together with trials they come first, for stiffness, area and rest length; the trials go on from there.
@@ -100,7 +100,7 @@ def identify(
     if write_model is not None:
         files += workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem), model)
     tell(console, found)
-    tell_files(console, files)
+    print_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
 
@@ -108,24 +108,24 @@ def identify(
 def tell(console: Console, found: Identification) -> None:
     """What was found, for people."""
     if found.poses is not None:
-        _tell_poses(console, found.poses)
+        _print_poses(console, found.poses)
     if found.trials is not None:
         if found.poses is not None:
             console.print("\nThen the trials, from the model that the poses gave:\n")
-        _tell_trials(console, found.trials, found.poses is not None)
+        _print_trials(console, found.trials, found.poses is not None)
 
 
-def _tell_poses(console: Console, done: IdentifiedPoses) -> None:
+def _print_poses(console: Console, done: IdentifiedPoses) -> None:
     found = done.fit
     m = found.model.morphology
     console.print(f"{len(done.poses.pressure)} poses at rest of {done.poses.name}, {done.seconds:.1f} s", markup=False)
     rows = [
-        ("as the model came", found.before),
+        ("initial model", found.before),
         ("identified", found.residuals),
-        (f"on poses left out in turn ({found.folds} fits)", found.heldout),
+        (f"cross-validation ({found.folds} folds)", found.heldout),
     ]
     _rmse_table(console, m.joint_names, rows, done.heldout)
-    _parameter_table(console, found, "the model came")
+    _parameter_table(console, found, "of the initial model")
     _explain(console, found, found.residuals.size)
     loose = ~_any_nan(found.pressure_error)
     if loose.any():
@@ -142,30 +142,30 @@ def _any_nan(values: Array) -> Any:
     return (values != values).any(axis=1)
 
 
-def _tell_trials(console: Console, done: Identified, from_poses: bool) -> None:
+def _print_trials(console: Console, done: Identified, from_poses: bool) -> None:
     found = done.fit
     m = found.model.robot
     samples = sum(len(r) for r in found.residuals)
-    checked = f", cross-check {done.check_seconds:.1f} s" if done.check is not None else ""
+    checked = f", cross-validation {done.check_seconds:.1f} s" if done.check is not None else ""
     console.print(
         f"{len(done.recordings)} trial{'s' * (len(done.recordings) != 1)}, {samples} samples, "
         f"{done.engine.name} engine; "
         f"search {done.seconds:.1f} s over {found.evaluations} sets of parameters{checked}",
         markup=False,
     )
-    tell_engine(console, done.engine)
+    print_engine(console, done.engine)
     import numpy as np
 
     before, after = (np.concatenate(r) for r in (found.before, found.residuals))
-    origin = "the poses gave them" if from_poses else "the model came"
-    rows = [("as the poses gave it" if from_poses else "as the model came", before), ("identified", after)]
+    origin = "from the poses" if from_poses else "of the initial model"
+    rows = [("fitted to the poses" if from_poses else "initial model", before), ("identified", after)]
     slides = [name for name in m.joint_names if m.slides(name)]
     _rmse_table(
         console,
         m.joint_names,
         rows,
         done.heldout,
-        None if done.check is None else (f"on trials left out in turn ({done.check.folds} fits)", done.check.rmse),
+        None if done.check is None else (f"cross-validation ({done.check.folds} folds)", done.check.rmse),
         "m" if len(slides) == len(m.joint_names) else f"rad, {', '.join(slides)} in m" if slides else "rad",
     )
     _parameter_table(console, found, origin)
@@ -209,11 +209,11 @@ def _rmse_table(
         count = len(own) if what == "held-out trial" else sum(len(h.before) for h in own)
         label = f"{count} {what}{'s' * (count > 1)}"
         before, after = (rmse(np.concatenate([getattr(h, key) for h in own])) for key in ("before", "after"))
-        for state, values in (("as the model came", before), ("identified", after)):
+        for state, values in (("initial model", before), ("identified", after)):
             table.add_row(f"{label}: {state}", *(f"{v:.5f}" for v in (*values, together(values))))
         if together(after) > together(before):
             worse.append(
-                f"On the {label} the identified model is worse than the one it came from, {together(after):.4f} "
+                f"On the {label} the identified model is worse than the initial one, {together(after):.4f} "
                 f"against {together(before):.4f} {unit}: what was found does not carry over."
             )
     console.print(table)
@@ -223,14 +223,14 @@ def _rmse_table(
 
 def _parameter_table(console: Console, found: Fit | StaticFit, origin: str) -> None:
 
-    table = light_table(f"Parameters: before as {origin}, after with 95 % intervals")
+    table = light_table(f"Parameters: before {origin}, after with 95 % intervals")
     for name in ("parameter", "unit", "before", "after", "interval", "at bound"):
         text = name in ("parameter", "unit")
         least = min(max(map(len, found.parameters.names)), 16) if name == "parameter" else None
         table.add_column(name, justify="left" if text else "right", no_wrap=not text, overflow="fold", min_width=least)
     for i, free in enumerate(found.parameters.free):
         value, width = found.theta[i], found.uncertainty.half_width[i]
-        interval = f"{value - width:.3g} … {value + width:.3g}" if width < float("inf") else "not seen"
+        interval = f"{value - width:.3g} … {value + width:.3g}" if width < float("inf") else "not identifiable"
         mark = {-1: "low", 0: "", 1: "high"}[int(found.at_bound[i])]
         table.add_row(free.name, free.unit, f"{free.start:.4g}", f"{value:.4g}", interval, mark)
     console.print(table)
@@ -243,18 +243,18 @@ def _explain(console: Console, found: Fit | StaticFit, angles: int) -> None:
     held = [free.name for free, side in zip(found.parameters.free, found.at_bound, strict=True) if side]
     if held:
         say(
-            f"{len(held)} of {len(found.parameters.free)} parameters are held by a bound ({', '.join(held)}): what the "
-            "model leaves out may have gone into them."
+            f"{len(held)} of {len(found.parameters.free)} parameters lie on a bound ({', '.join(held)}): they may "
+            "compensate missing physics."
         )
     effective = found.uncertainty.effective_samples
     if effective < 0.9 * angles:
         say(
-            f"Neighbouring residuals are alike: {angles} measured angles are worth about {effective:.0f} independent "
-            "ones, which the intervals take into account."
+            f"Residuals are autocorrelated: {angles} measured angles have an effective sample size of {effective:.0f}, "
+            "which the intervals take into account."
         )
     blind = [t for t in found.uncertainty.trade_offs if t.correlation is None]
     close = [t for t in found.uncertainty.trade_offs if t.correlation is not None]
     for trade in blind:
-        say(f"Not to be told from these data: {trade}.")
+        say(f"Not identifiable: {trade}.")
     for trade in close:
-        say(f"Hardly to be told apart: {trade}.")
+        say(f"Practically unidentifiable: {trade}.")

@@ -14,9 +14,9 @@ from equimus_ctrl.cli.common import (
     ModelFile,
     check_model_file,
     people,
+    print_engine,
+    print_files,
     print_json,
-    tell_engine,
-    tell_files,
 )
 from equimus_ctrl.errors import ConfigError
 
@@ -79,7 +79,7 @@ def list_names(
         from equimus_ctrl.engines.choice import engine_for
         from equimus_ctrl.workflow import load_model
 
-        tell_engine(console, engine_for(load_model(model)))
+        print_engine(console, engine_for(load_model(model)))
 
 
 def _parameters(model: Path | None, write: Path | None) -> list[dict[str, Any]]:
@@ -90,7 +90,7 @@ def _parameters(model: Path | None, write: Path | None) -> list[dict[str, Any]]:
     if write is not None:
         check_model_file(write)
         workflow.offer(write, robot)
-        tell_files(people(), [write])
+        print_files(people(), [write])
     for row in rows:
         free = f", free by default from {row['low']:g} to {row['high']:g}" if row["free"] else ""
         row["summary"] = f"{row['value']:g} {'' if row['unit'] == '1' else row['unit']}".rstrip() + free

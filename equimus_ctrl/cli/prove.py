@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Figures, Json, people, print_json, tell_engine, tell_files
+from equimus_ctrl.cli.common import Figures, Json, people, print_engine, print_files, print_json
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, times
 from equimus_ctrl.errors import ConfigError
@@ -44,15 +44,15 @@ def prove(
     options: ProveOptions,
     as_json: Json = False,
 ) -> None:
-    """Put the diagnosis to the proof: robots with concealed physics, answers judged against sealed truths.
+    """Blind test of the diagnosis: synthetic robots with missing physics, answers scored against the ground truth.
 
     Robots are simulated in MuJoCo, with other parameters than the nominal model's and perhaps with physics that it
     lacks; their ground truths are sealed (SHA-256). Then processes that see the recordings alone diagnose them. Last
     the answers are scored against the ground truths. Stopped at any moment, the same command goes on. Exit code 3 says
     that a goal is missed; times are reported, not judged.
 
-    With --model the robots are like yours, driven by the commands of your recordings: it tells what a
-    diagnosis of such an experiment can be trusted to find.
+    With --model the robots are like yours, driven by the commands of your recordings: the score says what a
+    diagnosis of such an experiment can find.
 
     \b
     [bold]Examples[/bold]
@@ -74,7 +74,7 @@ def prove(
     if experiment is not None:
         from equimus_ctrl.engines.choice import engine_for
 
-        tell_engine(console, engine_for(experiment.model, positions=[r.position for r in experiment.recordings]))
+        print_engine(console, engine_for(experiment.model, positions=[r.position for r in experiment.recordings]))
     columns = (TextColumn("{task.description:<17}"), BarColumn(bar_width=24), MofNCompleteColumn(), *times())
     try:
         with bars(console, *columns) as progress:
@@ -108,8 +108,8 @@ def prove(
         from equimus_ctrl.report.proof_figures import save_proof_figures
 
         files += save_proof_figures(found.score, folder)
-    _tell(console, found)
-    tell_files(console, files)
+    _print(console, found)
+    print_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
     if not found.score.accurate:
@@ -145,7 +145,7 @@ def _head(found: Proof) -> dict[str, str]:
     }
 
 
-def _tell(console: Console, found: Proof) -> None:
+def _print(console: Console, found: Proof) -> None:
     from equimus_ctrl.report.proof_tables import goals_sheet, strength_sheet, wrong_sheet
 
     for sheet in (goals_sheet(found.score), strength_sheet(found.score), wrong_sheet(found.score)):
@@ -158,6 +158,6 @@ def _tell(console: Console, found: Proof) -> None:
     for goal in missed:
         judged = "" if goal.judged else " (not judged: it depends on the computer)"
         console.print(f"missed: {goal.title}{judged}", style="yellow", markup=False)
-    unsure = sum(g.state == "open" for g in goals)
+    undecided = sum(g.state == "open" for g in goals)
     if not missed:
-        console.print("no goal is missed" + (f"; {unsure} are left open by so few cases" if unsure else ""))
+        console.print("no goal is missed" + (f"; {undecided} are undecided with so few cases" if undecided else ""))

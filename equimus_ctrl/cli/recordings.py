@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, people, print_json, tell_engine
+from equimus_ctrl.cli.common import Json, ModelFile, people, print_engine, print_json
 from equimus_ctrl.cli.emulate import HardwareFile
 
 if TYPE_CHECKING:
@@ -116,15 +116,15 @@ def check(
             trials = recordings.read_set(paths, limits=limits)
         else:
             trials = tuple(workflow.gather(paths, known))
-    doubts = list(dict.fromkeys(str(warning.message) for warning in caught))
+    plausibility_warnings = list(dict.fromkeys(str(warning.message) for warning in caught))
     summaries = [recordings.summarise(trial) for trial in trials]
     console = people()
     console.print(_table(summaries, known))
-    tell_engine(console, engine_for(known, positions=[trial.position for trial in trials]))
-    for doubt in doubts:
-        console.print(f"warning: {doubt}", style="yellow", markup=False, soft_wrap=True)
+    print_engine(console, engine_for(known, positions=[trial.position for trial in trials]))
+    for text in plausibility_warnings:
+        console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
     if as_json:
-        print_json({"trials": [summary.as_json() for summary in summaries], "warnings": doubts})
+        print_json({"trials": [summary.as_json() for summary in summaries], "warnings": plausibility_warnings})
 
 
 def _table(summaries: Sequence[Summary], robot: Model) -> Table:

@@ -15,8 +15,8 @@ from equimus_ctrl.cli.common import (
     Recordings,
     key_values,
     people,
+    print_files,
     print_json,
-    tell_files,
 )
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
 from equimus_ctrl.cli.progress import share_bar
@@ -120,7 +120,7 @@ def run(
             )
     except (EquimusError, KeyboardInterrupt) as stop:
         if streamed is not None:
-            tell_stopped(console, stop, streamed)
+            print_stopped(console, stop, streamed)
         raise
     label = f"{done.scenario.name}, {done.controller}"
     folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
@@ -153,10 +153,10 @@ def run(
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
     if done.loop is not None:
         result["loop"] = done.loop.to_dict()
-        console.print(_told(result["loop"], arm), markup=False, soft_wrap=True)
+        console.print(_loop_sentence(result["loop"], arm), markup=False, soft_wrap=True)
     if note:
         console.print(note, markup=False, soft_wrap=True)
-    tell_files(console, files)
+    print_files(console, files)
     if as_json:
         print_json(result)
 
@@ -170,15 +170,15 @@ def new_file(folder: Path, scenario: str) -> Path:
     return next(path for k in range(1, 10**6) if not (path := folder / f"{stem}_{k:03d}.csv").exists())
 
 
-def tell_stopped(console: Console, stop: BaseException, streamed: Path) -> None:
+def print_stopped(console: Console, stop: BaseException, streamed: Path) -> None:
     """What people have to know of a robot that was driven until something stopped it."""
     if isinstance(stop, KeyboardInterrupt):
         console.print("stopped by Ctrl-C; the robot is vented", markup=False)
     if streamed.exists():
-        tell_files(console, [streamed])
+        print_files(console, [streamed])
 
 
-def _told(loop: dict[str, Any], armed: bool) -> str:
+def _loop_sentence(loop: dict[str, Any], armed: bool) -> str:
     text = (
         f"{loop['instants']} control instants, {loop['deadlines_missed']} deadlines missed, {loop['samples']} "
         f"measurements, {loop['samples_ignored']} of them ignored; from a measurement to its command "

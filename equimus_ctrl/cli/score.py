@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_json, tell_engine
+from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_engine, print_json
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import share_bar
 from equimus_ctrl.options import ScoreOptions
@@ -44,7 +44,7 @@ def score(
             progress=show,
         )
     joints = found.model.robot.joint_names
-    tell_engine(console, found.engine)
+    print_engine(console, found.engine)
     table = Table(title=f"{found.model.name} against {len(found.trials)} trial(s), RMSE in rad", title_justify="left")
     table.add_column("trial")
     for joint in joints:

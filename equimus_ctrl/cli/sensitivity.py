@@ -1,4 +1,4 @@
-"""``equimus-ctrl sensitivity``: which numbers of a model matter to its predictions."""
+"""``equimus-ctrl sensitivity``: which parameters of a model matter to its predictions."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from equimus_ctrl.cli.common import (
     ModelFile,
     light_table,
     people,
+    print_engine,
+    print_files,
     print_json,
-    tell_engine,
-    tell_files,
     write_results,
 )
 from equimus_ctrl.cli.options import with_options
@@ -46,7 +46,7 @@ def sensitivity(
     effects: EffectFiles = None,
     as_json: Json = False,
 ) -> None:
-    """Change every number of a model in turn and tell how its errors on recordings change.
+    """Change every parameter of a model in turn and show how its errors on recordings change.
 
     \b
     [bold]Examples[/bold]
@@ -79,13 +79,13 @@ def sensitivity(
             return sensitivity_figures(found) if figures else {}
 
         files = write_results(folder, draw, record)
-    _tell(console, found)
-    tell_files(console, files)
+    _print(console, found)
+    print_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
 
 
-def _tell(console: Console, found: Sensitivity) -> None:
+def _print(console: Console, found: Sensitivity) -> None:
     import numpy as np
 
     from equimus_ctrl.identification.results import together
@@ -94,7 +94,7 @@ def _tell(console: Console, found: Sensitivity) -> None:
     joints = found.model.robot.joint_names
     shown = len(found.names) if len(found.names) <= SHOWN + 3 else SHOWN
     table = light_table(
-        f"{found.model.name}: RMSE over all joints in mrad, {1e3 * base:.1f} as the model came",
+        f"{found.model.name}: RMSE over all joints in mrad, {1e3 * base:.1f} of the nominal model",
         f"{len(found.names) - shown} more matter less" if shown < len(found.names) else None,
     )
     table.add_column("parameter", no_wrap=True)
@@ -110,7 +110,7 @@ def _tell(console: Console, found: Sensitivity) -> None:
         cells += ["–" if np.isnan(v) else f"{1e3 * v:.3f}" for v in found.local[i]]
         table.add_row(found.names[i], *cells)
     console.print(table)
-    tell_engine(console, found.engine)
+    print_engine(console, found.engine)
     idle = [name for name, local in zip(found.names, found.local, strict=True) if np.all(local == 0)]
     if idle:
         console.print(f"No effect on these trials at all: {', '.join(idle)}.", markup=False)

@@ -13,8 +13,8 @@ from equimus_ctrl.cli.common import (
     Json,
     light_table,
     people,
+    print_files,
     print_json,
-    tell_files,
 )
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, times
@@ -97,15 +97,15 @@ def validate(
         from equimus_ctrl.report.validation_figures import save_validation_figures
 
         files += save_validation_figures(found, folder)
-    _tell(console, found)
-    tell_files(console, files)
+    _print(console, found)
+    print_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
     if not found.accurate:
         raise typer.Exit(3)
 
 
-def _tell(console: Console, found: Validation) -> None:
+def _print(console: Console, found: Validation) -> None:
     from equimus_ctrl.validation.plan import ACCURACY_GOALS, PUBLISHED, PUBLISHED_SPEED, SPEED_GOALS
 
     table = light_table(f"{found.morphology.name}: errors of each joint, rad")
@@ -120,8 +120,8 @@ def _tell(console: Console, found: Validation) -> None:
             cells.append("" if values is None else "\n".join(f"{value:.5f}" for value in values))
         table.add_row(*cells)
     console.print(table)
-    if found.left_out:
-        console.print(f"without the model's {', '.join(found.left_out)}: no part of the equations under test")
+    if found.effects_omitted:
+        console.print(f"without the model's {', '.join(found.effects_omitted)}: no part of the equations under test")
     robots = found.robots
     worst = ", ".join(f"{robots.worst(name):.1e} ({name})" for name in robots.engines)
     console.print(f"{len(robots.robots)} random robots of 2 to 4 joints, worst RMSE: {worst} rad")

@@ -42,7 +42,7 @@ def _accepts(function: Callable[..., Any], count: int) -> bool:
         inspect.signature(function).bind(*range(count))
     except TypeError:
         return False
-    except ValueError:  # a built-in that does not tell
+    except ValueError:  # a built-in without a signature
         return count == 2
     return True
 
@@ -63,7 +63,7 @@ def as_controller(thing: Any, name: str) -> Controller:
             inspect.signature(thing).bind()
         except TypeError as error:
             raise ControllerError(f"{name}: the class cannot be made without arguments ({error})") from None
-        except ValueError:  # a built-in that does not tell
+        except ValueError:  # a built-in without a signature
             pass
         try:
             thing = thing()

@@ -31,7 +31,7 @@ FALLBACKS = ("shifted", "lqr", "hold")
 """Statuses of commands that no plan of this instant stands behind."""
 
 SLOWER = 1.2
-"""By so much may an iteration take longer from one instant to the next before that is doubted."""
+"""By so much may an iteration take longer than at the instant before and still count as typical."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class HorizonSettings:
         spacing: of the grid of poses that the regulator behind the horizon is worked out at [rad].
         start_time: over which the first pose fades out of the reference [s].
         compiled: whether a C compiler is used where there is one.
-        observer: how much is believed.
+        observer: covariances of the Kalman filter.
 
     Raises:
         ConfigError: for numbers that make no sense.

@@ -52,8 +52,8 @@ class LqrSettings(FileSettings):
         disturbance: whether torques that the observer cannot explain are held against.
         spacing: of the grid of poses that gains are worked out at [rad].
         start_time: over which the first pose fades out of the reference [s].
-        observer: how much is believed; by default unknown torques walk slowly, for what is held against them is an
-            integral, which valves that are later than the model knows would swing.
+        observer: covariances of the Kalman filter; by default unknown torques walk slowly. What compensates them is an
+            integral action, which would oscillate with valves of more delay than the model has.
 
     Raises:
         ConfigError: for numbers that are none of these.

@@ -1,7 +1,7 @@
 """The reference over a horizon and what it takes to follow it, each instant worked out once.
 
 Poses and velocities are read on a grid of control periods from where the controller began, pressures half a period
-later; where control instants stray from the grid, both are interpolated.
+later; where control instants deviate from the grid, both are interpolated.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Sight:
         position: (m, nj) [rad].
         velocity: (m, nj) [rad/s].
         middle: (m, 3 nj) angles, velocities and accelerations half a period later.
-        pressure: (m, na) then [Pa]; empty where effects have states of their own, which only the present tells.
+        pressure: (m, na) then [Pa]; empty where effects have states of their own, which only the present shows.
     """
 
     reference: Reference

@@ -1,4 +1,4 @@
-"""Sampling model-predictive control: at every instant many plans are tried in MuJoCo, and the best told ones followed.
+"""Sampling model-predictive control: at every instant many plans are tried in MuJoCo, and the best ones followed.
 
 A plan is a spline of pressures beyond what the reference asks of the valves. Its cost is that of the NMPC: errors and
 efforts in allowances, and the regulator's cost behind the horizon. The nominal plan of the instant before, shifted, is
@@ -47,8 +47,8 @@ class SamplingSettings(HorizonSettings, FileSettings):
         iterations: rounds of samples at one instant, at most.
         engine: ``"mujoco"``, ``"reduced"`` (the exact reduced model in machine code) or ``"auto"``: MuJoCo where it
             simulates all of the model's effects in many rollouts at once, else the reduced model.
-        ensemble: how many models each plan is tried on: the model, and others whose numbers stray.
-        spread: by which share their stiffness, area, damping and mass stray.
+        ensemble: how many models each plan is tried on: the model, and others with perturbed parameters.
+        spread: by which share their stiffness, area, damping and mass are perturbed at most.
         risk: share of the models that counts, those on which a plan costs most; 1 for the mean over all.
         seed: of all that is drawn.
 

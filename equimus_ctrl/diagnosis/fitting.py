@@ -13,7 +13,14 @@ from equimus_ctrl.diagnosis.candidates import Hypothesis, parameters_of, refined
 from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
-from equimus_ctrl.identification.noise import Noise, estimate_noise, log_likelihood, rough_noise, white_noise, whiten
+from equimus_ctrl.identification.noise import (
+    Noise,
+    estimate_noise,
+    log_likelihood,
+    noise_of_differences,
+    white_noise,
+    whiten,
+)
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
@@ -270,7 +277,7 @@ class Data:
         return self._beyond(fitted, lambda t: t.refit_excess)
 
     def _beyond(self, fitted: Fitted, times: Callable[[Thresholds], float]) -> bool:
-        rough = rough_noise([s.measured for s in self.segments])
+        rough = noise_of_differences([s.measured for s in self.segments])
         largest = max(r / own.sigma for r, own in zip(fitted.fit.rmse, rough, strict=True))
         return self.limits.decides(lambda t: largest > times(t))
 

@@ -41,7 +41,7 @@ class Estimate:
     unit: str
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines; null where an interval has no end."""
+        """As JSON data; null where an interval has no end."""
         ends = {key: v if math.isfinite(v) else None for key, v in (("low", self.low), ("high", self.high))}
         return {"value": self.value, **ends, "unit": self.unit}
 
@@ -63,7 +63,7 @@ class Named:
         return f"{self.effect} at {' and '.join(self.locations)}"
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return {"effect": self.effect, "locations": list(self.locations)}
 
 
@@ -88,7 +88,7 @@ class Evidence:
     validation_share: float
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return {key: _finite(value) for key, value in vars(self).items()}
 
 
@@ -114,7 +114,7 @@ class Finding:
         return Named(self.part.candidate.effect.name, self.part.candidate.locations)
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return {
             **self.named.to_dict(),
             "parameters": {key: estimate.to_dict() for key, estimate in self.parameters.items()},
@@ -140,7 +140,7 @@ class Where:
     region: str
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return dict(vars(self))
 
 
@@ -181,7 +181,7 @@ class Unexplained:
     on_validation: bool = False
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         curve = {"coordinate": self.axis, "unit": self.axis_unit, "push_unit": self.unit} | {
             key: [float(v) for v in getattr(self, key)] for key in ("x", "push", "band")
         }
@@ -214,7 +214,7 @@ class Ranked:
     threshold: float
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         gains = {"screened_gain": self.screened, "fitted_gain": self.fitted, "threshold": self.threshold}
         return {**self.named.to_dict(), **gains}
 
@@ -236,7 +236,7 @@ class Detectable:
     unit: str
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return {**self.named.to_dict(), "parameter": self.parameter, "size": _finite(self.size), "unit": self.unit}
 
 
@@ -257,7 +257,7 @@ class Experiment:
     distance: float
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return {
             "scenario": self.scenario,
             "settings": dict(self.settings),
@@ -296,7 +296,7 @@ class Decision:
     reason: str
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return dict(vars(self))
 
 
@@ -371,7 +371,7 @@ class Diagnosis:
         return np.asarray(np.sqrt((np.concatenate(residuals) ** 2).mean(axis=0)))
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines: schema ``equimus-ctrl/diagnosis/2``."""
+        """As JSON data: schema ``equimus-ctrl/diagnosis/2``."""
         own = self.best.fit
         return {
             "schema": SCHEMA,

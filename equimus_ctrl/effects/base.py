@@ -44,7 +44,7 @@ class Effect:
     nothing: ClassVar[float | None] = 0.0
     """See ``grows_from``."""
     jumps: ClassVar[tuple[str, ...]] = ()
-    """Parameters on which what is seen depends in steps, so that no slope leads to them: fits look around instead."""
+    """Discontinuous parameters: the predictions are piecewise constant in them, so fits scan a grid."""
     robots: ClassVar[tuple[str, ...]] = ("elastic",)
     """Kinds of robots that can have it: ``elastic`` (morphologies with elastic actuators), ``mjcf`` (MuJoCo's XML)."""
     mujoco_flags: ClassVar[tuple[str, ...]] = ()
@@ -91,7 +91,7 @@ class Effect:
         """Parameter sets from which a search for this effect can begin, from weak to strong and of each kind it has.
 
         By default all combinations of a few values that go with the parameters' units; a class that knows better says
-        so. What lies outside a parameter's bounds is left out.
+        so. Values outside a parameter's bounds are dropped.
         """
         choices = []
         for meta in cls.parameter_info().values():

@@ -246,7 +246,7 @@ class DeadZone(CompiledShaping):
 
     @classmethod
     def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        # Above the threshold all is as with another rest length: only commands below it tell.
+        # Above the threshold all is as with another rest length: only commands below it identify it.
         return [{"threshold": share * seen.command} for share in (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.26, 0.34)]
 
     @classmethod

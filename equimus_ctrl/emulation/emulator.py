@@ -1,7 +1,7 @@
 """The simulated leg behind a transport, in real time: valves, sensor, a network that loses and delays, a watchdog.
 
-The simulation takes ticks of 1/480 s. What was commanded acts from the tick after it arrived. Where the machine falls
-behind real time for a moment, missed ticks are made up for; where by more than ``MOST_BEHIND``, they are left out.
+The simulation takes ticks of 1/480 s. What was commanded acts from the tick after it arrived. Where the computer falls
+behind real time for a moment, missed ticks are made up for; where by more than ``MOST_BEHIND``, they are skipped.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ TICK = 480.0
 """Rate of the simulation [Hz]."""
 MOST_BEHIND = 0.5
 """Of real time [s]."""
-ASTRAY = 1.0
-"""By so much angles are off in a jump [rad]."""
+ANGLE_OFFSET = 1.0
+"""By so much angles are off during the fault ``jump`` [rad]."""
 AHEAD = 2.0
 """By so much stamps are off where the clock has jumped [s]."""
 
@@ -91,7 +91,7 @@ class Emulated:
         watchdog: how often it vented by itself, there being pressure.
         vented: when the command in force last became 0 [s]; NaN where it is not 0 now.
         measurements: sent.
-        left_out: ticks that were left out because the machine was too slow.
+        skipped: ticks that were skipped because the computer was too slow.
     """
 
     time: float
@@ -103,7 +103,7 @@ class Emulated:
     watchdog: int
     vented: float
     measurements: int
-    left_out: int
+    skipped: int
 
 
 class Emulator:
@@ -130,7 +130,7 @@ class Emulator:
         self._joints, self._channels = self.hardware.for_robot(spec.joints, spec.actuators)
         self._low, self._high = spec.command_low, spec.command_high
         self._device = device or transport_entry(self.hardware.wire.transport).device(self.hardware.wire)
-        self._rival: Device | None = None
+        self._second_publisher: Device | None = None
         self._rng = np.random.default_rng(s.seed)
         na = len(spec.actuators)
         self.seen = Emulated(0.0, 0, 0, [0.0] * na, [0.0] * na, 0.0, 0, 0.0, 0, 0)
@@ -173,7 +173,7 @@ class Emulator:
                 if left > 0:
                     clock.sleep(left)
                 elif left < -MOST_BEHIND:
-                    self.seen.left_out += round(-left * TICK)
+                    self.seen.skipped += round(-left * TICK)
                     origin -= left
                 if tick % every == 0:
                     # When the angles were these, however late this process is: as a sensor's own clock has it.
@@ -183,8 +183,8 @@ class Emulator:
                     notify(self.seen)
         finally:
             self._device.close()
-            if self._rival is not None:
-                self._rival.close()
+            if self._second_publisher is not None:
+                self._second_publisher.close()
         return self.seen
 
     def _acting(self, kind: str, time: float) -> bool:
@@ -237,7 +237,7 @@ class Emulator:
 
     def _measured(self, now: float, stamp: float, position: Array) -> None:
         """One measurement goes on its way."""
-        angles = position + ASTRAY * self._acting("jump", now)
+        angles = position + ANGLE_OFFSET * self._acting("jump", now)
         numbers = [q / own.scale + own.zero for q, own in zip(angles.tolist(), self._joints, strict=True)]
         if self._acting("nan", now):
             numbers = [math.nan] * len(numbers)
@@ -257,12 +257,12 @@ class Emulator:
 
     def _deliver(self, now: float) -> None:
         names = [own.name for own in self._joints]
-        rival = self._acting("rival", now)
-        if rival and self._rival is None:
-            self._rival = transport_entry(self.hardware.wire.transport).device(self.hardware.wire)
+        second_publisher = self._acting("second_publisher", now)
+        if second_publisher and self._second_publisher is None:
+            self._second_publisher = transport_entry(self.hardware.wire.transport).device(self.hardware.wire)
         while self._going and self._going[0][0] <= now:
             _, _, stamp, numbers = heapq.heappop(self._going)
             self._device.publish(stamp, names, numbers)
-            if rival and self._rival is not None:
-                self._rival.publish(stamp, names, numbers)
+            if second_publisher and self._second_publisher is not None:
+                self._second_publisher.publish(stamp, names, numbers)
             self.seen.measurements += 1

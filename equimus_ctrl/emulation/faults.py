@@ -16,7 +16,7 @@ KINDS = {
     "back": "stamps are two seconds behind",
     "repeat": "every measurement is sent twice",
     "reorder": "every other measurement comes after the one that follows it",
-    "rival": "a second publisher sends the same measurements",
+    "second_publisher": "a second publisher sends the same measurements",
     "deaf": "commands are not heard",
     "crash": "the process ends at once",
 }

@@ -52,7 +52,7 @@ class Engine(ABC):
         reason: why it was taken, as a phrase; empty where there is nothing to choose.
         batched: models that are simulated at once share the work, so one more costs next to nothing, and has the same
             rounding as its neighbours: derivatives are differences from a base that is simulated along with them.
-        costly: a simulation of all trials takes so long that first looks take derivatives from a coarser step, and end
+        costly: a simulation of all trials takes so long that a coarse fit takes derivatives from a longer step, and end
             where little is gained.
         responds_by: how ``ForceResponse`` is found: by the linearised equations of motion along a motion
             (``"linearised"``), or by simulating every small force (``"simulated"``).
@@ -65,7 +65,7 @@ class Engine(ABC):
     responds_by: Literal["linearised", "simulated"]
 
     def to_dict(self) -> dict[str, str]:
-        """For machines: which it is, and why it was taken."""
+        """As JSON data: which it is, and why it was taken."""
         return {"name": self.name, "reason": self.reason}
 
     @property

@@ -126,7 +126,7 @@ def _simulated(
         list(computer.threads(count).map(work, tasks))
     poses = [trial.position for trial in trials]
     robot = changed_bodies(models[0].effects, models[0].robot)
-    # A divergence tells by itself.
+    # A divergence is visible by itself.
     if check and isinstance(robot, Morphology) and all(found.sound[0] for found in results):
         reached = [found.position[0] for found in results]
         warn_if_coarse(robot, models[0].phase, poses, dt, reached, MOST_DIVISOR)

@@ -170,7 +170,7 @@ class MujocoEngine(Engine):
 
 @dataclass(frozen=True, eq=False)
 class ExtrapolatedEngine(Engine):
-    """An engine without the error of first order of its step, as far as the step and a part of it tell.
+    """An engine without the error of first order of its step, by extrapolation from the step and a part of it.
 
     Attributes:
         coarse: with the step.

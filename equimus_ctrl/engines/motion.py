@@ -90,7 +90,7 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
     times = np.asarray(trial.sample_times)
     if len(times) < 2:
-        raise ConfigError(f"{trial.name}: has {len(times)} samples, too few to tell a motion; expected at least 2")
+        raise ConfigError(f"{trial.name}: has {len(times)} samples, too few for a motion; expected at least 2")
     coded = encode([model], trial)
     own, kernel = coded.mechanics[0], coded.kernel
     nj, nv, na = len(own.joints), len(own.starts), len(own.channels)

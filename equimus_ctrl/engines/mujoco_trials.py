@@ -76,7 +76,7 @@ def simulate_mujoco(
         _one_trial(models, robots, batch, trial, None if starts is None else starts[k], len(m.joints))
         for k, trial in enumerate(trials)
     ]
-    if all(found.sound[0] for found in results):  # a divergence tells by itself
+    if all(found.sound[0] for found in results):  # a divergence is visible by itself
         # Runs on stops have had steps of their own.
         warn_if_coarse(robots[0], models[0].phase, poses, settings.timestep, [])
     return results

@@ -17,7 +17,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 SAMPLED = 6
-"""So many trials tell how fine a step has to be."""
+"""So many trials decide how short a step has to be."""
 UNSEEN, LEAST_UNSEEN = 1e-4, 1e-6
 """Share of a joint's motion that is seen by no sensor, and share that need not be followed whatever the sensor."""
 SHARE_OF_NOISE = 0.1
@@ -34,8 +34,8 @@ def noise_of(positions: Sequence[Array]) -> Array | None:
     long = [p for p in positions if len(p) > 3]
     if not long:
         return None
-    apart = np.concatenate([np.diff(p, 3, axis=0) for p in long])
-    return np.asarray(np.sqrt((apart**2).mean(axis=0) / 20.0))
+    differences = np.concatenate([np.diff(p, 3, axis=0) for p in long])
+    return np.asarray(np.sqrt((differences**2).mean(axis=0) / 20.0))
 
 
 def followed_step(

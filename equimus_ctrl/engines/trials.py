@@ -60,7 +60,7 @@ class Trial:
 
     @property
     def condition(self) -> Condition:
-        """What tells apart trials in which a model has other numbers."""
+        """Key that differs between trials in which a model has other parameter values."""
         return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))
 
     @property

@@ -41,13 +41,13 @@ EARLY = 1e-9
 
 @dataclass(frozen=True)
 class ObserverSettings:
-    """How much is believed; shares are of the largest torque that the actuators can exert on a joint.
+    """Covariances of the Kalman filter; shares are of the largest torque that the actuators can exert on a joint.
 
     Attributes:
         noise: standard deviation of a measured angle [rad].
-        torque: of the white torque noise on the joints, in shares times √s.
-        disturbance: of what the unknown torques walk in a second, in shares.
-        pressure: of what pressures stray in a second, in shares of the commands' range.
+        torque: density of the white torque noise on the joints, in shares times √s.
+        disturbance: standard deviation of the unknown torques' random walk after a second, in shares.
+        pressure: standard deviation of the pressures' random walk after a second, in shares of the commands' range.
         patience: how long it goes on without a measurement of some joint before that is a fault [s].
 
     Raises:
@@ -156,7 +156,7 @@ class Observer:
     Args:
         model: what is known of the robot.
         control_dt: time between two control instants [s].
-        settings: how much is believed.
+        settings: its covariances.
         compiled: whether a C compiler is used where there is one.
 
     Attributes:
@@ -274,7 +274,7 @@ class Observer:
         """
         until = state.now if time is None else time
         mean, covariance = self._ahead(state.mean, state.covariance, state.time, until, state.sent)
-        return self._told(max(until, state.time), mean, covariance)
+        return self._estimate(max(until, state.time), mean, covariance)
 
     def foresee(self, state: ObserverState, time: float) -> Estimate:
         """As ``estimate``, several times as fast: the covariance is that of where the filter stands."""
@@ -285,9 +285,9 @@ class Observer:
             for _ in range(steps):
                 self._step()
                 x[:] = self._step.results[0]
-        return self._told(max(time, state.time), np.concatenate([x, d]), state.covariance)
+        return self._estimate(max(time, state.time), np.concatenate([x, d]), state.covariance)
 
-    def _told(self, time: float, mean: Array, covariance: Array) -> Estimate:
+    def _estimate(self, time: float, mean: Array, covariance: Array) -> Estimate:
         p = self.prediction
         x = mean[: p.nx]
         q, v, pressure = x[: p.nj], x[p.nj : 2 * p.nj], x[2 * p.nj : 2 * p.nj + p.na]

@@ -1,4 +1,4 @@
-"""Fits judged on trials they have not seen."""
+"""k-fold cross-validation of fits."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from equimus_ctrl.types import Array
 
 @dataclass(frozen=True, eq=False)
 class CrossCheck:
-    """Errors on trials left out, all folds together.
+    """Errors on held-out trials, all folds of a cross-validation together.
 
     Attributes:
         folds: how many fits were made, each without its share of the trials.
         rmse: (nj,) of the fits on the trials they were made without [rad].
-        rmse_before: (nj,) of the model as it came, on the same trials [rad].
+        rmse_before: (nj,) of the initial model, on the same trials [rad].
         spread: (p,) largest difference of a parameter between the fits.
     """
 
@@ -66,9 +66,9 @@ def cross_check(
     before: list[Array] = []
     thetas = []
     for k in range(folds):
-        left_out = set(recordings[k::folds])
-        own = [s for s in segments if s.recording in left_out]
-        rest = fit(begin, [s for s in segments if s.recording not in left_out], simulator=simulator, settings=settings)
+        heldout = set(recordings[k::folds])
+        own = [s for s in segments if s.recording in heldout]
+        rest = fit(begin, [s for s in segments if s.recording not in heldout], simulator=simulator, settings=settings)
         thetas.append(rest.theta)
         unseen += residuals_of(rest.model, own, simulator)
         before += residuals_of(found.parameters.model, own, simulator)

@@ -67,7 +67,7 @@ class Fit:
         model: the model with them.
         starts: for each segment (2 nj,) its start as the sensors show it [rad, rad/s].
         residuals: for each segment (m, nj) measured − predicted [rad].
-        before: the same of the model as it came.
+        before: the same of the initial model.
         cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else [rad²].
         at_bound: (p,) −1, 0, 1: where a bound holds a parameter back.
         evaluations: how many parameter sets were simulated.
@@ -121,7 +121,7 @@ class Fit:
 
     @property
     def rmse_before(self) -> Array:
-        """(nj,) of the model as it came [rad]."""
+        """(nj,) of the initial model [rad]."""
         return joint_rmse(self.before)
 
 
@@ -145,7 +145,7 @@ def fit(
         simulator: the engine; see ``simulator_for`` for the default.
         settings: how it searches.
         noise: of the joints, by which residuals count; all alike without.
-        begin: where the search may begin, the best of them is taken; the model as it came by default.
+        begin: initial points of the search, the best of which is taken; the initial model by default.
         coarse: a faster engine for derivatives.
         earlier: a fit of the same whose end this one may go on from; its derivatives are taken over where simulations
             are dear.
@@ -153,7 +153,7 @@ def fit(
 
     Raises:
         ConfigError: where there are fewer residuals than unknowns or nothing is free.
-        SimulationDiverged: where the model as it came diverges on every segment.
+        SimulationDiverged: where the initial model diverges on every segment.
     """
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
@@ -182,12 +182,14 @@ def _fit(
     measured = [s.start for s in segments]
     given = begin or [(parameters.start, measured)]
     together = problem.simulator.engine.batched
-    # A window's start that an earlier fit has led astray goes on from what was measured.
-    astray = bool(free_starts and begin and together)
-    choices = [[b[1], measured] if astray else [b[1]] for b in given]
+    # A free initial state from an earlier fit competes with the measured one.
+    free_before = bool(free_starts and begin and together)
+    choices = [[b[1], measured] if free_before else [b[1]] for b in given]
     point = min(problem.points([b[0] for b in given], choices), key=lambda tried: tried.cost)
     if all(np.all(r[-1] == DIVERGED) for r in point.residuals):
-        raise SimulationDiverged(f"{parameters.model.name}: the simulation diverges on every trial as the model came")
+        raise SimulationDiverged(
+            f"{parameters.model.name}: the simulation diverges on every trial with the initial model"
+        )
     before = point.residuals
     slopes = None
     if earlier is not None and _begins_where(problem, point, earlier):

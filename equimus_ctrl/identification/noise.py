@@ -100,7 +100,7 @@ def whiten(noise: Noise, time: Array, values: Array) -> Array:
 
 
 def log_likelihood(noise: Noise, times: Sequence[Array], residuals: Sequence[Array]) -> float:
-    """Gaussian log likelihood of residual series (m, nj), constants left out."""
+    """Gaussian log likelihood of residual series (m, nj), without the constant terms."""
     total = 0.0
     for time, residual in zip(times, residuals, strict=True):
         for j, own in enumerate(noise):
@@ -117,7 +117,7 @@ def white_noise(residuals: Sequence[Array]) -> Noise:
     return tuple(JointNoise(max(float(s), LEAST)) for s in size)
 
 
-def rough_noise(positions: Sequence[Array]) -> Noise:
+def noise_of_differences(positions: Sequence[Array]) -> Noise:
     """White noise as large as second differences of measured angles (m, nj) say; colour makes it too small."""
     second = np.concatenate([np.diff(position, 2, axis=0) for position in positions])
     size = np.sqrt((second**2).mean(axis=0) / 6.0)

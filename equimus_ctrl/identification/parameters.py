@@ -94,8 +94,8 @@ class FreeParameters:
         """(p,) θ after a change (p,) within bounds, along which elastic forces change evenly.
 
         An actuator's force is stiffness·rest_length − stiffness·length: the rest length goes such that its product with
-        the stiffness changes in proportion, or the long valley of both together would be a bend that searches creep
-        along.
+        the stiffness changes in proportion. Else both together would form a long curved valley of the cost, in which
+        searches progress slowly.
         """
         moved = np.array(theta + change)
         place = {name: i for i, name in enumerate(self.names)}
@@ -136,7 +136,7 @@ def default_names(model: Model) -> list[str]:
 def matching(model: Model, patterns: Sequence[str]) -> list[str]:
     """The parameter names that patterns such as ``*.damping`` mean, in the model's order.
 
-    ``base_parameters`` means the inertial parameters that motion can tell apart, see ``Robot.base_names``.
+    ``base_parameters`` means the identifiable inertial (base) parameters, see ``Robot.base_names``.
 
     Raises:
         ConfigError: for a pattern that means none.
@@ -146,7 +146,7 @@ def matching(model: Model, patterns: Sequence[str]) -> list[str]:
     for pattern in patterns:
         hits = model.robot.base_names() if pattern == BASE else fnmatch.filter(known, pattern)
         if not hits and pattern == BASE:
-            raise ConfigError(f"{model.name}: {BASE} are told of MJCF robots alone; expected names such as {known[0]}")
+            raise ConfigError(f"{model.name}: {BASE} exist for MJCF robots alone; expected names such as {known[0]}")
         if not hits:
             names = [*known, BASE] if model.robot.base_names() else known
             raise ConfigError(unknown_name("parameter", pattern, names, model.name))
@@ -155,7 +155,7 @@ def matching(model: Model, patterns: Sequence[str]) -> list[str]:
 
 
 def default_bounds(model: Model, name: str) -> tuple[float, float]:
-    """How far a number of this kind is believed to be off at most."""
+    """Default bounds (lowest, highest) of a free parameter of this kind."""
     if found := model.effect_parameters().get(name):
         effect, key = found
         return effect.bounds(key, model.robot)

@@ -234,7 +234,7 @@ class Problem:
         ):
             with np.errstate(invalid="ignore", over="ignore"):  # what diverges is dropped below
                 change = found.position[first:] - (found.position[0] if first else known)
-            change[~found.sound[first:]] = 0.0  # a neighbour that diverges tells no slope
+            change[~found.sound[first:]] = 0.0  # a neighbour that diverges gives no slope
             if first and not found.sound[0]:
                 change[:, found.reached[0] :] = 0.0
             elif not first:

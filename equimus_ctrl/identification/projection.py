@@ -54,5 +54,5 @@ class Nuisance:
         return float((values**2).sum() - ((self.basis.T @ values) ** 2).sum())
 
     def coefficients(self, values: Array, cut: float) -> Array:
-        """(p,) or (p, k) of the columns, that bring them nearest to values, directions weaker than ``cut`` left out."""
+        """(p,) or (p, k) of the columns, of the least-squares fit to values, without directions weaker than ``cut``."""
         return np.asarray(np.linalg.lstsq(self.factor, self.basis.T @ values, rcond=cut)[0])

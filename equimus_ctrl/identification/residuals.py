@@ -34,7 +34,7 @@ def joint_rmse(residuals: Sequence[Array]) -> Array:
 def difference(model: Model, simulator: Simulator) -> float:
     """Step of the finite differences.
 
-    Where nothing holds a robot in place, a change grows a thousandfold and more along a segment: one of 1e-5 tells no
+    Where nothing holds a robot in place, a change grows a thousandfold and more along a segment: one of 1e-5 gives no
     slope at its end. A smaller one asks for an engine without a solver's tolerance.
     """
     grows = not model.robot.traits.held_in_place

@@ -29,7 +29,7 @@ class Judged:
 
     Attributes:
         name: of the trial or the poses.
-        before: (m, nj) measured − predicted by the model as it came [rad].
+        before: (m, nj) measured − predicted by the initial model [rad].
         after: (m, nj) the same by the model identified [rad].
         segment: the trial, or None where it is poses at rest.
     """
@@ -40,7 +40,7 @@ class Judged:
     segment: Segment | None = None
 
     def to_dict(self, joints: Sequence[str]) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         rows = joint_rmse([self.before]), joint_rmse([self.after])
         what = "poses" if self.segment is None else "trial"
         return {what: self.name, "before": _by_joint(joints, rows[0]), "after": _by_joint(joints, rows[1])}
@@ -54,7 +54,7 @@ class Identified:
         fit: what was found.
         segments: what it was found from.
         recordings: the trials.
-        check: errors on trials left out in turn, or None where there was one trial only.
+        check: errors on held-out trials (k-fold cross-validation), or None where there was one trial only.
         heldout: trials that took no part at all.
         engine: that simulated.
         seconds: how long the search took.
@@ -71,7 +71,7 @@ class Identified:
     check_seconds: float
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines; angles in rad, and null where an interval has no end."""
+        """As JSON data; angles in rad, and null where an interval has no end."""
         found, joints = self.fit, self.fit.model.robot.joint_names
         data: dict[str, Any] = {
             "engine": self.engine.name,
@@ -165,7 +165,7 @@ class IdentifiedPoses:
     seconds: float
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines; angles in rad, pressures in Pa."""
+        """As JSON data; angles in rad, pressures in Pa."""
         found = self.fit
         m = found.model.morphology
         before, after, left_out = (joint_rmse([r]) for r in (found.before, found.residuals, found.heldout))
@@ -191,12 +191,12 @@ class IdentifiedPoses:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What files of poses and of trials told together: the poses first, then the trials from the model these gave.
+    """Identification from poses at rest, then from trials beginning at the model that the poses gave.
 
     Attributes:
-        start: the model as it came.
-        poses: what the poses at rest told, or None where there were none.
-        trials: what the trials told, or None where there were none.
+        start: the initial model.
+        poses: result of the poses at rest, or None where there were none.
+        trials: result of the trials, or None where there were none.
     """
 
     start: Model
@@ -210,7 +210,7 @@ class Identification:
         return self.start if last is None else last.fit.model
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines: null for what there was none of."""
+        """As JSON data: null for a part that was not done."""
         return {
             "schema": SCHEMA,
             "start": self.start.name,

@@ -29,7 +29,7 @@ from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
 INSTANTS = 200
-"""At most so many instants of a recording tell how well starts can be read off it."""
+"""At most so many instants of a recording show how well initial states can be read off it."""
 WIDE = 3.0
 """A start that was read off has a prior of so many times the standard deviation that it seems to have."""
 LEAST_TRUST = 1e-4
@@ -166,10 +166,10 @@ def start_trust(recording: Recording, span: float) -> Array:
     """
     time = recording.time
     chosen = np.unique(np.linspace(0, len(time) - 1, min(INSTANTS, len(time))).round().astype(int))
-    apart, left = [], []
+    changes, left = [], []
     for at in time[chosen]:
         whole, part = (np.concatenate(local_motion(recording, float(at), s)) for s in (span, span / 2))
-        apart.append(whole - part)
+        changes.append(whole - part)
         left.append(recording.position[np.argmin(np.abs(time - at))] - whole[: len(whole) // 2])
-    noise, sizes = np.sqrt(np.mean(np.square(left), axis=0)), np.sqrt(np.mean(np.square(apart), axis=0))
+    noise, sizes = np.sqrt(np.mean(np.square(left), axis=0)), np.sqrt(np.mean(np.square(changes), axis=0))
     return np.asarray(np.maximum(np.tile(noise, 2) / (WIDE * np.maximum(sizes, 1e-300)), LEAST_TRUST))

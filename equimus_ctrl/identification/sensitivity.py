@@ -29,14 +29,14 @@ class Sensitivity:
     """Errors of a model with one number changed at a time.
 
     Attributes:
-        model: as it came.
+        model: the nominal model.
         names: of the numbers, those that matter most first.
         units: of each.
         reference: (p,) what a share is of: the number itself, or a typical range where it is zero.
         shares: (k,) by which each was changed.
         rmse: (p, k, nj) error against the measurements [rad]; nan where that model cannot be or diverges.
         diverged: (p, k) where it can be, but its simulation diverges.
-        base: (nj,) error of the model as it came [rad].
+        base: (nj,) error of the initial model [rad].
         local: (p, nj) root mean square change of the predictions for a change of one per cent, to first order [rad].
         engine: that simulated.
     """
@@ -102,7 +102,7 @@ def sensitivity(
 
     Raises:
         ConfigError: for a pattern that means nothing, or shares that are none.
-        SimulationDiverged: where the model as it came does.
+        SimulationDiverged: where the initial model does.
     """
     if not shares:
         raise ConfigError("no share was given to change the parameters by")
@@ -131,7 +131,7 @@ def sensitivity(
             place.append(None)
     simulator = simulator or simulator_for(model)
     width, nj = len(shares) + 2, segments[0].measured.shape[1]
-    # The two models of each central difference; the model as it came stands in for one that cannot be.
+    # The two models of each central difference; the initial model stands in for one that cannot be.
     pairs = np.array([[place[i * width + k] or 0 for k in (width - 2, width - 1)] for i in range(len(names))])
     squares, samples = np.zeros((len(models), nj)), sum(len(s.measured) for s in segments)
     change = np.zeros((len(names), nj))
@@ -142,7 +142,9 @@ def sensitivity(
             squares += ((found.position - segment.measured) ** 2).sum(axis=1)
             change += ((found.position[pairs[:, 1]] - found.position[pairs[:, 0]]) ** 2).sum(axis=1)
         if not found.sound[0]:
-            raise SimulationDiverged(f"{segment.trial.name}: the simulation of {model.name} diverges as the model came")
+            raise SimulationDiverged(
+                f"{segment.trial.name}: the simulation of {model.name} diverges with the nominal model"
+            )
         sound &= found.sound
         notify((done + 1) / len(segments))
     rmse = np.where(sound[:, None], np.sqrt(squares / samples), np.nan)

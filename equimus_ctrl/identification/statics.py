@@ -63,7 +63,7 @@ def _by_parameters(form: Structure, phase: Phase, laws: Laws) -> ca.Function:
 
 
 def static_names(model: Model) -> list[str]:
-    """What poses at rest tell: stiffness, area and rest length of every actuator."""
+    """Parameters that poses at rest identify: stiffness, area and rest length of every actuator."""
     return [f"{a.name}.{key}" for key in STATIC_KINDS for a in model.morphology.actuators]
 
 
@@ -93,7 +93,7 @@ def rest_poses(model: Model, pressure: Array, guess: Array) -> RestPoses:
     with the kinks that joint stops make (pseudo-transient continuation, Kelley and Keyes, 1998).
 
     Args:
-        model: whose; its dry friction is left out.
+        model: whose; its dry friction is ignored.
         pressure: (n, na) commanded [Pa].
         guess: (n, nj) angles to look from [rad].
     """
@@ -146,7 +146,7 @@ class StaticFit:
         linear: (p,) where a linear regression of the torques began, or the model's own values.
         model: with ``theta``.
         residuals: (n, nj) measured − resting angles [rad].
-        before: the same of the model as it came.
+        before: the same of the initial model.
         heldout: (n, nj) residual of each pose under parameters fitted without it and its fold [rad].
         folds: how many such fits were made.
         pressure_error: (n, na) pressures that would hold the measured poses, less those commanded [Pa]; nan where a

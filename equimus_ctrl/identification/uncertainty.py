@@ -1,4 +1,4 @@
-"""How well a fit knows its parameters: intervals for coloured residuals, and directions that cannot be seen."""
+"""How well a fit knows its parameters: intervals for coloured residuals, and unidentifiable directions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STRONG = 0.9
 
 @dataclass(frozen=True)
 class TradeOff:
-    """Parameters that these data tell apart badly or not at all.
+    """A combination of parameters that is practically or exactly unidentifiable from these data.
 
     Attributes:
         weights: parameter name → share of its own value in a change that leaves the fit as it is, the largest being 1.
@@ -34,8 +34,8 @@ class TradeOff:
     def __str__(self) -> str:
         """For people."""
         if len(self.weights) == 1:
-            return f"{next(iter(self.weights))} cannot be seen in these data at all"
-        # Of the parameters the one that has to change most is told first, and up.
+            return f"{next(iter(self.weights))} is not identifiable from these data"
+        # The parameter that changes most comes first, with a positive sign.
         ordered = sorted(self.weights.items(), key=lambda item: -abs(item[1]))
         sign = np.sign(ordered[0][1])
         parts = [f"{name} by {10 * sign * weight:+.2g} %" for name, weight in ordered]
@@ -50,9 +50,9 @@ class Uncertainty:
     """What the residuals say of the parameters.
 
     Attributes:
-        standard_error: (p,) inf where a parameter cannot be seen.
+        standard_error: (p,) inf where a parameter is not identifiable.
         half_width: (p,) of the interval of the confidence asked for.
-        correlation: (p, p); nan where a parameter cannot be seen.
+        correlation: (p, p); nan where a parameter is not identifiable.
         trade_offs: strongest first.
         effective_samples: how many independent residuals the coloured ones are worth.
     """
@@ -152,7 +152,7 @@ def uncertainty(
 
 
 def _without(jacobian: Array, nuisance: Array) -> Array:
-    """A segment's Jacobian with what its start could imitate projected out."""
+    """A segment's Jacobian, its component along the Jacobian of the free initial state projected out."""
     if nuisance.shape[2] == 0:
         return jacobian
     m, nj, p = jacobian.shape

@@ -369,13 +369,13 @@ def _limit(spec: mujoco.MjSpec, joint: Joint) -> None:
     high = joint.upper.angle if joint.upper else ABSENT_STOP
     if joint.lower is None and joint.upper is None:
         return
-    apart = stops_differ(joint)
+    split_stops = stops_differ(joint)
     hinge = spec.joint(joint.name)
     hinge.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    hinge.range = (low, ABSENT_STOP if apart else high)
+    hinge.range = (low, ABSENT_STOP if split_stops else high)
     hinge.solimp_limit = STOP_SOLIMP
     hinge.solref_limit = (1.0, 1.0)
-    if apart:
+    if split_stops:
         tendon = spec.add_tendon(name=stop_tendon(joint.name))
         tendon.wrap_joint(joint.name, 1.0)
         tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE

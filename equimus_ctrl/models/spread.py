@@ -33,12 +33,12 @@ def groups(morphology: Morphology, shares: Mapping[str, float]) -> list[Group]:
     return found
 
 
-def strayed(morphology: Morphology, strays: Sequence[Group], row: Array) -> Morphology:
+def perturbed(morphology: Morphology, spread: Sequence[Group], row: Array) -> Morphology:
     """The robot with its numbers at places (m,) of their ranges, 0 the lowest and 1 the highest."""
     nominal = morphology.parameters()
     values = {
         name: nominal[name] * (1 + share * (2 * place - 1))
-        for (names, share), place in zip(strays, row.tolist(), strict=True)
+        for (names, share), place in zip(spread, row.tolist(), strict=True)
         for name in names
     }
     return morphology.with_parameters(values)

@@ -48,7 +48,7 @@ def weigh(
     big: Array, small: Array, error: Array, weight: Array, last: Array, effort: Array, span: Array, rows: Array,
     hessian: Array, gradient: Array,
 ) -> float:  # fmt: skip
-    """Write the Hessian and the gradient of what states and inputs cost, and tell what the present ones cost.
+    """Write the Hessian and the gradient of what states and inputs cost, and return what the present ones cost.
 
     Args:
         big: G.

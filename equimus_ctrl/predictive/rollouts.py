@@ -27,7 +27,7 @@ from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.models.mjcf import SolverSettings
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.prediction import prediction
-from equimus_ctrl.models.spread import groups, latin_hypercube, strayed
+from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
@@ -61,14 +61,14 @@ def members_of(model: Model, count: int, spread: float, seed: int) -> tuple[Mode
     Args:
         model: the first.
         count: how many, the first included.
-        spread: by which share stiffness, area, damping, mass and inertia stray at most, by a Latin hypercube.
+        spread: by which share stiffness, area, damping, mass and inertia are perturbed at most, by a Latin hypercube.
         seed: of the draws.
     """
     robot = changed_bodies(model.effects, model.morphology)
     rest = tuple(effect for effect in model.effects if not isinstance(effect, BodyEffect))
-    strays = groups(robot, dict.fromkeys(("stiffness", "area", "damping", "mass"), spread))
-    rows = latin_hypercube(count - 1, len(strays), np.random.default_rng(seed))
-    return (model, *(Model(strayed(robot, strays, row), rest, model.phase) for row in rows))
+    spreads = groups(robot, dict.fromkeys(("stiffness", "area", "damping", "mass"), spread))
+    rows = latin_hypercube(count - 1, len(spreads), np.random.default_rng(seed))
+    return (model, *(Model(perturbed(robot, spreads, row), rest, model.phase) for row in rows))
 
 
 def make_rollouts(

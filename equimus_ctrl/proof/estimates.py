@@ -58,7 +58,7 @@ class Number:
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines; null for ends that are not there."""
+        """As JSON data; null for ends that are not there."""
         ends = {key: v if math.isfinite(v) else None for key, v in (("low", self.low), ("high", self.high))}
         return {**asdict(self), **ends, "error": self.error, "covered": self.covered}
 

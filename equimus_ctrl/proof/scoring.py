@@ -61,7 +61,7 @@ class Goal:
         return "missed" if high < self.needed[0] or low > self.needed[1] else "open"
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         ends = {key: v if math.isfinite(v) else None for key, v in (("least", self.low), ("most", self.high))}
         value = self.value if math.isfinite(self.value) else None
         return {"name": self.name, "value": value, **ends, "state": self.state, "judged_by": self.share.to_dict()}
@@ -82,7 +82,7 @@ class Effort:
     memory: int
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return {
             "median_s": median(self.seconds),
             "longest_s": max(self.seconds),

@@ -51,6 +51,6 @@ class Share:
         return f"{100 * self.value:.1f} % ({self.count}/{self.of})" if self.of else "–"
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines; null where there was nothing to count."""
+        """As JSON data; null where there was nothing to count."""
         low, high = self.interval
         return {"count": self.count, "of": self.of, "share": self.value if self.of else None, "low": low, "high": high}

@@ -55,7 +55,7 @@ class Tally:
     wrong: Table
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """As JSON data."""
         return {
             key: value.to_dict() if isinstance(value, Share) else {k: share.to_dict() for k, share in value.items()}
             for key, value in vars(self).items()

@@ -30,9 +30,9 @@ class Limits:
         command_high: highest command [Pa]. Both ends are held to one millionth of the range, for rounding.
         max_angle: largest |angle| that can be radians [rad]. One joint beyond it and the whole file is taken to be in
             degrees; the hip of a leg hanging down is at some 90 of them. A file whose joints all stay within ±6.9°
-            cannot be told from radians by its size and passes.
+            cannot be distinguished from radians by its size and passes.
         rotating: joints that may turn without end; their angles are not judged.
-        doubted: of them those whose angles raise a doubt beyond ``MANY_TURNS``.
+        checked_for_degrees: those of them that are checked for degrees in the place of radians, see ``MANY_TURNS``.
         max_interval: largest median time between rows [s]; milliseconds in the place of seconds exceed it.
         joints: names that belong together: a file with one of them must have all of them.
         actuators: the same for actuators.
@@ -42,7 +42,7 @@ class Limits:
     command_high: float = 50_000.0
     max_angle: float = 1.1 * 2.0 * math.pi
     rotating: tuple[str, ...] = ()
-    doubted: tuple[str, ...] = ()
+    checked_for_degrees: tuple[str, ...] = ()
     max_interval: float = 0.5
     joints: tuple[str, ...] = ("hip", "knee")
     actuators: tuple[str, ...] = ("maa", "baa")
@@ -150,12 +150,12 @@ def check_degrees(sheet: Sheet, columns: Sequence[str], position: Array) -> None
         )
 
 
-def doubts(name: str, recording: Recording, limits: Limits) -> list[str]:
+def plausibility_warnings(name: str, recording: Recording, limits: Limits) -> list[str]:
     """One sentence for each thing that looks like a slip but can be meant.
 
-    Commands in kPa where Pa belong cannot be told from tiny ones with certainty, so that is a doubt and no error: it is
-    raised where the largest command, the one before the first row included, is above zero and yet not above 0.12 % of
-    the range (60 Pa of 50 kPa, which is also 20 % above the range read as kPa). All-zero commands raise none.
+    Commands in kPa where Pa belong cannot be distinguished from tiny ones with certainty. So that is a warning and no
+    error. It is given where the largest command, the one before the first row included, is above zero and yet not above
+    0.12 % of the range (60 Pa of 50 kPa, which is also 20 % above the range read as kPa). All-zero commands give none.
     A hinge that goes farther than ``MANY_TURNS`` may be in degrees, or turn without end.
     """
     found = []
@@ -168,7 +168,7 @@ def doubts(name: str, recording: Recording, limits: Limits) -> list[str]:
         )
     for joint, angle in zip(recording.joints, np.abs(recording.position).max(axis=0).tolist(), strict=True):
         turns = angle / (2.0 * math.pi)
-        if joint in limits.doubted and turns > MANY_TURNS:
+        if joint in limits.checked_for_degrees and turns > MANY_TURNS:
             found.append(
                 f"{name}: pos.{joint} goes to {number(angle)} rad, {turns:.0f} turns; are these degrees where radians "
                 "belong?"

@@ -49,7 +49,7 @@ def read(path: PathLike, *, limits: Limits = LEG) -> Recording:
             f"these are the columns of the leg's {kind} format; `equimus-ctrl recordings import` converts it"
         )
     recording = from_sheet(sheet, limits)
-    checks.warn(checks.doubts(recording.name, recording, limits))
+    checks.warn(checks.plausibility_warnings(recording.name, recording, limits))
     return recording
 
 

@@ -17,7 +17,7 @@ _LEG_FILES = ("step_release", "triangle", "static_poses_36", "static_poses_13")
 
 
 def fetch_folder() -> Path:
-    """Where ``equimus-ctrl recordings fetch`` puts the files unless told otherwise."""
+    """Where ``equimus-ctrl recordings fetch`` puts the files unless another folder is given."""
     import platformdirs
 
     return Path(platformdirs.user_data_path("equimus_ctrl", appauthor=False)) / "recordings"

@@ -52,7 +52,7 @@ def read_set(
             trials = (csvfile.from_sheet(sheet, limits),)
         found += [(path, trial) for trial in trials]
     for path, trial in found:
-        checks.warn(checks.doubts(str(path), trial, limits))
+        checks.warn(checks.plausibility_warnings(str(path), trial, limits))
     first_path, first = found[0]
     for path, trial in found[1:]:
         for kind, names, expected in (

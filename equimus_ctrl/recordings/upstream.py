@@ -80,7 +80,7 @@ def step_release(sheet: Sheet, limits: Limits = LEG) -> tuple[Recording, ...]:
     20.1 ms. The command drops to zero in the first row after 5 s (5.0003 to 5.0166 s); the leg follows about 0.07 to
     0.17 s later. Every record starts near the pose at which the one before it ended (median 0.1°, at worst 1.4°), and
     within 3.0° of where it ends itself; how long the pause was is not recorded. The first group, (0, 0), is the
-    exception: it starts 10° away from rest, and moving. ``before`` is left out there, and a note ``settled = no`` put
+    exception: it starts 10° away from rest, and moving. ``before`` is missing there, and a note ``settled = no`` put
     in. The rule is a start more than 5° from the end.
 
     Raises:
@@ -129,7 +129,7 @@ def triangle(sheet: Sheet, limits: Limits = LEG) -> tuple[Recording, ...]:
 
     ``before`` is zero pressure: ``pressure*_start`` of the first segment, (6154, 2728) Pa, cannot have been in force,
     as the leg starts at (73.9°, 62.5°), beside its rest at zero pressure (73.1°, 61.4°), and ends the segments that
-    command those pressures at about (80°, 56°). ``pressure*_start`` is believed where the first pose is within 2° of
+    command those pressures at about (80°, 56°). ``pressure*_start`` is used where the first pose is within 2° of
     the mean end of such segments.
 
     Raises:

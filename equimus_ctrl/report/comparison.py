@@ -36,7 +36,7 @@ def comparison_table(found: Comparison) -> RenderableType:
         table.add_column("by", no_wrap=True)
         for joint in joints:
             table.add_column(f"{joint}, mrad\nRMSE/max", justify="right", no_wrap=True)
-        for head in ("effort\nkPa", "limit\n%", "step, ms\np50/p99", "late/\nback, %"):
+        for head in ("effort\nkPa", "limit\n%", "step, ms\np50/p99", "overrun/\nfallback, %"):
             table.add_column(head, justify="right", no_wrap=True)
         for condition in found.conditions:
             rows = [e for e in found.entries if (e.scenario, e.condition) == (name, condition.name)]

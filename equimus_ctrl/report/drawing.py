@@ -92,7 +92,7 @@ def bracket_points(morphology: Morphology) -> list[tuple[Point, Point]]:
 def far_apart(points: Array, count: int) -> list[int]:
     """Indices of up to ``count`` of the points (n, 2), each as far from those before as can be, the first first.
 
-    Points nearer than a tenth of the widest distance found are left out.
+    Points nearer than a tenth of the widest distance found are dropped.
     """
     chosen = [0]
     distance = np.linalg.norm(points - points[0], axis=1)

@@ -240,7 +240,7 @@ def parameters_figure(found: Fit | StaticFit) -> Figure:
                 fontsize=7,
                 color=style.FAINT,
             )
-        unseen = "" if np.isfinite(width) else ", not seen"
+        unseen = "" if np.isfinite(width) else ", not identifiable"
         axes.annotate(
             f"{parameter.start:.4g} → {value:.4g} {parameter.unit}{unseen}",
             (1 + LEFT_AXES + 0.04, row),
@@ -263,7 +263,7 @@ def parameters_figure(found: Fit | StaticFit) -> Figure:
         Line2D([], [], marker=">", linestyle="", color=style.INK, label="the interval goes on"),
     ]
     if not np.all(np.isfinite(known.half_width)):
-        handles.append(Line2D([], [], color=style.FAINT, linewidth=1.2, linestyle=":", label="not seen in these data"))
+        handles.append(Line2D([], [], color=style.FAINT, linewidth=1.2, linestyle=":", label="not identifiable"))
     style.legend_below(figure, handles)
     return figure
 
@@ -300,7 +300,7 @@ def correlation_figure(found: Fit | StaticFit) -> Figure:
     axes.set_yticks(np.arange(n), names)
     axes.spines[["left", "bottom"]].set_visible(False)
     bar = figure.colorbar(drawn, ax=axes, shrink=0.8, pad=0.03)
-    bar.set_label("correlation of errors (– : not seen)", fontsize=style.SMALL_SIZE, color=style.INK)
+    bar.set_label("correlation of errors (– : not identifiable)", fontsize=style.SMALL_SIZE, color=style.INK)
     bar.ax.tick_params(labelsize=style.SMALL_SIZE)
     return figure
 

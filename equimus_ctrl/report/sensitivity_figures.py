@@ -29,7 +29,7 @@ def map_figure(found: Sensitivity) -> Figure:
     n, idle = len(felt), len(found.names) - len(felt)
     title = "RMSE with one parameter changed at a time"
     if idle:
-        title += f" ({idle} without any effect left out)"
+        title += f" ({idle} without any effect not shown)"
     width = 2.6 + len(joints) * (0.9 + 0.55 * len(found.shares)) + 0.8
     figure = style.new_figure(width, 1.5 + ROW * max(n, 1), title)
     grid = figure.subplots(1, len(joints), squeeze=False, sharey=True)[0]

@@ -32,7 +32,7 @@ class RobotTraits:
             with zero velocity, and before its start it was there too. Else positions and velocities at the start are
             read off the measurements, and before its start the robot moved as it does there.
         held_in_place: springs pull every joint to one pose under each command. So small errors do not grow along a
-            trial, which can be fitted whole, and poses at rest tell parameters. Else errors add up: fits have many
+            trial, which can be fitted whole, and poses at rest identify parameters. Else errors add up: fits have many
             local minima, and trials may have to be cut into shooting intervals.
         smooth_motion: a motion of a tenth of a second is a parabola, so velocities are read off that much of a
             recording and trusted as much as samples are. Motors change velocities within a few samples.
@@ -46,7 +46,7 @@ class RobotTraits:
         has_stance: it has a foot that can be pinned while the base moves.
         damping_known_within: factor by which damping is off at most when missing physics is looked for; beyond, it
             would stand in for what is missing. None where the parameter's own bounds are as narrow as is known.
-        bounds_of_any_size: bounds of parameters hold for robots of any size, so they lie far apart: what is near to one
+        bounds_of_any_size: bounds of parameters hold for robots of any size, so they are far apart: what is near to one
             is measured by the parameter, not by the way between its bounds.
         least_command: commands that stay within this do not move it [unit of the commands]; 0 where it may move by
             itself.
@@ -160,7 +160,7 @@ class Robot(ABC):
         """(low, high): between what a parameter can plausibly be."""
 
     def size(self, name: str) -> float | None:
-        """A change that counts of a parameter whose value is 0; None where nothing but its bounds tells."""
+        """A change that counts of a parameter whose value is 0; None where only its bounds say."""
         return None
 
     def positive(self, name: str) -> bool:
@@ -172,7 +172,7 @@ class Robot(ABC):
         """The parameters that are known least: free by default."""
 
     def base_names(self) -> list[str]:
-        """As many inertial parameters as inverse dynamics tell apart; none where a robot does not know."""
+        """The base parameters: inertial ones that inverse dynamics identify; none where a robot has no such list."""
         return []
 
     # Units.

@@ -67,7 +67,7 @@ class Scenario:
         published_controller: the controller those figures are of.
         step_like: whether the reference is one constant pose, so that overshoot and settling mean something.
         missing: why there is no ``recorded``, for a person to read, or None.
-        events: what befalls the robot meanwhile, see ``plants.events``; controllers are not told.
+        events: what befalls the robot meanwhile, see ``plants.events``; unknown to controllers.
     """
 
     name: str

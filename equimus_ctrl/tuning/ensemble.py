@@ -12,7 +12,7 @@ from equimus_ctrl.effects.valves import POWER, ValveEffect, valve_settings
 from equimus_ctrl.engines.encoding import KNOWN_KINDS
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.spread import OF_ACTUATORS, groups, latin_hypercube, strayed
+from equimus_ctrl.models.spread import OF_ACTUATORS, groups, latin_hypercube, perturbed
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack
 from equimus_ctrl.tuning.study import EnsembleSettings
 from equimus_ctrl.types import Array
@@ -37,7 +37,7 @@ class Member:
     effects: tuple[Effect, ...] = ()
 
     def model(self, phase: Phase) -> Model:
-        """The leg with its effects, valves left out."""
+        """The leg with its effects, without valves."""
         return Model(self.morphology, self.effects, phase)
 
     def rest(self, command: Array, phase: Phase) -> Array:
@@ -49,7 +49,7 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     """``count`` legs around a model, drawn by a Latin hypercube so that few of them cover the ranges.
 
     Args:
-        model: the middle.
+        model: at the centre of the ranges.
         settings: how far the numbers spread.
         count: how many.
         seed: the same seed gives the same legs.
@@ -61,14 +61,14 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     """
     require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the tuning loop")
     m = changed_bodies(model.effects, model.morphology)
-    strays = groups(m, {key: getattr(settings, key) for key in (*OF_ACTUATORS, "mass")})
+    spreads = groups(m, {key: getattr(settings, key) for key in (*OF_ACTUATORS, "mass")})
     na = len(m.actuators)
     corner = [
-        1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in strays
+        1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in spreads
     ]
-    known = [np.full(len(strays) + 2 * na, 0.5), np.array([*corner, *([1.0] * (2 * na))])][:count] if fixed else []
+    known = [np.full(len(spreads) + 2 * na, 0.5), np.array([*corner, *([1.0] * (2 * na))])][:count] if fixed else []
     drawn = count - len(known)
-    shares = latin_hypercube(drawn, len(strays) + 2 * na, np.random.default_rng(seed))
+    shares = latin_hypercube(drawn, len(spreads) + 2 * na, np.random.default_rng(seed))
     rows = [*known, *shares]
     labels = ["model", "hardest"][: len(known)]
     own = valve_settings(model.effects, m.actuator_names)
@@ -76,7 +76,7 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     others = tuple(effect for effect in model.effects if not isinstance(effect, (ValveEffect, BodyEffect)))
     members = []
     for k, row in enumerate(rows):
-        by_actuator = row[len(strays) :].reshape(na, 2)
+        by_actuator = row[len(spreads) :].reshape(na, 2)
         if has_own:
             valve = own * (1 + settings.valve_spread * (2 * by_actuator[:, [0, 1, 1, 1, 1, 1]] - 1))
             valve[:, POWER] = own[:, POWER]
@@ -85,6 +85,6 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
             lag = settings.lag[0] + by_actuator[:, 1] * (settings.lag[1] - settings.lag[0])
             unlimited = np.full(na, np.inf)
             valve = np.stack([delay, lag, lag, unlimited, unlimited, np.zeros(na)], axis=1)
-        changed = strayed(m, strays, row[: len(strays)])
+        changed = perturbed(m, spreads, row[: len(spreads)])
         members.append(Member(labels[k] if k < len(labels) else f"leg {k}", changed, pack(changed), valve, others))
     return members

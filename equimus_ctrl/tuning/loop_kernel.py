@@ -111,7 +111,7 @@ def run_loop(
     reaches: Array,
     sound: Array,
 ) -> None:
-    """Take k robots from control instant ``first`` to just before ``last``, the motion after each instant left out.
+    """Take k robots from control instant ``first`` to just before ``last``, without the motion after each instant.
 
     Called with 0 and n + 1 it tracks the whole reference from rest. Called one instant at a time, it lets the caller
     say in between what of the newest command reaches the valves.

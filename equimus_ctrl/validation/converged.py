@@ -131,7 +131,7 @@ def converged(xml: str, times: Array, ctrl: Array, duration: float, target: floa
     """Refine the motion until that changes it by less than the target: 1e-8, with dry friction 1e-6 [rad, m].
 
     The error of hardened friction goes with 1/rate, and positions are extrapolated to 1/rate = 0. After six refinements
-    the result is what it is, as its ``change`` tells.
+    the result is what it is, see its ``change``.
 
     Args: as of ``reference``.
 

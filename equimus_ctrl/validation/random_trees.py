@@ -54,8 +54,8 @@ DURATION, GRIDS = 3.0, (0.01, 0.025)
 """For how long trees are looked at, and the intervals at which commands may change [s]."""
 STEP = 2.5e-3
 """At which trees are looked at, a divisor of all of ``GRIDS`` and of all delays [s]."""
-SHIFT, APART = 1e-9, 1e-8
-"""No start shifted by the first comes further apart than the second: trees are not chaotic [rad, m]."""
+SHIFT, MOST_SPREAD = 1e-9, 1e-8
+"""A start shifted by the first diverges by less than the second: trees are not chaotic [rad, m]."""
 FURTHEST, FASTEST = 3.0, 20.0
 """How far from ``qpos0`` [rad, m] and how fast [rad/s, m/s] joints of a tree get at most."""
 ATTEMPTS = 80
@@ -68,8 +68,8 @@ def random_tree(rng: np.random.Generator, joints: int, features: Collection[str]
     """MJCF of a random fixed-base tree: it moves moderately, and what was drawn acts in its motion.
 
     Moderately: under random commands for ``DURATION`` no joint gets further than ``FURTHEST`` or becomes faster than
-    ``FASTEST``, no start shifted by ``SHIFT`` comes further apart than ``APART``, the mass matrix is well conditioned,
-    and no limit chatters. Others are drawn again.
+    ``FASTEST``, no start shifted by ``SHIFT`` diverges by more than ``MOST_SPREAD``, the mass matrix is well
+    conditioned, and no limit chatters. Others are drawn again.
 
     Args:
         rng: where the numbers come from.
@@ -368,7 +368,9 @@ def _motion(model: Any, times: Array, ctrl: Array, shift: float) -> tuple[Array,
         raise SimulationDiverged(f"MuJoCo's motion diverges at a step of {STEP} s")
     q, v = states[:, :, 1 : 1 + model.nq], states[:, :, 1 + model.nq : 1 + 2 * model.nq]
     moderate = (
-        np.abs(q - model.qpos0).max() < FURTHEST and np.abs(v).max() < FASTEST and np.abs(q[1] - q[0]).max() < APART
+        np.abs(q - model.qpos0).max() < FURTHEST
+        and np.abs(v).max() < FASTEST
+        and np.abs(q[1] - q[0]).max() < MOST_SPREAD
     )
     states = np.concatenate([start[:1], states[0, grid - 1 : -1 : grid]])
     return states, bool(moderate) and all(_sound(model, state) for state in states[::20])

@@ -94,7 +94,7 @@ def swing_case(
 ) -> Responses:
     """Step responses: from rest at one random pose, under the pressures that hold another.
 
-    Left out are pairs whose second pose needs pressures outside the command range, and runs in which an actuator
+    Omitted are pairs whose second pose needs pressures outside the command range, and runs in which an actuator
     becomes shorter than 3 cm.
 
     Args:

@@ -22,7 +22,7 @@ from equimus_ctrl.validation.reference import SHORTEST, own_error, reference_run
 from equimus_ctrl.validation.responses import Responses
 
 MOST_ANGLE = 2.5
-"""Runs in which a joint turns further from its start are left out: a limb does not go through itself [rad]."""
+"""Runs in which a joint turns further from its start are omitted: a limb does not go through itself [rad]."""
 
 
 @dataclass(frozen=True, eq=False)

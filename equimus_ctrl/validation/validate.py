@@ -98,7 +98,7 @@ class Validation:
         morphology: the robot.
         plan: how much was run.
         seed: of everything random.
-        left_out: the model's effects that took no part.
+        effects_omitted: the model's effects that took no part.
         static: poses at rest.
         swing: step responses.
         stance: on the pinned foot.
@@ -112,7 +112,7 @@ class Validation:
     morphology: Morphology
     plan: Plan
     seed: int
-    left_out: tuple[str, ...]
+    effects_omitted: tuple[str, ...]
     static: StaticResult
     swing: Responses
     stance: StanceResult
@@ -124,7 +124,7 @@ class Validation:
 
     @property
     def errors(self) -> dict[str, Errors]:
-        """Goal → errors, in the order of the report, random robots left out; what no run belongs to is not there."""
+        """Goal → errors, in the order of the report, without random robots; what no run belongs to is not there."""
         swing, stance = self.swing, self.stance.robot
         published = self.stance.published()
         found = {
@@ -151,7 +151,7 @@ class Validation:
 
     @property
     def speeds(self) -> tuple[Goal, ...]:
-        """Speeds against their goals; they depend on the machine and what else it does."""
+        """Speeds against their goals; they depend on the computer and its load."""
         reached = self.speed.to_dict()
         return tuple(Goal(name, reached[name], goal, reached[name] >= goal) for name, goal in SPEED_GOALS.items())
 
@@ -173,7 +173,7 @@ class Validation:
             "model": self.morphology.name,
             "joints": list(self.morphology.joint_names),
             "seed": self.seed,
-            "effects_left_out": list(self.left_out),
+            "effects_omitted": list(self.effects_omitted),
             "accurate": self.accurate,
             "goals": [asdict(goal) for goal in (*self.accuracy, *self.speeds)],
             "static": self.static.to_dict(),
@@ -204,7 +204,7 @@ def validate(
 
     Args:
         model: the robot of the static, swing and stance cases, with its changes to bodies; its other effects (valves,
-            friction, sensors) are left out, for the equations under test have none.
+            friction, sensors) are omitted, for the equations under test have none.
         plan: how much is run.
         seed: of everything random; every stage has a stream of its own.
         threads: at most; all usable processors by default.
@@ -216,13 +216,13 @@ def validate(
     """
     if seed < 0:
         raise ConfigError(f"seed is {seed}, expected at least 0")
-    left_out = tuple(f"{e.name} at {e.location}" for e in model.effects if not isinstance(e, BodyEffect))
+    effects_omitted = tuple(f"{e.name} at {e.location}" for e in model.effects if not isinstance(e, BodyEffect))
     robot = changed_bodies(model.effects, model.morphology)
     streams = np.random.SeedSequence(seed).spawn(len(STAGES))
     rngs = {stage: np.random.default_rng(stream) for stage, stream in zip(STAGES, streams, strict=True)}
     dt = REDUCED_STEP
 
-    def telling(stage: str) -> Progress:
+    def reporting(stage: str) -> Progress:
         notify(stage, 0.0, None)
         return lambda share, error=None: notify(stage, min(share, 0.999), error)
 
@@ -236,10 +236,10 @@ def validate(
             if name in compiled:
                 compiled[name]()
 
-        static = static_case(robot, plan.poses, rngs["static"], threads=threads, progress=telling("static"))
+        static = static_case(robot, plan.poses, rngs["static"], threads=threads, progress=reporting("static"))
         done("static", float(static.errors.rmse.max()))
         ready("swing")
-        swing = swing_case(robot, plan, rngs["swing"], dt, threads=threads, pool=pool, progress=telling("swing"))
+        swing = swing_case(robot, plan, rngs["swing"], dt, threads=threads, pool=pool, progress=reporting("swing"))
         if not swing.clear.any():
             raise ConfigError(
                 f"{robot.name}: none of {plan.pairs} random step responses clear of the stops could be scored "
@@ -247,30 +247,30 @@ def validate(
             )
         done("swing", float(swing.errors("mujoco").rmse.max()))
         ready("stance")
-        stance = stance_case(robot, plan, rngs["stance"], dt, threads=threads, pool=pool, progress=telling("stance"))
+        stance = stance_case(robot, plan, rngs["stance"], dt, threads=threads, pool=pool, progress=reporting("stance"))
         done("stance", float(stance.errors.rmse.max()))
         ready("three_joints")
         three_dof = three_dof_case(
-            plan, rngs["three_dof"], dt, threads=threads, pool=pool, progress=telling("three_dof")
+            plan, rngs["three_dof"], dt, threads=threads, pool=pool, progress=reporting("three_dof")
         )
         done("three_dof", float(three_dof.errors("mujoco").rmse.max()))
         robots = robots_case(
-            plan, rngs["morphologies"], dt, threads=threads, pool=pool, ready=ready, progress=telling("morphologies")
+            plan, rngs["morphologies"], dt, threads=threads, pool=pool, ready=ready, progress=reporting("morphologies")
         )
         done("morphologies", robots.worst("mujoco"))
         ready("floating")
-        kept = conservation_case(robot, plan, rngs["conservation"], threads=threads, progress=telling("conservation"))
+        kept = conservation_case(robot, plan, rngs["conservation"], threads=threads, progress=reporting("conservation"))
         done("conservation", None)
-        tell = telling("baseline")
+        report = reporting("baseline")
         at_rest = native_static(static, robot, BASELINE_RUNS, threads)
-        tell(0.7)
+        report(0.7)
         stepped, error = native_swing(swing, BASELINE_RUNS, threads)
         baseline = Baseline(at_rest, stepped, error)
         done("baseline", float(baseline.static.rmse.max()))
-        speed = speed_case(swing, stance.robot, plan, dt, threads=threads, progress=telling("speed"))
+        speed = speed_case(swing, stance.robot, plan, dt, threads=threads, progress=reporting("speed"))
         done("speed", None)
     return Validation(
-        robot, plan, seed, left_out, static, swing, stance, three_dof, robots, kept, baseline, speed
+        robot, plan, seed, effects_omitted, static, swing, stance, three_dof, robots, kept, baseline, speed
     )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from equimus_ctrl.identification.results import Identification, Identified, Iden
 from equimus_ctrl.scenarios.comparison import Comparison, Condition
 from equimus_ctrl.workflow.compare import CONTROLLERS, compare
 from equimus_ctrl.workflow.diagnose import diagnose_recordings
-from equimus_ctrl.workflow.hardware import check_hardware, import_bag, load_hardware, measure_delay, with_late_valves
+from equimus_ctrl.workflow.hardware import check_hardware, import_bag, load_hardware, measure_delay, with_valve_delays
 from equimus_ctrl.workflow.identify import (
     identify_files,
     identify_poses,
@@ -69,5 +69,5 @@ __all__ = [
     "sensitivity_of",
     "simulator_of",
     "tune_pid",
-    "with_late_valves",
+    "with_valve_delays",
 ]

@@ -29,19 +29,19 @@ from equimus_ctrl.workflow.runs import load_controller, load_scenario
 NOISE = 2e-3
 """Standard deviation of measured angles where there is noise [rad]."""
 LAG, DELAY = 0.1, 0.1
-"""Of the late valves [s]."""
+"""Time constant of the lag and dead time of the delayed valves [s]."""
 SPREAD = EnsembleSettings(stiffness=0.15, area=0.15, damping=0.4, rest_length=0.02, mass=0.15)
-"""How far the numbers of perturbed robots stray, in shares."""
+"""Relative perturbation of the parameters of perturbed robots, at most."""
 CONTROLLERS = ("pid", "lqr", "nmpc", "sampling")
 
 
 CONDITIONS = {
     "nominal": "the model, and the controller knows it",
     "noisy": f"the same with {1e3 * NOISE:g} mrad of noise on each angle",
-    "late": f"noisy, valves {LAG:g} s slow and {DELAY:g} s late, which the controller knows",
-    "unknown_late": "the same, which the controller does not know",
+    "delayed": f"noisy, valves with a lag of {LAG:g} s and a dead time of {DELAY:g} s, which the controller knows",
+    "unmodelled_delay": "the same, which the controller does not know",
     "perturbed": "noisy, stiffness, area and mass ±15 %, damping ±40 %, rest lengths ±2 %, which it does not know",
-    "corrected": "noisy, the robot that a diagnosis found, and the controller knows it",
+    "corrected": "noisy, the augmented model of a diagnosis, and the controller knows it",
     "uncorrected": "the same, but the controller knows the model as it was",
 }
 """Name → one line. The last two need a corrected model."""
@@ -54,8 +54,8 @@ def conditions(
 
     Args:
         names: of ``CONDITIONS``.
-        model: the robot as it is known.
-        corrected: the robot as a diagnosis found it.
+        model: the nominal model.
+        corrected: the augmented model of a diagnosis.
         draws: how many perturbed robots.
         seed: of what these are.
 
@@ -79,14 +79,14 @@ def conditions(
                 other = Model(member.morphology, own, model.phase)
                 found.append(Condition(f"{name} {k + 1}" if draws > 1 else name, summary, other, model, NOISE))
         else:
-            late = _late(model) if name in ("late", "unknown_late") else model
+            delayed = _delayed(model) if name in ("delayed", "unmodelled_delay") else model
             noise = 0.0 if name == "nominal" else NOISE
-            found.append(Condition(name, summary, late, model if name == "unknown_late" else late, noise))
+            found.append(Condition(name, summary, delayed, model if name == "unmodelled_delay" else delayed, noise))
     return found
 
 
-def _late(model: Model) -> Model:
-    """The model with late valves in place of its own."""
+def _delayed(model: Model) -> Model:
+    """The model with delayed valves in place of its own."""
     effects = [effect for effect in model.effects if not isinstance(effect, ValveEffect)]
     for actuator in model.morphology.actuator_names:
         effects += [FirstOrderLag(actuator, time_constant=LAG), TransportDelay(actuator, delay=DELAY)]
@@ -96,7 +96,7 @@ def _late(model: Model) -> Model:
 def compare(
     scenarios: Sequence[str | Scenario],
     controllers: Sequence[str | Controller | Callable[..., Any]] = CONTROLLERS,
-    under: Sequence[str | Condition] = ("nominal", "noisy", "late", "perturbed"),
+    under: Sequence[str | Condition] = ("nominal", "noisy", "delayed", "perturbed"),
     *,
     model: Model | None = None,
     corrected: Model | None = None,
@@ -117,7 +117,7 @@ def compare(
         controllers: names, ``path.py:Name``, controllers, classes or functions.
         under: names of ``CONDITIONS``, or conditions.
         model: the robot as it is known; the nominal leg by default.
-        corrected: the robot as a diagnosis found it.
+        corrected: the augmented model of a diagnosis.
         draws: how many perturbed robots.
         options: of the scenarios, as text.
         settings: controller → its settings file.

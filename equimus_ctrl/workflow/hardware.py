@@ -71,7 +71,7 @@ def check_hardware(
     pressure: float = 5e3,
     notify: Callable[[str, float], None] = lambda stage, share: None,
 ) -> dict[str, Any]:
-    """Are both topics alive, at which rates, how late and how even, and do the joints react to a little pressure?
+    """Are both topics alive, at which rates, delays and jitter, and do the joints react to a little pressure?
 
     Args:
         model: of the robot.
@@ -194,7 +194,7 @@ def _reactions(plant: HardwarePlant, pressure: float, notify: Callable[[str, flo
     return found
 
 
-def with_late_valves(model: Model) -> Model:
+def with_valve_delays(model: Model) -> Model:
     """The model with a delay and a lag on every actuator that has none, to be identified."""
     effects = list(model.effects)
     for name in model.morphology.actuator_names:
@@ -217,7 +217,7 @@ def measure_delay(recordings: Sequence[Recording], model: Model) -> Identified:
     Raises:
         EquimusError: where the recordings cannot be used.
     """
-    return identify_recordings(recordings, with_late_valves(model), folds=0)
+    return identify_recordings(recordings, with_valve_delays(model), folds=0)
 
 
 def import_bag(path: Path, output: Path, model: Model, settings: HardwareSettings, force: bool = False) -> Path:

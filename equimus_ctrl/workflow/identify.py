@@ -108,7 +108,7 @@ def identify_recordings(
     progress: Progress = lambda stage, share, best: None,
     **changes: Any,
 ) -> Identified:
-    """Parameters of a model from trials, with intervals, cross-checked on trials left out.
+    """Parameters of a model from trials, with intervals, and a k-fold cross-validation over trials.
 
     Args:
         recordings: files, folders or trials.
@@ -305,8 +305,8 @@ def identify_files(
     if not files:
         if judging:
             raise ConfigError(
-                f"{judging[0]}: trials are held out, but only poses at rest are given, which tell no damping; give "
-                "trials to fit too"
+                f"{judging[0]}: trials are held out, but only poses at rest are given, which do not identify damping; "
+                "give trials to fit too"
             )
         still = identify_poses(_stacked(poses), model, replace(options, heldout=judging_poses), progress=progress)
         return Identification(model, still, None)

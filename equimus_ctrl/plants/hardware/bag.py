@@ -95,7 +95,7 @@ def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None)
 
 
 def _on_one_clock(measured: list[tuple[float, float, list[float]]]) -> tuple[Array, Array]:
-    """(n,) ascending times by the bag's clock [s] and (n, nj) angles; what came twice or too late is left out."""
+    """(n,) ascending times by the bag's clock [s] and (n, nj) angles; duplicates and stragglers are dropped."""
     clock = ClockMap.of(*measured[0][:2])
     last = -np.inf
     times: list[float] = []

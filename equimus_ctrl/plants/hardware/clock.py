@@ -1,4 +1,4 @@
-"""Stamps of a device's clock on this machine's: the samples that came quickest tell how far the clocks are apart."""
+"""Stamps of a device's clock on this computer's: the quickest samples show the offset between the clocks."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ WINDOW = 10.0
 
 @dataclass(frozen=True)
 class ClockMap:
-    """How far two clocks are apart.
+    """The offset between two clocks.
 
     Attributes:
-        offset: this machine's time less the device's, as of the quickest sample of late [s].
+        offset: this computer's time less the device's, as of the quickest sample of late [s].
         quickest: the same of the window that is not over [s].
-        until: when that one is over, by this machine's clock [s].
+        until: when that one is over, by this computer's clock [s].
     """
 
     offset: float
@@ -24,19 +24,19 @@ class ClockMap:
 
     @classmethod
     def of(cls, stamp: float, received: float) -> ClockMap:
-        """From a first sample: by the device's clock and by this machine's [s]."""
-        apart = received - stamp
-        return cls(apart, apart, received + WINDOW)
+        """From a first sample: by the device's clock and by this computer's [s]."""
+        offset = received - stamp
+        return cls(offset, offset, received + WINDOW)
 
     def seen(self, stamp: float, received: float) -> ClockMap:
         """With one more sample."""
-        apart = received - stamp
+        offset = received - stamp
         if received > self.until:
-            return ClockMap(min(self.quickest, apart), apart, received + WINDOW)
-        return replace(self, offset=min(self.offset, apart), quickest=min(self.quickest, apart))
+            return ClockMap(min(self.quickest, offset), offset, received + WINDOW)
+        return replace(self, offset=min(self.offset, offset), quickest=min(self.quickest, offset))
 
     def local(self, stamp: float) -> float:
-        """A stamp by this machine's clock, as if its sample had come as quickly as the quickest [s]."""
+        """A stamp by this computer's clock, as if its sample had come as quickly as the quickest [s]."""
         return stamp + self.offset
 
     def late(self, stamp: float, received: float) -> float:

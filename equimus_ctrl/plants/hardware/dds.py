@@ -158,7 +158,7 @@ class DdsHost:
 
     def trouble(self) -> str:
         """See ``Transport``."""
-        wire, states, rivals = self._wire, 0, 0
+        wire, states, publishers = self._wire, 0, 0
         for topic, kind, own in self._end.publishers():
             if topic == topic_of(wire.states):
                 states += 1
@@ -166,10 +166,10 @@ class DdsHost:
                     return (
                         f"{wire.states} is published as {kind}, expected {JointState.__idl__.idl_transformed_typename}"
                     )
-            rivals += topic == topic_of(wire.commands) and not own
+            publishers += topic == topic_of(wire.commands) and not own
         if states > 1:
             return f"{wire.states} has {states} publishers, expected one"
-        if rivals:
+        if publishers:
             return f"{wire.commands} has another publisher, expected this one alone"
         return ""
 

@@ -19,7 +19,7 @@ class Seen:
     Attributes:
         clock: of the device.
         position: (nj,) latest angles [rad].
-        stamp: when they were measured, by this machine's clock [s].
+        stamp: when they were measured, by this computer's clock [s].
         device_stamp: the same by the device's own [s].
         source: who sent it.
         samples: that counted.

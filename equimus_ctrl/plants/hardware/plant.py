@@ -63,7 +63,7 @@ class LoopCounts:
     fault: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """For people and machines; medians and 99th percentiles in seconds."""
+        """As JSON data; medians and 99th percentiles in seconds."""
         found: dict[str, Any] = {
             "instants": self.instants, "deadlines_missed": self.misses, "samples": self.samples,
             "samples_ignored": self.ignored, "fault": self.fault,
@@ -80,7 +80,7 @@ class HardwarePlant:
     Commands go out as soon as they are asked for; then the next instant is waited for. Every run is recorded as it
     goes: at each control instant the command in force from then on, and the angles between the two measurements
     around it. The robot is vented, 0 Pa within one period, where a measurement is late, no number, out of range or has
-    jumped, where the controller misses too many deadlines, where the process is told to end, and at the end of a run.
+    jumped, where the controller misses too many deadlines, where the process is asked to end, and at the end of a run.
 
     Args:
         model: of the robot: names, ranges, and what controllers may compute with.
@@ -386,7 +386,7 @@ class HardwarePlant:
             if self.armed and not self._vented:
                 try:
                     self._transmit(nothing)
-                except Exception as error:  # whatever the transport has, this is to be told and gone on from
+                except Exception as error:  # whatever fails in the transport is reported
                     self._tripped += f"; 0 Pa could not be sent ({type(error).__name__}: {error})"
                 self._keep(nothing)
             self._vented, self._command = True, nothing
@@ -456,12 +456,12 @@ class HardwarePlant:
         if threading.current_thread() is not threading.main_thread():
             return
 
-        def told(number: int, frame: FrameType | None) -> None:
+        def interrupted(number: int, frame: FrameType | None) -> None:
             if self._closing:  # on its way out already
                 return
-            self._fault(f"the process was told to end ({signal.Signals(number).name})")
+            self._fault(f"the process was asked to end ({signal.Signals(number).name})")
 
         for name in ("SIGTERM", "SIGHUP"):
             if hasattr(signal, name):
                 number = getattr(signal, name)
-                self._previous_signals[number] = signal.signal(number, told)
+                self._previous_signals[number] = signal.signal(number, interrupted)

@@ -12,7 +12,7 @@ from equimus_ctrl.settings import settings_from, table_of
 
 FORMAT = "equimus-ctrl/hardware/1"
 LEAST_STALE = 3.0
-"""So many periods may go by without a measurement at least: with fewer, none that is late could be told from none."""
+"""At least so many periods may pass without a measurement: with fewer, a delayed one looks like a lost one."""
 MOST_DOMAIN = 232
 """DDS works out its ports from the domain; beyond this there are none."""
 
@@ -93,7 +93,7 @@ class Safety:
         speed: angles that change faster between two samples have jumped [rad/s].
         noise: by so much they may differ however short the time [rad].
         stale: without a sample for longer is a fault [s].
-        clock: stamps that stray by more from when samples arrive mean that the device's clock has jumped [s].
+        clock: stamps that deviate by more from when samples arrive mean that the device's clock has jumped [s].
         misses: so many deadlines in a row may be missed; one more is a fault.
     """
 

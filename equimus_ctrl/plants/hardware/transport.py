@@ -9,11 +9,11 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Sample:
-    """One measurement as it came.
+    """One measurement as received.
 
     Attributes:
         stamp: by the device's clock [s].
-        received: by this machine's monotonic clock [s].
+        received: by this computer's monotonic clock [s].
         names: of joints.
         position: a number for each.
         source: who sent it; other for another publisher.

@@ -46,7 +46,7 @@ Phase = Literal["swing", "stance"]
 RESERVED = (BASE, "world")
 
 DEFAULT_KINDS = ("stiffness", "area", "rest_length", "damping")
-"""What an actuator's bench values tell least: free by default, with the joints' damping."""
+"""The least certain of an actuator's bench values: free by default, with the joints' damping."""
 _FACTOR = {"stiffness": 3.0, "area": 3.0, "mass": 3.0, "inertia": 3.0, "damping": 10.0}
 _SHARE = {"rest_length": 0.3, "radius": 0.3, "length": 0.1, "com": 0.5, "gravity": 0.02}
 _AWAY = {"angle": 0.3, "tilt": 0.3, "com": 0.1, "damping": 1.0, "stiffness": 100.0, "base_mass": 1.0}

@@ -15,7 +15,7 @@ from equimus_ctrl.robots.mjcf.reading import INPUTS
 from equimus_ctrl.types import Array
 
 FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
-"""Dynamics of actuators that commands alone tell the state of."""
+"""Dynamics of actuators whose state follows from commands alone."""
 OWN = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
 """Laws with parameters of their own."""
 _TRANSMISSIONS = tuple(
@@ -60,7 +60,7 @@ def _commands(base: Any, i: int, name: str, joints: Sequence[Axis], moment: Arra
     own = base.actuator(i).name
     told = f"{name}: actuator {own or i!r}"
     if not own:
-        raise ModelError(f"{told} has no name, by which a recording's columns could be told")
+        raise ModelError(f"{told} has no name, by which a recording's columns could be identified")
     _check(base, i, told)
     holds = int(base.actuator_history[i, 0]) * float(base.opt.timestep)
     if base.actuator_delay[i] > holds * (1 + 1e-9):

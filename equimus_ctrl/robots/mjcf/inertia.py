@@ -9,7 +9,7 @@ about its centre of mass are, for Σ_c is its Schur complement. Mass and centre 
 with S the file's own second moments along its principal axes, times the size of the inertia over the file's, and E
 upper triangular with the diagonal exp(d1), exp(d2), exp(−d1 − d2) and s12, s13, s23 above it. These are the
 log-Cholesky parameters of Rucker & Wensing, "Smooth parameterization of rigid-body inertia", 2022, about the centre of
-mass and relative to the file's own values, with the size apart. Any values give a body that can be.
+mass and relative to the file's own values, with the size as a factor of its own. Any values are physically consistent.
 """
 
 from __future__ import annotations

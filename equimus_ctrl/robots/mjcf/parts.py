@@ -1,4 +1,4 @@
-"""What is done to MuJoCo's model of a machine: drives that turn by themselves, friction made hard."""
+"""What is done to MuJoCo's model of a robot: drives that turn by themselves, friction made hard."""
 
 from __future__ import annotations
 

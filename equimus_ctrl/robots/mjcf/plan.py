@@ -74,7 +74,7 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
     """What a file says.
 
     Raises:
-        ModelError: where MuJoCo cannot load it, or it is no machine of hinges and slides.
+        ModelError: where MuJoCo cannot load it, or it is no robot of hinges and slides.
     """
     base = _compiled(xml, assets, name)
     _check(base, name, xml)
@@ -136,7 +136,7 @@ def _check(base: Any, name: str, xml: str) -> None:
 
 
 DERIVED = ("invweight0", "M0", "length0", "acc0", "lengthrange", "subtreemass")
-"""What MuJoCo works out of other numbers, which are told in their place."""
+"""What MuJoCo works out of other parameters, which are listed in their place."""
 _CHECKED = (
     ("jnt_", "joint", "joint"), ("dof_", "joint", "joint"), ("body_", "body", "body"), ("site_", "site", "site"),
     ("tendon_", "tendon", "tendon"), ("actuator_gainprm", "actuator", "actuator"),
@@ -156,7 +156,7 @@ def _joints(base: Any, name: str) -> tuple[Axis, ...]:
                 "to be fixed"
             )
         if not joint.name:
-            raise ModelError(f"{name}: joint {i} has no name, by which a recording's columns could be told")
+            raise ModelError(f"{name}: joint {i} has no name, by which a recording's columns could be identified")
         limited = bool(base.jnt_limited[i])
         low, high = (float(v) for v in base.jnt_range[i]) if limited else (-math.inf, math.inf)
         slides = kind == int(kinds.mjJNT_SLIDE)

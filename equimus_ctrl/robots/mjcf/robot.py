@@ -45,7 +45,7 @@ _FACTOR = {
 }  # fmt: skip
 _AWAY = dict.fromkeys(SHAPE, 0.5) | {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0}
 QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
-"""So many times what takes an acceleration of 1 is what a joint is believed to have at most where the file says 0."""
+"""Upper bound of a joint's parameter that is 0 in the file: this multiple of what causes an acceleration of 1."""
 POSITIVE = frozenset(_FACTOR) - {"gain"}
 """Kinds of numbers that are at least 0."""
 
@@ -194,7 +194,7 @@ class MjcfRobot(Robot):
         return self.plan.numbers[name].kind in POSITIVE
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """How far a number of this kind is believed to be off at most."""
+        """Default bounds (lowest, highest) of a free parameter of this kind."""
         value, kind = self.parameters()[name], self.plan.numbers[name].kind
         if kind in _FACTOR and (value > 0 or (value and kind not in POSITIVE)):
             ends = value / _FACTOR[kind], value * _FACTOR[kind]
@@ -344,7 +344,7 @@ class MjcfRobot(Robot):
         return with_rotors(self.xml, Assets(self.assets), joints) if joints else self.plan.base
 
     def _write_numbers(self, model: Any) -> None:
-        """Put all that is not as in the file into a copy of its model, drives that turn by themselves left out."""
+        """Put all that is not as in the file into a copy of its model, except drives that turn by themselves."""
         for name, value in self.values.items():
             self.plan.numbers[name].write(model, value)
         reshape_inertias(model, self._shapes())
@@ -384,10 +384,10 @@ class MjcfRobot(Robot):
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
     def default_names(self) -> list[str]:
-        """Numbers that tell by themselves how it moves: masses, inertias, and of joints what the file does not leave 0.
+        """Parameters that are free by default: masses, inertias, and those of joints that are not 0 in the file.
 
-        Those that others can stand in for are left out; centres of mass, how masses are spread and actuators are taken
-        to be known.
+        Those that others can replace are not among them. Centres of mass, the orientation of inertias and actuators are
+        taken to be known.
         """
         own = [n.name for n in self.plan.numbers.values()]
         values = self.parameters()
