@@ -26,8 +26,8 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.parts import constrained, gaps, grips
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.models.symbolic_model import ldl_solve
-from equimus_ctrl.robots.mjcf.numbers import pack
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
+from equimus_ctrl.robots.mjcf.packing import pack
 from equimus_ctrl.robots.mjcf.reading import form_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
@@ -175,7 +175,7 @@ def test_a_spatial_arm_keeps_its_energy_and_its_momentum_about_a_vertical_first_
     moved = motion(model, Trial("t", np.zeros(1), rest, rest[0], 0.0, start[:4], samples), start, dt=1e-3)
     own = build(mechanics.form, "swing")
     both = ca.Function("kept", [own.q, own.v, own.p], [own.kinetic + own.potential, (own.mass @ own.v)[0], own.kinetic])
-    energy, momentum, kinetic = both.map(len(samples))(moved.coordinates.T, moved.rates.T, mechanics.numbers)
+    energy, momentum, kinetic = both.map(len(samples))(moved.coordinates.T, moved.rates.T, mechanics.parameters)
     assert np.ptp(np.array(kinetic)) > 0.5  # it is exchanged all the time
     np.testing.assert_allclose(np.array(energy).ravel(), float(energy[0]), rtol=0, atol=1e-7)
     np.testing.assert_allclose(np.array(momentum).ravel(), float(momentum[0]), rtol=0, atol=1e-8)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.models.symbolic import build
-from equimus_ctrl.robots.mjcf.numbers import pack
+from equimus_ctrl.robots.mjcf.packing import pack
 from equimus_ctrl.robots.mjcf.reading import form_of
 
 INERTIAL = '<inertial pos="{} {} {}" euler="0.3 0.2 0.1" mass="{}" diaginertia="0.02 0.018 0.007"/>'

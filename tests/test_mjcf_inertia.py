@@ -82,7 +82,7 @@ def test_the_order_in_which_numbers_are_given_does_not_matter() -> None:
     values = {**drawn(np.random.default_rng(1), 0.4), "fore.inertia": 0.01, "upper.mass": 2.0}
     one, other = (arm().with_parameters(dict(order)) for order in (values.items(), reversed(values.items())))
     assert np.array_equal(one.mujoco_model().body_inertia, other.mujoco_model().body_inertia)
-    assert np.array_equal(one.mechanics().numbers, other.mechanics().numbers)
+    assert np.array_equal(one.mechanics().parameters, other.mechanics().parameters)
 
 
 def test_the_equations_hold_such_bodies_as_mujoco_does() -> None:
@@ -96,7 +96,7 @@ def test_the_equations_hold_such_bodies_as_mujoco_does() -> None:
     for q, v in rng.normal(size=(4, 2, 2)):
         data.qpos[:], data.qvel[:] = q, v
         mujoco.mj_forward(model, data)
-        found = np.array(find(q, v, [0.0, 0.0], [0.0, 0.0], mechanics.numbers)).ravel()
+        found = np.array(find(q, v, [0.0, 0.0], [0.0, 0.0], mechanics.parameters)).ravel()
         assert np.allclose(found, data.qacc, rtol=1e-9)
 
 

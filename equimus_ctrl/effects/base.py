@@ -40,7 +40,7 @@ class Effect:
     """Kinds of places: joint, actuator, link, foot, base."""
     summary: ClassVar[str]
     alike: ClassVar[bool] = True
-    """Whether it is worth trying with the same numbers at all places of a kind: what is built alike ails alike."""
+    """Whether it is tried with the same parameters at all places of a kind too, as for parts built alike."""
     nothing: ClassVar[float | None] = 0.0
     """See ``grows_from``."""
     jumps: ClassVar[tuple[str, ...]] = ()

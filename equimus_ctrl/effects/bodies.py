@@ -22,7 +22,7 @@ class Robot(Protocol):
         ...
 
     def with_parameters(self, values: Mapping[str, float]) -> Self:
-        """A copy with some numbers replaced."""
+        """A copy with some parameters replaced."""
         ...
 
     def with_payload(self, place: str, mass: float) -> Self:
@@ -43,7 +43,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class BodyEffect(Effect):
-    """An effect that changes the morphology; a subclass writes ``changes``, or ``changed`` where numbers do not do."""
+    """An effect that changes the morphology; a subclass writes ``changes``, or ``changed`` for other changes."""
 
     side = "force"
 

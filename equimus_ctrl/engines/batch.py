@@ -49,7 +49,7 @@ def simulate(
     Where a joint's stop is hit or left a step is cut, and while one is pressed it is divided as its stiffness asks for.
 
     Args:
-        models: of one robot; they may differ in all numbers and effects. Encoded beforehand they are the same in
+        models: of one robot; they may differ in all parameters and effects. Encoded beforehand they are the same in
             every trial.
         trials: what is predicted.
         starts: for each trial (k, nj) angles at the start, or (k, 2 nj) angles and velocities, one row a model [rad,
@@ -277,7 +277,7 @@ def first_activations(coded: Encoded, rows: slice, trial: Trial, position: Array
         lengths = actuator_lengths(coded.form, coded.models[0].phase)
         moved = coded.mechanics[0].starts
         for row, own, q in zip(found, coded.mechanics[rows], position, strict=True):
-            along = np.array(lengths(q[moved], own.numbers)).ravel()
+            along = np.array(lengths(q[moved], own.parameters)).ravel()
             row[:] = along[[channel.actuator for channel in own.channels]]
     return np.clip(found, follow[:, :, 4], follow[:, :, 5])
 

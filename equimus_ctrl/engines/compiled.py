@@ -49,7 +49,7 @@ from equimus_ctrl.robots.elastic import form as elastic_form
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.robots.mjcf import form as mjcf_form
-from equimus_ctrl.robots.mjcf import numbers as mjcf_numbers
+from equimus_ctrl.robots.mjcf import packing
 from equimus_ctrl.types import Array
 
 DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")'
@@ -88,7 +88,7 @@ def load(model: Morphology, phase: Phase, kernel: ModuleType, laws: Laws = ()) -
     """The compiled counterpart of a kernel module for a morphology's structure.
 
     Args:
-        model: whose structure; its numbers are arguments of the kernels.
+        model: whose structure; its parameters are arguments of the kernels.
         phase: base fixed or foot pinned.
         kernel: a module written against ``engines.model_functions``; it may import from other such modules, and from
             ``engines.lane_functions``, ``engines.lane_steps`` and ``engines.lane_kernel``.
@@ -187,7 +187,7 @@ def _sources() -> list[str]:
     """All that generated lanes are made by, without the laws."""
     modules = (
         augmented, codegen, elastic_equations, elastic_form, lane_code, lane_functions, mjcf_equations, mjcf_form,
-        mjcf_numbers, actuator_laws, parts, sticking, symbolic, symbolic_model, tree, sys.modules[__name__],
+        packing, actuator_laws, parts, sticking, symbolic, symbolic_model, tree, sys.modules[__name__],
     )  # fmt: skip
     return [inspect.getsource(module) for module in modules]
 

@@ -75,7 +75,7 @@ def encode(models: Sequence[Model], trial: Trial | None = None) -> Encoded:
 
     Args:
         models: of one structure and phase.
-        trial: in which some numbers are known to be others.
+        trial: in which some parameters are known to be others.
 
     Raises:
         ConfigError: where there is none, they differ in structure or phase, or an effect is of no kind known here.
@@ -106,7 +106,10 @@ def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
         in_use |= _own_friction(own, places)
         rows.append(
             np.concatenate(
-                [own.numbers, law_parameters(slots, model.effects, own.law_places["joint"], own.law_places["actuator"])]
+                [
+                    own.parameters,
+                    law_parameters(slots, model.effects, own.law_places["joint"], own.law_places["actuator"]),
+                ]
             )
         )
         valve, follow, counting = _channels(model, own)

@@ -85,7 +85,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
 
     Args:
         model: of an MJCF robot.
-        trial: in which some numbers are known to be others.
+        trial: in which some parameters are known to be others.
         dt: another physics step than the XML's [s].
     """
     given = mjcf_of(model.robot)

@@ -173,7 +173,7 @@ class _Grid:
         velocity = v[step] + share * (v[step + 1] - v[step])
         state = z[step] + share * (z[step + 1] - z[step])
         geometry = _geometry(own.form, self.coded.models[0].phase)
-        length, arm = (np.array(part) for part in geometry(position.T, own.numbers))
+        length, arm = (np.array(part) for part in geometry(position.T, own.parameters))
         arms = arm.reshape(len(arm), len(times), nv).transpose(1, 0, 2)
         rate = np.einsum("nav,nv->na", arms, velocity)
         # A drive that turns by itself stands for its joint.

@@ -39,10 +39,10 @@ NEAR_STOP = 5e-3
 """A run is near a stop where a joint is less than this and what it turns in a step from it [rad]."""
 MOST_FINER = 64
 """Steps are not made shorter than by this for the sake of a stop."""
-FINE_NUMBERS = 2**23
-"""So many recorded numbers at most are held of runs at shorter steps."""
+FINE_VALUES = 2**23
+"""At most so many recorded values are held of runs at shorter steps."""
 
-JOINT_NUMBERS, ACTUATOR_NUMBERS, FIRST_JOINT = 13, 9, 3  # the layout of robots.elastic.morphology.pack
+JOINT_PARAMETERS, ACTUATOR_PARAMETERS, FIRST_JOINT = 13, 9, 3  # the layout of robots.elastic.morphology.pack
 
 Complex = NDArray[np.complex128]
 
@@ -56,7 +56,7 @@ class MujocoBatch:
     beside.
 
     Args:
-        morphology: what is simulated; see ``of`` for one with other numbers in each run.
+        morphology: what is simulated; see ``of`` for one with other parameters in each run.
         phase: base fixed (swing) or foot pinned (stance).
         settings: of the solver; ``FAST_SETTINGS`` by default.
         threads: how many to use at most; all usable processors by default.
@@ -82,7 +82,7 @@ class MujocoBatch:
         # A reset would hide a divergence; there is only one island to find.
         for flag in ("AUTORESET", "ISLAND"):
             self.mujoco_model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}").value
-        self._numbers, self._of_numbers = pack(morphology)[None], False
+        self._parameters, self._of_parameters = pack(morphology)[None], False
         self._batch: mjbatch.Batch | None = None
         self._joints = self._addresses(morphology.joint_names)
         self._finer: dict[int, tuple[tuple[Morphology, ...], MujocoBatch]] = {}
@@ -97,7 +97,7 @@ class MujocoBatch:
     ) -> MujocoBatch:
         """A batch whose run i is of ``morphologies[i]``.
 
-        Only one model is compiled; each run's has its fields with other numbers, and moves as the one that
+        Only one model is compiled; each run's has its fields with other parameters, and moves as the one that
         ``compile_model`` would have made to within the solver's tolerance.
 
         Args:
@@ -107,7 +107,7 @@ class MujocoBatch:
             threads: how many to use at most; all usable processors by default.
 
         Raises:
-            ModelError: where there is none, one differs in more than its numbers, or one cannot be simulated.
+            ModelError: where there is none, one differs in more than its parameters, or one cannot be simulated.
             ConfigError: for less than one thread.
         """
         morphologies = tuple(morphologies)
@@ -118,18 +118,18 @@ class MujocoBatch:
             if _form(other) != _form(first):
                 raise ModelError(
                     f"morphology {i}, {other.name!r}, differs from the first, {first.name!r}, in more than its "
-                    "numbers and its stops; a batch takes one structure and the same names"
+                    "parameters and its stops; a batch takes one structure and the same names"
                 )
-        numbers = np.array([pack(m) for m in morphologies])
-        for other, massless in zip(morphologies, _massless(first, numbers), strict=True):
+        parameters = np.array([pack(m) for m in morphologies])
+        for other, massless in zip(morphologies, _massless(first, parameters), strict=True):
             if massless:
                 compile_model(other, phase, settings)  # raises, and says why
         made = cls(_generic(morphologies), phase, settings, threads)
-        made._take(morphologies, numbers)
+        made._take(morphologies, parameters)
         return made
 
-    def _take(self, morphologies: tuple[Morphology, ...], numbers: Array) -> None:
-        self.morphologies, self._numbers, self._of_numbers = morphologies, numbers, True
+    def _take(self, morphologies: tuple[Morphology, ...], parameters: Array) -> None:
+        self.morphologies, self._parameters, self._of_parameters = morphologies, parameters, True
 
     def run(
         self, q0: ArrayLike, v0: ArrayLike, pressure: ArrayLike, torque: ArrayLike | None = None
@@ -162,8 +162,8 @@ class MujocoBatch:
             divisors[i] = stop_divisor(own, self.phase, start[i], dt)
         for divisor in np.unique(divisors[divisors > 1]):
             rows = np.flatnonzero(divisors == divisor)
-            numbers = int(divisor) * held.shape[1] * (model.nq + model.nv)
-            most = max(FINE_NUMBERS // numbers, self.threads)
+            values = int(divisor) * held.shape[1] * (model.nq + model.nv)
+            most = max(FINE_VALUES // values, self.threads)
             for some in np.split(rows, range(most, len(rows), most)):
                 fine = self._with_shorter_steps(int(divisor), some)
                 found = fine._rolled_out(start[some], rate[some], np.repeat(held[some], divisor, axis=1), applied[some])
@@ -178,8 +178,8 @@ class MujocoBatch:
         if len(known) != len(own) or any(a is not b for a, b in zip(known, own, strict=True)):
             shorter = replace(self.settings, timestep=self.settings.timestep / divisor)
             fine = MujocoBatch(self._model_of, self.phase, shorter, self.threads)
-            if self._of_numbers:
-                fine._take(own, self._numbers[rows] if several else self._numbers)
+            if self._of_parameters:
+                fine._take(own, self._parameters[rows] if several else self._parameters)
             self._finer[divisor] = own, fine
         return fine
 
@@ -222,7 +222,7 @@ class MujocoBatch:
         nj, na = len(m.joints), len(m.actuators)
         start, rate, held = (np.asarray(x, dtype=np.float64) for x in (q0, v0, pressure))
         applied = np.zeros_like(start) if torque is None else np.asarray(torque, dtype=np.float64)
-        n = len(start) if len(self._numbers) == 1 and start.ndim == 2 else len(self._numbers)
+        n = len(start) if len(self._parameters) == 1 and start.ndim == 2 else len(self._parameters)
         steps = held.shape[1] if held.ndim == 3 else 0
         for key, array, shape, names in (
             ("q0", start, (n, nj), m.joint_names),
@@ -251,7 +251,7 @@ class MujocoBatch:
         """
         m, n = self.morphologies[0], len(q)
         parents, spans, foot = structure(m)
-        joints, actuators = _split(m, self._numbers)
+        joints, actuators = _split(m, self._parameters)
         qpos, qvel = np.zeros((n, self.mujoco_model.nq)), np.zeros((n, self.mujoco_model.nv))
 
         def put(names: Sequence[str], position: Sequence[Array], speed: Sequence[Array]) -> None:
@@ -297,20 +297,20 @@ class MujocoBatch:
     def _batch_of(self, n: int) -> mjbatch.Batch:
         if self._batch is None or self._batch.nsim != n:
             self._batch = mjbatch.Batch(self.mujoco_model, n, min(self.threads, n))
-            if self._of_numbers:
+            if self._of_parameters:
                 self._fill(self._batch)
         return self._batch
 
     def _fill(self, runs: mjbatch.Batch) -> None:
-        """Give each run the fields that ``compile_model`` makes of its numbers."""
-        m, model, numbers = self.morphologies[0], self.mujoco_model, self._numbers
-        joints, actuators = _split(m, numbers)
-        gravity, tilt = numbers[:, 0], numbers[:, 1]
+        """Give each run the fields that ``compile_model`` makes of its parameters."""
+        m, model, parameters = self.morphologies[0], self.mujoco_model, self._parameters
+        joints, actuators = _split(m, parameters)
+        gravity, tilt = parameters[:, 0], parameters[:, 1]
         field = runs.expand
         limits = [bool(model.jnt_limited[model.joint(joint.name).id]) for joint in m.joints]
         field("opt.gravity")[:] = np.stack([-gravity * np.sin(tilt), 0 * tilt, -gravity * np.cos(tilt)], axis=1)
         if self.phase == "stance":
-            field("body_mass")[:, model.body(BASE).id] = np.maximum(numbers[:, 2], 1e-6)
+            field("body_mass")[:, model.body(BASE).id] = np.maximum(parameters[:, 2], 1e-6)
         for i, joint in enumerate(m.joints):
             body, index = model.body(joint.child).id, model.joint(joint.name).id
             field("body_pos")[:, body] = _spatial(joints[:, i, 0], joints[:, i, 1])
@@ -398,11 +398,11 @@ def stop_divisor(morphology: Morphology, phase: Phase, pose: Array, dt: float) -
     return math.ceil(min(max(rate / FOLLOWED, 1.0), MOST_FINER))
 
 
-def _split(m: Morphology, numbers: Array) -> tuple[Array, Array]:
-    """(n, nj, JOINT_NUMBERS) and (n, na, ACTUATOR_NUMBERS) of packed morphologies (n, ·)."""
-    end = FIRST_JOINT + JOINT_NUMBERS * len(m.joints)
-    joints = numbers[:, FIRST_JOINT:end].reshape(len(numbers), len(m.joints), JOINT_NUMBERS)
-    return joints, numbers[:, end:].reshape(len(numbers), len(m.actuators), ACTUATOR_NUMBERS)
+def _split(m: Morphology, parameters: Array) -> tuple[Array, Array]:
+    """(n, nj, JOINT_PARAMETERS) and (n, na, ACTUATOR_PARAMETERS) of packed morphologies (n, ·)."""
+    end = FIRST_JOINT + JOINT_PARAMETERS * len(m.joints)
+    joints = parameters[:, FIRST_JOINT:end].reshape(len(parameters), len(m.joints), JOINT_PARAMETERS)
+    return joints, parameters[:, end:].reshape(len(parameters), len(m.actuators), ACTUATOR_PARAMETERS)
 
 
 def _polar(radius: Array, angle: Array) -> Complex:
@@ -415,13 +415,13 @@ def _spatial(radius: Array, angle: Array) -> Array:
 
 
 def _form(m: Morphology) -> tuple[object, ...]:
-    """All that shapes a morphology's model but its numbers."""
+    """All that shapes a morphology's model but its parameters."""
     return structure(m), tuple((j.name, j.child) for j in m.joints), m.actuator_names
 
 
-def _massless(m: Morphology, numbers: Array) -> NDArray[np.bool_]:
+def _massless(m: Morphology, parameters: Array) -> NDArray[np.bool_]:
     """(n,) which have an actuator without mass, which MuJoCo cannot simulate."""
-    return np.asarray(np.any(_split(m, numbers)[1][:, :, 4] <= 0, axis=1))
+    return np.asarray(np.any(_split(m, parameters)[1][:, :, 4] <= 0, axis=1))
 
 
 def _generic(morphologies: Sequence[Morphology]) -> Morphology:

@@ -44,7 +44,7 @@ def simulate_mujoco(
     Runs that come near a joint's stop are simulated anew with steps short enough for its force, as in ``MujocoBatch``.
 
     Args:
-        models: of one structure and phase; they may differ in all numbers and in effects of ``MUJOCO_KINDS``.
+        models: of one structure and phase; they may differ in all parameters and in effects of ``MUJOCO_KINDS``.
         trials: what is predicted.
         starts: for each trial (k, nj) angles at the start, or (k, 2 nj) angles and velocities, one row a model [rad,
             rad/s]; the trial's own by default.

@@ -49,11 +49,11 @@ def forces_at_rest(model: Model) -> Forces | None:
     robot = changed_bodies(model.effects, model.morphology)
     form = structure(robot)
     slots = augmented_model(form, model.phase, laws).slots
-    numbers = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]
+    parameters = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]
     function = _at_rest(form, model.phase, laws)
 
     def forces(q: Array, pressure: Array) -> tuple[Array, Array]:
-        torque, force = function(q, pressure, numbers)
+        torque, force = function(q, pressure, parameters)
         return np.array(torque).ravel(), np.array(force).ravel()
 
     return forces

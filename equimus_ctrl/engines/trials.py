@@ -41,7 +41,7 @@ class Trial:
         position: (nj,) angles there [rad].
         sample_times: (m,) ascending, none before ``start`` [s].
         velocity: (nj,) joint velocities at the start [rad/s]; none by default.
-        settings: numbers of the model that are known to be others in this trial, by dotted name.
+        settings: parameters of the model that are known to be others in this trial, by dotted name.
         factors: the same, in units of what the model has.
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
     """
@@ -102,7 +102,7 @@ class Predicted:
     """What ``simulate`` found for one trial.
 
     Attributes:
-        position: (k, m, nj) measured angles of each model [rad]; numbers after a divergence mean nothing.
+        position: (k, m, nj) measured angles of each model [rad]; parameters after a divergence mean nothing.
         reached: (k,) m where all is well, else the index of the first sample that could not be had.
     """
 

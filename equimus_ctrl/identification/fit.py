@@ -104,7 +104,7 @@ class Fit:
 
     @property
     def start_jacobians(self) -> list[Array]:
-        """For each segment (m, nj, s) ∂prediction/∂start, its free numbers."""
+        """For each segment (m, nj, s) ∂prediction/∂(free initial state)."""
         return self.derivatives[1]
 
     @cached_property
@@ -177,7 +177,7 @@ def _fit(
     if samples <= p + free_starts:
         raise ConfigError(
             f"{samples} measured angles are too few for {p + free_starts} unknowns ({p} parameters and {free_starts} "
-            "numbers of starts)"
+            "of initial states)"
         )
     measured = [s.start for s in segments]
     given = begin or [(parameters.start, measured)]

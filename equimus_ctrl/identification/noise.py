@@ -167,7 +167,7 @@ def _estimate(times: Sequence[Array], series: Sequence[Array], longest: float) -
     share, tau = float(found.x[0]), math.exp(float(found.x[1]))
     value, size = profile(share, tau)
     plain, plain_size = profile(0.0, tau)
-    # Two more numbers have to earn their keep.
+    # Two more parameters have to be significant.
     if (plain - value) * count < 12.0:
         return JointNoise(math.sqrt(plain_size))
     return JointNoise(math.sqrt((1.0 - share) * size), math.sqrt(share * size), tau)

@@ -1,4 +1,4 @@
-"""Which numbers of a model are free, between which bounds, and on what scale."""
+"""Which parameters of a model are estimated, within which bounds, and on what scale."""
 
 from __future__ import annotations
 
@@ -55,10 +55,10 @@ class FreeParameter:
 
 @dataclass(frozen=True, eq=False)
 class FreeParameters:
-    """The free numbers of a model, as a vector θ.
+    """The parameters to estimate, as a vector θ.
 
     Attributes:
-        model: whose other numbers stay.
+        model: whose other parameters stay.
         free: which are free.
     """
 
@@ -168,7 +168,7 @@ def free_parameters(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     fix: Sequence[str] = (),
 ) -> FreeParameters:
-    """The numbers of a model that may change.
+    """The parameters of a model to estimate.
 
     Args:
         model: where they start.

@@ -45,8 +45,8 @@ class Segment:
         measured: (m, nj) angles at the sample times [rad].
         recording: which of the recordings it was cut from.
         start: (2 nj,) angles and velocities at the start as the sensors show them [rad, rad/s].
-        free_start: how many numbers of the start are free: none, the angles (nj), or angles and velocities (2 nj).
-            What was read off the measurements then counts as one more sample, see ``start_weights``.
+        free_start: how many components of the initial state are free: none, the angles (nj), or angles and velocities
+            (2 nj). What was read off the measurements then counts as one more sample, see ``start_weights``.
         slope_span: half the time over which a start was read off [s].
         trust: (2 nj,) in a start that was read off, in units of that in a sample [1, s]; None for what a parabola
             through white noise deserves, see ``start_trust``.

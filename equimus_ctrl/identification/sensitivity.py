@@ -26,13 +26,13 @@ LOCAL = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Errors of a model with one number changed at a time.
+    """Errors of a model with one parameter changed at a time.
 
     Attributes:
         model: the nominal model.
-        names: of the numbers, those that matter most first.
+        names: of the parameters, the most sensitive first.
         units: of each.
-        reference: (p,) what a share is of: the number itself, or a typical range where it is zero.
+        reference: (p,) what a share is of: the parameter itself, or a typical range where it is zero.
         shares: (k,) by which each was changed.
         rmse: (p, k, nj) error against the measurements [rad]; nan where that model cannot be or diverges.
         diverged: (p, k) where it can be, but its simulation diverges.
@@ -95,7 +95,7 @@ def sensitivity(
     Args:
         model: to start from.
         segments: what was measured.
-        patterns: of the numbers to change; the limits of the command are never among them.
+        patterns: of the parameters to change; the limits of the command are never among them.
         shares: by which to change them.
         simulator: the engine; the reduced one by default.
         notify: called with the share done.

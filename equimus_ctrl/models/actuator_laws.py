@@ -31,21 +31,21 @@ class Law:
     kept: Sequence[ca.SX] = ()
 
 
-def actuator_law(own: ActuatorForm, numbers: Sequence[ca.SX], length: ca.SX, rate: ca.SX, states: ca.SX) -> Law:
+def actuator_law(own: ActuatorForm, parameters: Sequence[ca.SX], length: ca.SX, rate: ca.SX, states: ca.SX) -> Law:
     """The law of an actuator.
 
     Args:
         own: its form.
-        numbers: in the order of ``robots.mjcf.numbers``.
+        parameters: in the order of ``robots.mjcf.packing``.
         length: along which it acts, gear included.
         rate: of the length.
         states: its own.
     """
     if own.law == "affine":
-        g0, g1, g2, b0, b1, b2, _, _, low, high = numbers
+        g0, g1, g2, b0, b1, b2, _, _, low, high = parameters
         gain = g0 + g1 * length + g2 * rate if own.affine_gain else g0
         return Law(gain, lambda u: gain * ca.fmin(ca.fmax(u[0], low), high) + b0 + b1 * length + b2 * rate)
-    bounds = [(numbers[32 + 2 * k], numbers[33 + 2 * k]) for k in range(len(own.inputs))]
+    bounds = [(parameters[32 + 2 * k], parameters[33 + 2 * k]) for k in range(len(own.inputs))]
     inside = dict(zip(own.states, ca.vertsplit(states) if own.states else [], strict=True))
 
     def commands(u: Sequence[ca.SX]) -> dict[str, ca.SX]:
@@ -53,10 +53,10 @@ def actuator_law(own: ActuatorForm, numbers: Sequence[ca.SX], length: ca.SX, rat
         return dict.fromkeys(("pos", "vel", "ff", "voltage"), ca.SX(0)) | dict(zip(own.inputs, kept, strict=True))
 
     make = _pid if own.law == "pid" else _motor
-    return make(own, numbers[:10], numbers[10:20], numbers[20:30], length, rate, inside, commands)
+    return make(own, parameters[:10], parameters[10:20], parameters[20:30], length, rate, inside, commands)
 
 
-Numbers = Sequence[ca.SX]
+Parameters = Sequence[ca.SX]
 Commands = Callable[[Sequence[ca.SX]], dict[str, ca.SX]]
 
 
@@ -73,7 +73,7 @@ def _kept(inside: dict[str, ca.SX], most: ca.SX) -> list[ca.SX]:
 
 
 def _pid(
-    own: ActuatorForm, gain: Numbers, bias: Numbers, dynamics: Numbers, length: ca.SX, rate: ca.SX,
+    own: ActuatorForm, gain: Parameters, bias: Parameters, dynamics: Parameters, length: ca.SX, rate: ca.SX,
     inside: dict[str, ca.SX], commands: Commands,
 ) -> Law:  # fmt: skip
     kp, kv, ki = -bias[1], -bias[2], gain[0]
@@ -90,7 +90,7 @@ def _pid(
 
 
 def _motor(
-    own: ActuatorForm, gain: Numbers, bias: Numbers, dynamics: Numbers, length: ca.SX, rate: ca.SX,
+    own: ActuatorForm, gain: Parameters, bias: Parameters, dynamics: Parameters, length: ca.SX, rate: ca.SX,
     inside: dict[str, ca.SX], commands: Commands,
 ) -> Law:  # fmt: skip
     resistance, constant, slope, reference, kp, ki, kd, most_voltage = gain[:8]

@@ -122,7 +122,7 @@ class AugmentedModel:
 def slots_of(form: Structure, laws: Laws) -> tuple[Slot, ...]:
     """Every law at every place of its kinds; their parameters follow the structure's own."""
     counts = form.law_places
-    first = form.n_numbers
+    first = form.n_parameters
     found = []
     for law in laws:
         for kind in law.sits_at:

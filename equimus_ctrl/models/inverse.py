@@ -53,9 +53,9 @@ def holding_pressure(model: Model, pose: ArrayLike) -> Array:
     laws = tuple(sorted({type(e) for e in model.effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
     form = structure(robot)
     slots = augmented_model(form, model.phase, laws).slots
-    numbers = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]
+    parameters = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]
     law, q, still = inverse_dynamics(form, model.phase, laws), np.array(pose), np.zeros(len(robot.joints))
-    return np.array(law.pressure(q, still, still, law.rest(q, numbers), numbers)).ravel()
+    return np.array(law.pressure(q, still, still, law.rest(q, parameters), parameters)).ravel()
 
 
 @lru_cache(maxsize=16)

@@ -78,9 +78,9 @@ def state_matrices(
     form = structure(morphology)
     if laws:
         slots = slots_of(form, laws)
-        numbers = law_parameters(slots, effects, morphology.joint_names, morphology.actuator_names)
+        parameters = law_parameters(slots, effects, morphology.joint_names, morphology.actuator_names)
         function = _jacobians_with_effects(form, phase, laws)[0 if quick else 1]
-        found = function(at, given, np.append(pack(morphology), numbers))
+        found = function(at, given, np.append(pack(morphology), parameters))
         by_q, by_v, by_p = (np.where(np.isfinite(x), x, 0.0) for x in map(np.array, found))
     else:
         force, zero = np.array([a.area for a in morphology.actuators]) * given, np.zeros(nj)

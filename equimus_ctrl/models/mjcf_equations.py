@@ -15,7 +15,7 @@ from equimus_ctrl.models.parts import Actuation, Held, Inside, Limit, Rubbing
 from equimus_ctrl.models.symbolic_model import SymbolicModel
 from equimus_ctrl.models.tree import Equations, Link, Spot, Tree, equations
 from equimus_ctrl.robots.mjcf.form import ActuatorForm, SpotForm, TreeForm
-from equimus_ctrl.robots.mjcf.numbers import TINY
+from equimus_ctrl.robots.mjcf.packing import TINY
 
 LEAST = 1e-300
 """Keeps roots of sums of squares differentiable at nothing."""
@@ -30,26 +30,26 @@ class _Builder:
     def __init__(self, form: TreeForm) -> None:
         self.form, n = form, len(form.links)
         self.n = n
-        self.q, self.v, self.p = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("p", form.n_numbers)
+        self.q, self.v, self.p = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("p", form.n_parameters)
         self.inside = ca.SX.sym("y", form.n_inside)
         self.places = form.layout
         own = sum(len(a.states) for a in form.actuators)
         # Of drives that turn by themselves: by how much they are ahead of their joints, and their rates.
-        self.drives = [self.numbers(f"drive {i}") for i in range(n)] if form.flexible else []
+        self.drives = [self.parameters(f"drive {i}") for i in range(n)] if form.flexible else []
         loose = ca.vertcat(*[drive[0] for drive in self.drives]) if form.flexible else ca.SX(n, 1)
         states = self.inside[own:] if form.flexible else ca.SX(2 * n, 1)
         self.ahead, self.faster, self.turning = loose * states[:n], loose * (states[n:] - self.v), states[n:]
 
-    def numbers(self, block: str) -> list[ca.SX]:
+    def parameters(self, block: str) -> list[ca.SX]:
         return [self.p[k] for k in self.places[block]]
 
     def model(self) -> SymbolicModel:
         form, n, q, v = self.form, self.n, self.q, self.v
-        gravity = ca.vertcat(*self.numbers("gravity"))
+        gravity = ca.vertcat(*self.parameters("gravity"))
         links = []
         for i, own in enumerate(form.links):
-            link, joint = self.numbers(f"link {i}"), self.numbers(f"joint {i}")
-            floated = ca.vertcat(*self.numbers(f"float {i}")) if i in form.floats else None
+            link, joint = self.parameters(f"link {i}"), self.parameters(f"joint {i}")
+            floated = ca.vertcat(*self.parameters(f"float {i}")) if i in form.floats else None
             masses = link[0], ca.vertcat(*link[1:4]), ca.vertcat(*link[4:])
             place, turn = ca.SX(ca.DM(own.place)), _matrix(own.turn)
             links.append(Link(own.parent, place, turn, own.slides, *masses, joint[0], own.reference, floated))
@@ -61,13 +61,13 @@ class _Builder:
         self.tendons = tendons
         potential = self._weight(rigid, gravity)
         for i in range(n):
-            _, *damping = self.numbers(f"joint {i}")[:4]
-            *stiffness, rest = self.numbers(f"joint {i}")[4:8]
+            _, *damping = self.parameters(f"joint {i}")[:4]
+            *stiffness, rest = self.parameters(f"joint {i}")[4:8]
             bias[i] += _cubic_damping(damping, v[i]) + _cubic_spring(stiffness, q[i] - rest)
             potential += _stored(stiffness, q[i] - rest)
         for t, (length, row) in enumerate(tendons):
-            armature, *damping = self.numbers(f"tendon {t}")[:4]
-            *stiffness, low, high = self.numbers(f"tendon {t}")[4:9]
+            armature, *damping = self.parameters(f"tendon {t}")[:4]
+            *stiffness, low, high = self.parameters(f"tendon {t}")[4:9]
             rate = row @ v
             beyond = ca.fmax(length - high, 0) + ca.fmin(length - low, 0)
             along = _cubic_damping(damping, rate) + _cubic_spring(stiffness, beyond)
@@ -99,9 +99,9 @@ class _Builder:
         """Potential of gravity, less that of what is held up [J]."""
         whole = ca.SX(0)
         for i in range(self.n):
-            link = self.numbers(f"link {i}")[:4]
+            link = self.parameters(f"link {i}")[:4]
             if i in self.form.floats:
-                link = [a - b for a, b in zip(link, self.numbers(f"float {i}"), strict=True)]
+                link = [a - b for a, b in zip(link, self.parameters(f"float {i}"), strict=True)]
             at = link[0] * rigid.frames.origin[i] + rigid.frames.rotation[i] @ ca.vertcat(*link[1:])
             whole -= ca.dot(gravity, at)
         return whole
@@ -134,24 +134,24 @@ class _Builder:
         highs: list[ca.SX] = []
         laws: list[Law] = []
         for i, own in enumerate(form.actuators):
-            numbers = self.numbers(f"actuator {i}")
+            parameters = self.parameters(f"actuator {i}")
             length, row = self._transmission(own)
-            low, high = numbers[6:8] if own.law == "affine" else numbers[30:32]
+            low, high = parameters[6:8] if own.law == "affine" else parameters[30:32]
             for column, entry in ((lengths, length), (rows, row), (lows, low), (highs, high)):
                 column.append(entry)
             inside = self.inside[sum(len(a.states) for a in form.actuators[:i]) :][: len(own.states)]
             ahead, faster = (self.ahead, self.faster) if own.transmission == "joint" else (ca.SX(n, 1), ca.SX(n, 1))
-            laws.append(actuator_law(own, numbers, length + row @ ahead, row @ (self.v + faster), inside))
+            laws.append(actuator_law(own, parameters, length + row @ ahead, row @ (self.v + faster), inside))
             gains.append(laws[-1].gain)
         shared = []
         for t in form.clamped_tendons:
             members = [i for i, a in enumerate(form.actuators) if a.transmission == "tendon" and a.target == t]
             if members:
-                low, high = self.numbers(f"clamp tendon {t}")
+                low, high = self.parameters(f"clamp tendon {t}")
                 shared.append((members, low, high))
         joints = []
         for j, _ in form.clamped:
-            low, high = self.numbers(f"clamp {j}")
+            low, high = self.parameters(f"clamp {j}")
             joints.append((j, low, high))
         none, controls = ca.SX(0, 1), [range(a.control, a.control + len(a.inputs)) for a in form.actuators]
 
@@ -245,7 +245,7 @@ class _Builder:
 
     def _limit(self, k: int) -> list[Limit]:
         own = self.form.limits[k]
-        low, high, margin, stiffness, damping, *impedance, inverse = self.numbers(f"limit {k}")
+        low, high, margin, stiffness, damping, *impedance, inverse = self.parameters(f"limit {k}")
         x, row = self._coordinate(own.kind, own.index)
         ends = []
         for short, side in ((x - low, row), (high - x, -row)):
@@ -264,8 +264,8 @@ class _Builder:
 
     def _equality(self, k: int) -> Held:
         own = self.form.equalities[k]
-        c0, *c = self.numbers(f"equality {k}")[:5]
-        stiffness, damping, *impedance, inverse = self.numbers(f"equality {k}")[5:]
+        c0, *c = self.parameters(f"equality {k}")[:5]
+        stiffness, damping, *impedance, inverse = self.parameters(f"equality {k}")[5:]
         x, row = self._coordinate(own.kind, own.first)
         off = x - own.rest[0] - c0
         if own.second >= 0:
@@ -320,9 +320,9 @@ def _related(form: TreeForm, square: ca.SX) -> ca.SX:
     return square
 
 
-def _impedance(violation: ca.SX, numbers: list[ca.SX], power: float) -> ca.SX:
+def _impedance(violation: ca.SX, parameters: list[ca.SX], power: float) -> ca.SX:
     """MuJoCo's d(r) of a violation's size; see its documentation, "Solver parameters"."""
-    least, most, width, middle = numbers
+    least, most, width, middle = parameters
     x = ca.fmin(violation / width, 1)
     if power == 1:
         return least + x * (most - least)

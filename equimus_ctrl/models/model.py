@@ -7,7 +7,7 @@ A model file is TOML:
     morphology = "nominal_leg"      # or a [morphology] table that spells one out
     phase = "swing"                 # or "stance"
 
-    [parameters]                    # any of the morphology's numbers, by dotted name
+    [parameters]                    # any of the morphology's parameters, by dotted name
     "maa.stiffness" = 280.0
 
     [[effects]]

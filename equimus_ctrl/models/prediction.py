@@ -82,12 +82,12 @@ def prediction(model: Model, stops: bool = True) -> Prediction:
     own = law_parameters(slots, effects, robot.joint_names, robot.actuator_names)
     held = robot if stops else robot.without_stops()
     valve = valve_settings(effects, robot.actuator_names)
-    numbers = ca.DM([*pack(held), *own])
+    parameters = ca.DM([*pack(held), *own])
     whole, sloped, rest = _step(form, model.phase, laws)
     nj, na = len(robot.joints), len(robot.actuators)
     nx = whole.size1_in(0)
     x, u, d, h = ca.SX.sym("x", nx), ca.SX.sym("u", na), ca.SX.sym("d", nj), ca.SX.sym("h")
-    given = (x, u, d, h, numbers, ca.DM(np.minimum(valve, UNLIMITED)))
+    given = (x, u, d, h, parameters, ca.DM(np.minimum(valve, UNLIMITED)))
     outputs = ca.cse([ca.densify(value) for value in sloped.call([*given])])
     q = ca.SX.sym("q", nj)
     return Prediction(
@@ -99,7 +99,7 @@ def prediction(model: Model, stops: bool = True) -> Prediction:
         sensor_settings(effects, robot.joint_names),
         ca.Function("step", [x, u, d, h], [whole(*given)]),
         ca.Function("slopes", [x, u, d, h], outputs),
-        ca.Function("rest", [q], [rest(q, numbers)]),
+        ca.Function("rest", [q], [rest(q, parameters)]),
     )
 
 

@@ -1,4 +1,4 @@
-"""Robots like a given one with other numbers: which of them vary together, and draws that cover their ranges."""
+"""Robots like a given one with other parameters: which of them vary together, and draws that cover their ranges."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def groups(morphology: Morphology, shares: Mapping[str, float]) -> list[Group]:
 
 
 def perturbed(morphology: Morphology, spread: Sequence[Group], row: Array) -> Morphology:
-    """The robot with its numbers at places (m,) of their ranges, 0 the lowest and 1 the highest."""
+    """The robot with its parameters at places (m,) of their ranges, 0 the lowest and 1 the highest."""
     nominal = morphology.parameters()
     values = {
         name: nominal[name] * (1 + share * (2 * place - 1))

@@ -74,7 +74,7 @@ def members_of(model: Model, count: int, spread: float, seed: int) -> tuple[Mode
 def make_rollouts(
     models: Sequence[Model], samples: int, steps: int, step: float, engine: str = "auto", compiled: bool = True
 ) -> Rollouts:
-    """Rollouts of models that differ in numbers alone.
+    """Rollouts of models that differ in parameters alone.
 
     Args:
         models: the members of an ensemble, or one.

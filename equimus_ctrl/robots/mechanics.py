@@ -1,4 +1,4 @@
-"""What compiled equations need of a robot: the form of its equations, its numbers, and what lies before its forces."""
+"""What compiled equations need of a robot: their form, its parameters, and the dynamics of its commands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
 from equimus_ctrl.types import Array
 
 Structure = ElasticForm | TreeForm
-"""What the form of equations depends on; robots of one structure differ in numbers alone."""
+"""What the form of equations depends on; robots of one structure differ in parameters alone."""
 DIRECT, FILTERED, INTEGRATED, SLEWED = 0, 1, 2, 3
 
 
@@ -48,7 +48,7 @@ class Mechanics:
 
     Attributes:
         form: of the equations.
-        numbers: (np,) parameters of the form.
+        parameters: (np,) of the form.
         joints: (nj,) which of the form's coordinates is each joint's.
         starts: (n,) which joint each of the form's coordinates moves with at a start.
         law_places: kind of place → the form's places at which force laws act, by name.
@@ -56,7 +56,7 @@ class Mechanics:
     """
 
     form: Structure
-    numbers: Array
+    parameters: Array
     joints: NDArray[np.int64]
     starts: NDArray[np.int64]
     law_places: Mapping[str, Sequence[str]]
@@ -64,4 +64,4 @@ class Mechanics:
 
     def friction(self) -> dict[tuple[str, int], float]:
         """(kind, index) → dry friction that the robot itself has there [N·m or N]."""
-        return {place: float(self.numbers[at]) for place, at in self.form.friction_at.items()}
+        return {place: float(self.parameters[at]) for place, at in self.form.friction_at.items()}

@@ -145,10 +145,10 @@ def compile_motion(nominal: Morphology, phase: Phase, effects: Sequence[Effect])
 
 
 @lru_cache(maxsize=16)
-def _effect_numbers(
+def _effect_parameters(
     nominal: Morphology, phase: Phase, laws: Laws, effects: tuple[Effect, ...]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """What follows the robot's own numbers in its parameter vector, and the rows of dry friction in use."""
+    """What follows the robot's own parameters in its parameter vector, and the rows of dry friction in use."""
     m = augmented_model(structure(nominal), phase, laws)
     names = {"joint": nominal.joint_names, "actuator": nominal.actuator_names}
     own = np.array(law_parameters(m.slots, effects, *names.values()), dtype=np.float64)
@@ -180,7 +180,7 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
     actuators, (n, nj), k = nominal.actuator_names, course.reference.shape, len(loops)
     na = len(actuators)
     kernel = kernel_of(nominal, phase, effects)
-    numbers, rubbing = _effect_numbers(nominal, phase, laws_of(effects), effects)
+    effect_parameters, rubbing = _effect_parameters(nominal, phase, laws_of(effects), effects)
     position = np.array([loop.position for loop in loops])
     sensor = np.tile(sensor_settings(effects, nominal.joint_names), (k, 1, 1))
     dt = course.control_dt / steps
@@ -196,7 +196,7 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
         low, high = np.maximum(low, plan.low), np.minimum(high, plan.high)
     q, command, reaches = np.zeros((k, n, nj)), np.zeros((k, n, na)), np.zeros((k, na, n))
     sound = np.full(k, n)
-    parameters = np.array([np.append(loop.robot.parameters, numbers) for loop in loops])
+    parameters = np.array([np.append(loop.robot.parameters, effect_parameters) for loop in loops])
     gains = np.array([loop.settings.gain_matrix(loop.settings.channels(nominal)) for loop in loops])
     state = (
         kernel.start_lanes(parameters, position, reached_before),

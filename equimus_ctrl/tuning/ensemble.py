@@ -1,4 +1,4 @@
-"""The legs a controller must work on: a model with its numbers spread, behind valves of unknown speed."""
+"""The legs a controller must work on: a model with its parameters spread, behind valves of unknown speed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Member:
 
     Attributes:
         name: for tables.
-        morphology: its numbers.
+        morphology: its parameters.
         parameters: the same as a vector.
         valve: (na, 6), see ``effects.valves``.
         effects: all others; what changes bodies stands in the morphology already.
@@ -50,7 +50,7 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
 
     Args:
         model: at the centre of the ranges.
-        settings: how far the numbers spread.
+        settings: how far the parameters spread.
         count: how many.
         seed: the same seed gives the same legs.
         fixed: whether the first is the model itself with middling valves and the second the leg that is hardest to

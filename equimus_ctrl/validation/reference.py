@@ -65,10 +65,10 @@ def _conservative(m: SymbolicModel) -> ca.SX:
 
 
 @lru_cache(maxsize=64)
-def _numeric(form: Structure, phase: Phase, numbers: tuple[float, ...]) -> ca.Function:
+def _numeric(form: Structure, phase: Phase, parameters: tuple[float, ...]) -> ca.Function:
     """The acceleration with its parameters put in: a third of the operations."""
     m = build(form, phase)
-    values = ca.vertcat(ca.SX.zeros(m.tau.shape), ca.DM(list(numbers)))
+    values = ca.vertcat(ca.SX.zeros(m.tau.shape), ca.DM(list(parameters)))
     return ca.Function("acceleration", [m.q, m.v, m.f], [ca.substitute(m.acceleration, ca.vertcat(m.tau, m.p), values)])
 
 
@@ -87,8 +87,8 @@ def evaluate(name: str, morphology: Morphology, *columns: Array, phase: Phase = 
     """
     n = len(columns[0])
     function = _functions(structure(morphology), phase)[name].map(n)
-    numbers = np.repeat(pack(morphology)[:, None], n, axis=1)
-    results = function.call([*(ca.DM(np.ascontiguousarray(c.T)) for c in columns), ca.DM(numbers)])
+    parameters = np.repeat(pack(morphology)[:, None], n, axis=1)
+    results = function.call([*(ca.DM(np.ascontiguousarray(c.T)) for c in columns), ca.DM(parameters)])
     return [np.array(r).reshape(r.shape[0], n, -1).transpose(1, 2, 0).reshape(n, -1) for r in results]
 
 
@@ -152,8 +152,8 @@ def _right_side(experiment: Experiment) -> Callable[[Array, Array, Array], Array
         numeric = _numeric(form, experiment.phase, tuple(pack(first).tolist())).map(n)
         return lambda q, v, f: np.asarray(numeric(q, v, f).full())
     mapped = _functions(form, experiment.phase)["acceleration"].map(n)
-    numbers = ca.DM(np.ascontiguousarray(experiment.parameters.T))
-    return lambda q, v, f: np.asarray(mapped(q, v, f, numbers).full())
+    parameters = ca.DM(np.ascontiguousarray(experiment.parameters.T))
+    return lambda q, v, f: np.asarray(mapped(q, v, f, parameters).full())
 
 
 def reference_runs(

@@ -12,7 +12,7 @@ from equimus_ctrl.workflow.identify import (
     sensitivity_of,
     simulator_of,
 )
-from equimus_ctrl.workflow.mjcf import FreeNumbers, load_mjcf, offer, parameter_rows, read_free
+from equimus_ctrl.workflow.mjcf import FreeParameterFile, load_mjcf, offer, parameter_rows, read_free
 from equimus_ctrl.workflow.models import load_elastic, load_model, renamed, save_model
 from equimus_ctrl.workflow.plugins import load_effects
 from equimus_ctrl.workflow.prove import Proof, put_to_proof
@@ -31,7 +31,7 @@ __all__ = [
     "CONTROLLERS",
     "Comparison",
     "Condition",
-    "FreeNumbers",
+    "FreeParameterFile",
     "Identification",
     "Identified",
     "IdentifiedPoses",

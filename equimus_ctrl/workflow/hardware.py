@@ -205,7 +205,7 @@ def with_valve_delays(model: Model) -> Model:
 
 
 def measure_delay(recordings: Sequence[Recording], model: Model) -> Identified:
-    """Delay and lag of every actuator from what a robot did, its other numbers identified along.
+    """Delay and lag of every actuator from what a robot did, its other parameters identified along.
 
     The delay is from end to end: from when a command is sent to when what it does is seen, the quickest way of a
     measurement counted as none. Controllers that are given the model (``--nominal``) predict over it.

@@ -373,7 +373,7 @@ def sensitivity_of(
     progress: Callable[[float], None] = lambda share: None,
     **changes: Any,
 ) -> Sensitivity:
-    """How a model's errors on recordings change with each of its numbers.
+    """How a model's errors on recordings change with each of its parameters.
 
     Args:
         recordings: files, folders or trials.

@@ -1,4 +1,4 @@
-"""MJCF robots: reading and writing them, their recordings, and which of their numbers are free."""
+"""MJCF robots: reading and writing them, their recordings, and their parameters to estimate."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def read_trials(files: Sequence[Path], robot: Robot) -> tuple[Recording, ...]:
 
 
 @dataclass(frozen=True)
-class FreeNumbers:
+class FreeParameterFile:
     """What a file of free parameters says.
 
     Attributes:
@@ -72,8 +72,8 @@ class FreeNumbers:
         return names, {**self.bounds, **(bounds or {})}
 
 
-def read_free(path: Path, model: Model) -> FreeNumbers:
-    """Which numbers are free, from a file such as ``offer`` writes.
+def read_free(path: Path, model: Model) -> FreeParameterFile:
+    """The parameters to estimate, from a file such as ``offer`` writes.
 
     Raises:
         ConfigError: where the file says nothing that can be.
@@ -106,7 +106,7 @@ def read_free(path: Path, model: Model) -> FreeNumbers:
     free = [name for name in dict.fromkeys(names) if name not in kept]
     if not free:
         raise ConfigError(f"{path}: free: everything is false, so nothing is free")
-    return FreeNumbers(tuple(free), {name: own for name, own in bounds.items() if name in free})
+    return FreeParameterFile(tuple(free), {name: own for name, own in bounds.items() if name in free})
 
 
 def _bounds(value: Any, where: str) -> tuple[float, float]:
@@ -117,7 +117,7 @@ def _bounds(value: Any, where: str) -> tuple[float, float]:
 
 
 def parameter_rows(model: Model) -> list[dict[str, Any]]:
-    """Every number of a model: name, value, unit, bounds, and whether it is free by default."""
+    """Every parameter of a model: name, value, unit, bounds, and whether it is free by default."""
     free = set(default_names(model))
     rows = []
     for name, value in model.parameters().items():
@@ -133,7 +133,7 @@ def offer(path: Path, model: Model) -> None:
     rows = parameter_rows(model)
     table = {row["name"]: [row["low"], row["high"]] if row["free"] else False for row in rows}
     comment = (
-        f"Numbers of {model.name} that a fit may change: [low, high], true for bounds of their kind, false for none.\n"
+        f"Parameters of {model.name} to estimate: [low, high], true for the bounds of their kind, false for fixed.\n"
         "In SI units; for --parameters of equimus-ctrl identify and diagnose."
     )
     presets.write_text(path, presets.toml_text({"format": FORMAT, "free": table}, comment))

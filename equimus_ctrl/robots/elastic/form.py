@@ -29,7 +29,7 @@ class ElasticForm(NamedTuple):
         return {"joint": len(self.parents), "actuator": len(self.spans)}
 
     @property
-    def n_numbers(self) -> int:
+    def n_parameters(self) -> int:
         """How many entries the parameter vector has."""
         return N_GLOBAL + len(self.parents) * N_JOINT + len(self.spans) * N_ACTUATOR
 
@@ -43,6 +43,6 @@ class ElasticForm(NamedTuple):
         """How many states the robot has beside its motion."""
         return 0
 
-    def unlimited(self, numbers: Array) -> Array:
-        """(n_numbers,) the same numbers with no bounds of forces, of which there are none."""
-        return numbers
+    def unlimited(self, parameters: Array) -> Array:
+        """(n_parameters,) the same parameters with no bounds of forces, of which there are none."""
+        return parameters

@@ -453,7 +453,7 @@ def _replaced(part: _P, prefix: str, values: Mapping[str, float], owners: Set[st
 
 
 def pack(morphology: Morphology) -> Array:
-    """The numbers of a morphology in the fixed order of ``models.elastic_equations``'s parameter vector, shape (n,).
+    """The parameters of a morphology in the fixed order of ``models.elastic_equations``'s parameter vector, shape (n,).
 
     Two morphologies of the same structure (see ``structure``) have vectors of the same meaning; a stop that is
     absent becomes one at infinity.

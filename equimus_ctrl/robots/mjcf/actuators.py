@@ -1,4 +1,4 @@
-"""Actuators of an MJCF robot: what they drive, and their numbers."""
+"""Actuators of an MJCF robot: what they drive, and their parameters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ModelError
-from equimus_ctrl.robots.mjcf.entries import Axis, Drive, Number, setter
+from equimus_ctrl.robots.mjcf.entries import Axis, Drive, ModelParameter, setter
 from equimus_ctrl.robots.mjcf.reading import INPUTS
 from equimus_ctrl.types import Array
 
@@ -118,9 +118,9 @@ def _kind(base: Any, i: int, axis: Axis, at_joint: bool, given: str) -> tuple[bo
     return servo, f"{position_unit}/s" if affine and not servo and bias[2] != 0 else unit
 
 
-def drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
+def drive_parameters(base: Any, drives: Sequence[Drive]) -> list[ModelParameter]:
     """Numbers of actuators, each once."""
-    found: list[Number] = []
+    found: list[ModelParameter] = []
     for drive in {drive.actuator: drive for drive in reversed(drives)}.values():
         slides = int(base.jnt_type[base.joint(drive.joint).id]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
         force_unit, position_unit = ("N", "m") if slides else ("N·m", "rad")
@@ -129,22 +129,24 @@ def drive_numbers(base: Any, drives: Sequence[Drive]) -> list[Number]:
         found += law(base, drive, force_unit, position_unit)
         if drive.state is not None:
             write = setter("actuator", own, "actuator_dynprm", 0)
-            found.append(Number(f"{own}.time_constant", float(base.actuator_dynprm[drive.index, 0]), "s", write))
+            found.append(
+                ModelParameter(f"{own}.time_constant", float(base.actuator_dynprm[drive.index, 0]), "s", write)
+            )
         if base.actuator_delay[drive.index] > 0:
             write = setter("actuator", own, "actuator_delay")
-            found.append(Number(f"{own}.delay", float(base.actuator_delay[drive.index]), "s", write))
+            found.append(ModelParameter(f"{own}.delay", float(base.actuator_delay[drive.index]), "s", write))
         bounds = base.actuator_forcerange[drive.index]
         if base.actuator_forcelimited[drive.index] and math.isclose(*np.abs(bounds)):
 
             def limit(model: Any, value: float, name: str = own) -> None:
                 model.actuator_forcerange[model.actuator(name).id] = -value, value
 
-            found.append(Number(f"{own}.force_limit", float(bounds[1]), force_unit, limit))
+            found.append(ModelParameter(f"{own}.force_limit", float(bounds[1]), force_unit, limit))
     order = [drive.actuator for drive in drives]
     return sorted(found, key=lambda number: order.index(number.name.rpartition(".")[0]))
 
 
-def _gain_and_bias(base: Any, drive: Drive, force_unit: str, position_unit: str) -> Iterator[Number]:
+def _gain_and_bias(base: Any, drive: Drive, force_unit: str, position_unit: str) -> Iterator[ModelParameter]:
     i, own = drive.index, drive.actuator
     gain, bias = float(base.actuator_gainprm[i, 0]), base.actuator_biasprm[i]
     follows = not drive.servo and bias[2] != 0 and math.isclose(float(bias[2]), -gain)
@@ -154,23 +156,23 @@ def _gain_and_bias(base: Any, drive: Drive, force_unit: str, position_unit: str)
             k = model.actuator(own).id
             model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 1] = value, -value
 
-        yield Number(f"{own}.kp", gain, f"{force_unit}/{position_unit}", stiff)
+        yield ModelParameter(f"{own}.kp", gain, f"{force_unit}/{position_unit}", stiff)
     elif follows:
 
         def follow(model: Any, value: float) -> None:
             k = model.actuator(own).id
             model.actuator_gainprm[k, 0], model.actuator_biasprm[k, 2] = value, -value
 
-        yield Number(f"{own}.kv", gain, f"{force_unit}·s/{position_unit}", follow)
+        yield ModelParameter(f"{own}.kv", gain, f"{force_unit}·s/{position_unit}", follow)
     elif int(base.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_FIXED):
         per_command = f"{force_unit}/{drive.unit}"
         unit = force_unit if drive.unit == "1" else "1" if drive.unit == force_unit else per_command
-        yield Number(f"{own}.gain", gain, unit, setter("actuator", own, "actuator_gainprm", 0))
+        yield ModelParameter(f"{own}.gain", gain, unit, setter("actuator", own, "actuator_gainprm", 0))
     if not follows and (bias[2] != 0 or drive.servo):
         yield _negative(base, drive, "kv", "actuator_biasprm", 2, f"{force_unit}·s/{position_unit}")
 
 
-def _own_law(base: Any, drive: Drive, force_unit: str, position_unit: str) -> Iterator[Number]:
+def _own_law(base: Any, drive: Drive, force_unit: str, position_unit: str) -> Iterator[ModelParameter]:
     i, own = drive.index, drive.actuator
     stiffness, damping = f"{force_unit}/{position_unit}", f"{force_unit}·s/{position_unit}"
     if int(base.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_PID):
@@ -183,13 +185,13 @@ def _own_law(base: Any, drive: Drive, force_unit: str, position_unit: str) -> It
     for key, entry, unit in entries:
         value = float(base.actuator_gainprm[i, entry])
         if value > 0:
-            yield Number(f"{own}.{key}", value, unit, setter("actuator", own, "actuator_gainprm", entry))
+            yield ModelParameter(f"{own}.{key}", value, unit, setter("actuator", own, "actuator_gainprm", entry))
 
 
-def _negative(base: Any, drive: Drive, key: str, array: str, entry: int, unit: str) -> Number:
+def _negative(base: Any, drive: Drive, key: str, array: str, entry: int, unit: str) -> ModelParameter:
     """A number that stands in MuJoCo's array with the other sign."""
 
     def write(model: Any, value: float) -> None:
         getattr(model, array)[model.actuator(drive.actuator).id, entry] = -value
 
-    return Number(f"{drive.actuator}.{key}", 0.0 - float(getattr(base, array)[drive.index, entry]), unit, write)
+    return ModelParameter(f"{drive.actuator}.{key}", 0.0 - float(getattr(base, array)[drive.index, entry]), unit, write)

@@ -1,4 +1,4 @@
-"""Entries of what an MJCF file says: joints, actuators, numbers."""
+"""Entries of what an MJCF file says: joints, actuators, parameters."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Write = Callable[[Any, float], None]
 
 
 @dataclass(frozen=True)
-class Number:
-    """One number of an MJCF robot.
+class ModelParameter:
+    """One parameter of an MJCF robot.
 
     Attributes:
         name: dotted.

@@ -15,11 +15,11 @@ from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 
 def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str = "") -> str:
-    """MuJoCo's XML of a robot with the numbers that an ``MjModel`` made of it has.
+    """MuJoCo's XML of a robot with the parameters that an ``MjModel`` made of it has.
 
     Args:
         robot: whose.
-        model: see ``mujoco_model``; numbers may have been changed in it since.
+        model: see ``mujoco_model``; parameters may have been changed in it since.
         left: what the XML cannot hold, for a comment.
         folder: of the files that it names, as seen from where it is to be.
     """

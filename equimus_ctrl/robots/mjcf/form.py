@@ -18,13 +18,13 @@ from equimus_ctrl.types import Array
 FAR = 1e300
 """Stands for no bound, so that nothing times infinity is formed."""
 N_LINK, N_FLOAT, N_JOINT, N_TENDON, N_LIMIT, N_EQUALITY, N_ACTUATOR, N_MOTOR = 10, 4, 9, 10, 10, 12, 10, 40
-"""How many numbers belong to each link, link with weight taken off, joint, tendon, limit, equality, and actuator with a
-gain and a bias or with a law of its own."""
+"""Parameters of each link, link with weight taken off, joint, tendon, limit, equality, and actuator with a gain and a
+bias or with a law of its own."""
 N_DRIVE = 8
 """Of a drive that may turn by itself: whether it does, its inertia, stiffness and damping of its spring, half its play,
 stiffness and damping of the play's ends, and the inverse of the inertia that its motion against the joint has."""
 FRICTION, TENDON_FRICTION = 8, 9
-"""Place of dry friction among the numbers of a joint, and among those of a tendon."""
+"""Place of dry friction among the parameters of a joint, and among those of a tendon."""
 Vector = tuple[float, ...]
 Dynamics = Literal["none", "integrator", "filter", "slew"]
 Transmission = Literal["joint", "tendon", "site", "between", "crank"]
@@ -182,7 +182,7 @@ class TreeForm:
 
     @cached_property
     def layout(self) -> dict[str, range]:
-        """Name of a block such as ``link 2`` → where its numbers stand in the parameter vector."""
+        """Name of a block such as ``link 2`` → where its parameters stand in the parameter vector."""
         found, begin = {}, 0
         for name, count in self._blocks():
             found[name] = range(begin, begin + count)
@@ -204,7 +204,7 @@ class TreeForm:
         yield from ((f"clamp tendon {t}", 2) for t in self.clamped_tendons)
 
     @property
-    def n_numbers(self) -> int:
+    def n_parameters(self) -> int:
         """How many entries the parameter vector has."""
         return max(block.stop for block in self.layout.values())
 
@@ -216,9 +216,9 @@ class TreeForm:
         found = {("joint", i): self.layout[f"joint {i}"][FRICTION] for i in range(len(self.links))}
         return found | {("tendon", t): self.layout[f"tendon {t}"][TENDON_FRICTION] for t in self.rubbing}
 
-    def unlimited(self, numbers: Array) -> Array:
-        """(n_numbers,) the same numbers with no bounds of forces."""
-        found = np.array(numbers)
+    def unlimited(self, parameters: Array) -> Array:
+        """(n_parameters,) the same parameters with no bounds of forces."""
+        found = np.array(parameters)
         for i, own in enumerate(self.actuators):
             first = self.layout[f"actuator {i}"][6 if own.law == "affine" else 30]
             found[first : first + 2] = -FAR, FAR

@@ -19,7 +19,7 @@ INDEPENDENT = 1e-6
 
 
 class Numbered(Protocol):
-    """A robot with numbers that is simulated in MuJoCo."""
+    """A robot with parameters that is simulated in MuJoCo."""
 
     def parameters(self) -> dict[str, float]: ...
 
@@ -31,7 +31,7 @@ class Numbered(Protocol):
 
 
 def independent(robot: Numbered, names: Sequence[str]) -> list[str]:
-    """Of numbers those whose small changes no combination of earlier ones can stand in for.
+    """The first parameters of a list that are linearly independent: no combination of earlier ones replaces them.
 
     Inverse dynamics are linear in the inertial parameters of all bodies, and only some combinations of these matter:
     the base parameters (Gautier & Khalil, "Direct calculation of minimum set of inertial parameters of serial robots",

@@ -1,4 +1,4 @@
-"""Inertias of bodies that stay physical whatever their numbers are.
+"""Inertias of bodies that stay physically consistent whatever their parameters are.
 
 A body's pseudo-inertia [[Σ, h], [hᵀ, m]] (Wensing, Kim & Slotine, "Linear matrix inequalities for physically
 consistent inertial parameter identification", 2018) is positive definite where its mass m and the second moments Σ_c
@@ -23,7 +23,7 @@ import numpy as np
 from equimus_ctrl.types import Array
 
 SHAPE = "inertia_d1", "inertia_d2", "inertia_s12", "inertia_s13", "inertia_s23"
-"""Kinds of the numbers of a body that say how its mass is spread about its centre; 0 as in the file."""
+"""Kinds of a body's parameters that say how its mass is spread about its centre; 0 as in the file."""
 
 
 def reshape_inertias(model: Any, shapes: Mapping[str, Sequence[float]]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, INTEGRATED, SLEWED, Channel, Mechanics
 from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
-from equimus_ctrl.robots.mjcf.numbers import Drive, commands_between, pack
+from equimus_ctrl.robots.mjcf.packing import Drive, commands_between, pack
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.reading import form_of
 
@@ -19,14 +19,14 @@ _forms: dict[Any, TreeForm] = {}
 def mechanics_of(
     model: Any, xml: str, assets: Assets, joint_names: Sequence[str], drives: Mapping[str, Drive]
 ) -> Mechanics:
-    """The equations' form and numbers of a robot.
+    """The equations' form and parameters of a robot.
 
     Args:
         model: its ``mujoco.MjModel``, effects on its bodies and drives included.
         xml: from which it was made.
         assets: files that the XML names.
         joint_names: of the joints that are measured.
-        drives: joint whose drive turns by itself → see ``numbers.pack``.
+        drives: joint whose drive turns by itself → see ``packing.pack``.
 
     Raises:
         ModelError: where the equations cannot hold it.

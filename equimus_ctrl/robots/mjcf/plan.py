@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ModelError
-from equimus_ctrl.robots.mjcf.actuators import drive_numbers, drives_of
-from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, Number, setter
+from equimus_ctrl.robots.mjcf.actuators import drive_parameters, drives_of
+from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, ModelParameter, setter
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.types import Array
 
@@ -38,7 +38,7 @@ class Plan:
         drives: all actuators.
         bodies: names of those that move.
         sites: names of those that move.
-        numbers: dotted name → number.
+        parameters: by dotted name.
         tilt_axis: (3,) about which gravity can be turned.
         weights: joint → inertia that it moves by itself, where the file has it [kg·m² or kg].
     """
@@ -48,7 +48,7 @@ class Plan:
     drives: tuple[Drive, ...]
     bodies: tuple[str, ...]
     sites: tuple[str, ...]
-    numbers: Mapping[str, Number]
+    parameters: Mapping[str, ModelParameter]
     tilt_axis: Array
     weights: Mapping[str, float]
 
@@ -86,7 +86,7 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
         s.name for s in (base.site(i) for i in range(base.nsite)) if s.name and base.site_bodyid[s.id] in moves
     )
     axis = _tilt_axis(base)
-    numbers = [*_body_numbers(base, bodies), *_joint_numbers(base, joints), *drive_numbers(base, drives)]
+    parameters = [*_body_parameters(base, bodies), *_joint_parameters(base, joints), *drive_parameters(base, drives)]
     size = float(np.linalg.norm(base.opt.gravity))
     down = np.array(base.opt.gravity)
 
@@ -99,9 +99,9 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
         model.opt.gravity[:] *= value / max(float(np.linalg.norm(model.opt.gravity)), 1e-300)
 
     if size > 0:
-        numbers += [Number("gravity", size, "m/s²", heavy)]
-    numbers += [Number("tilt", 0.0, "rad", turned)]
-    return Plan(base, joints, drives, bodies, sites, {n.name: n for n in numbers}, axis, _weights(base, joints))
+        parameters += [ModelParameter("gravity", size, "m/s²", heavy)]
+    parameters += [ModelParameter("tilt", 0.0, "rad", turned)]
+    return Plan(base, joints, drives, bodies, sites, {n.name: n for n in parameters}, axis, _weights(base, joints))
 
 
 SHORTEST, LONGEST = 1e-6, 0.1
@@ -110,7 +110,7 @@ ELEMENTS = ("flexcomp", "flex", "composite", "plugin")
 
 
 def _check(base: Any, name: str, xml: str) -> None:
-    """Raise ModelError for what neither engine takes, or numbers that are none."""
+    """Raise ModelError for what neither engine takes, or values that are not finite."""
     if base.nflex or base.nplugin:
         for number, line in enumerate(xml.splitlines(), 1):
             if (element := next((e for e in ELEMENTS if f"<{e}" in line), None)) is not None:
@@ -191,11 +191,11 @@ def _tilt_axis(base: Any) -> Array:
     return np.array([0.0, 1.0, 0.0])
 
 
-def _body_numbers(base: Any, bodies: Sequence[str]) -> list[Number]:
+def _body_parameters(base: Any, bodies: Sequence[str]) -> list[ModelParameter]:
     found = []
     for name in bodies:
         b = base.body(name).id
-        found.append(Number(f"{name}.mass", float(base.body_mass[b]), "kg", setter("body", name, "body_mass")))
+        found.append(ModelParameter(f"{name}.mass", float(base.body_mass[b]), "kg", setter("body", name, "body_mass")))
         moments = np.array(base.body_inertia[b])
         share = moments / max(float(moments.max()), 1e-300)
 
@@ -203,11 +203,13 @@ def _body_numbers(base: Any, bodies: Sequence[str]) -> list[Number]:
             model.body_inertia[model.body(name).id] = value * shape
 
         if moments.max() > 0:
-            found.append(Number(f"{name}.inertia", float(moments.max()), "kg·m²", inertia))
-            found += [Number(f"{name}.{kind}", 0.0, "1", _together) for kind in SHAPE]
+            found.append(ModelParameter(f"{name}.inertia", float(moments.max()), "kg·m²", inertia))
+            found += [ModelParameter(f"{name}.{kind}", 0.0, "1", _together) for kind in SHAPE]
         for k, axis in enumerate("xyz"):
             found.append(
-                Number(f"{name}.com_{axis}", float(base.body_ipos[b, k]), "m", setter("body", name, "body_ipos", k))
+                ModelParameter(
+                    f"{name}.com_{axis}", float(base.body_ipos[b, k]), "m", setter("body", name, "body_ipos", k)
+                )
             )
     return found
 
@@ -216,7 +218,7 @@ def _together(model: Any, value: float) -> None:
     """Numbers that say only together what they change, see ``inertia.reshape_inertias``."""
 
 
-def _joint_numbers(base: Any, joints: Sequence[Axis]) -> list[Number]:
+def _joint_parameters(base: Any, joints: Sequence[Axis]) -> list[ModelParameter]:
     found = []
     for joint in joints:
         d = joint.dof
@@ -231,5 +233,5 @@ def _joint_numbers(base: Any, joints: Sequence[Axis]) -> list[Number]:
         for key, value, unit, array in rows:
             write = setter("joint", joint.name, array, *((0,) if array == "dof_dampingpoly" else ()))
             told = SLIDING.get(unit, unit) if joint.slides else unit
-            found.append(Number(f"{joint.name}.{key}", float(value), told, write))
+            found.append(ModelParameter(f"{joint.name}.{key}", float(value), told, write))
     return found

@@ -1,6 +1,6 @@
 """A robot that MuJoCo's own XML describes: hinges and slides, driven by motors, servos or general actuators.
 
-What is known of it are the numbers that its file holds. Each has a dotted name, such as ``arm.mass`` for a body,
+Its parameters are those that its file holds. Each has a dotted name, such as ``arm.mass`` for a body,
 ``elbow.damping`` for a joint and ``motor.gain`` for an actuator, and any of them can be changed.
 """
 
@@ -47,7 +47,7 @@ _AWAY = dict.fromkeys(SHAPE, 0.5) | {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "
 QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
 """Upper bound of a joint's parameter that is 0 in the file: this multiple of what causes an acceleration of 1."""
 POSITIVE = frozenset(_FACTOR) - {"gain"}
-"""Kinds of numbers that are at least 0."""
+"""Kinds of parameters that are at least 0."""
 
 TRAITS = RobotTraits(
     catalogue="mjcf",
@@ -94,7 +94,7 @@ class MjcfRobot(Robot):
         xml: the model, in one piece.
         assets: files that the XML names.
         source: name of the file it came from.
-        values: numbers that are not as in the XML, by dotted name.
+        values: parameters that differ from the XML, by dotted name.
         payloads: (body or site, mass [kg]) of what it carries beside.
         compliances: drives that are not rigid.
         gains: (actuator, factor) on the forces of actuators.
@@ -164,38 +164,38 @@ class MjcfRobot(Robot):
         }
 
     def parameters(self) -> dict[str, float]:
-        """Every number by its dotted name."""
-        return {number.name: self.values.get(number.name, number.value) for number in self.plan.numbers.values()}
+        """Every parameter by its dotted name."""
+        return {number.name: self.values.get(number.name, number.value) for number in self.plan.parameters.values()}
 
     def has_parameters(self, names: Iterable[str]) -> bool:
-        """Whether it has numbers of all these names."""
-        return all(name in self.plan.numbers for name in names)
+        """Whether it has parameters of all these names."""
+        return all(name in self.plan.parameters for name in names)
 
     def with_parameters(self, values: Mapping[str, float]) -> MjcfRobot:
-        """A copy with some numbers replaced.
+        """A copy with some parameters replaced.
 
         Raises:
             ModelError: for a name that does not exist, or a value that cannot be.
         """
         for name, value in values.items():
-            if name not in self.plan.numbers:
-                raise ModelError(unknown_name("parameter", name, self.plan.numbers, self.name))
-            if not math.isfinite(value) or (value < 0 and self.plan.numbers[name].kind in POSITIVE):
-                least = " of at least 0" if self.plan.numbers[name].kind in POSITIVE else ""
+            if name not in self.plan.parameters:
+                raise ModelError(unknown_name("parameter", name, self.plan.parameters, self.name))
+            if not math.isfinite(value) or (value < 0 and self.plan.parameters[name].kind in POSITIVE):
+                least = " of at least 0" if self.plan.parameters[name].kind in POSITIVE else ""
                 raise ModelError(f"{self.name}: {name} is {value:g}, expected a finite number{least}")
         return replace(self, values={**self.values, **{name: float(v) for name, v in values.items()}})
 
     def unit(self, name: str) -> str:
-        """Of a number, SI."""
-        return self.plan.numbers[name].unit
+        """Of a parameter, SI."""
+        return self.plan.parameters[name].unit
 
     def positive(self, name: str) -> bool:
-        """Whether a number is at least 0."""
-        return self.plan.numbers[name].kind in POSITIVE
+        """Whether a parameter is at least 0."""
+        return self.plan.parameters[name].kind in POSITIVE
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Default bounds (lowest, highest) of a free parameter of this kind."""
-        value, kind = self.parameters()[name], self.plan.numbers[name].kind
+        value, kind = self.parameters()[name], self.plan.parameters[name].kind
         if kind in _FACTOR and (value > 0 or (value and kind not in POSITIVE)):
             ends = value / _FACTOR[kind], value * _FACTOR[kind]
             return min(ends), max(ends)
@@ -312,7 +312,7 @@ class MjcfRobot(Robot):
     def mechanics(self) -> Mechanics:
         assets = Assets(self.assets)
         model, data = _scratch.blank(self.xml, assets, self.plan.base)
-        self._write_numbers(model)
+        self._write_parameters(model)
         drives = {}
         for c in self.compliances:
             dof = int(model.joint(c.joint).dofadr[0])
@@ -343,10 +343,10 @@ class MjcfRobot(Robot):
         joints = tuple(c.joint for c in self.compliances)
         return with_rotors(self.xml, Assets(self.assets), joints) if joints else self.plan.base
 
-    def _write_numbers(self, model: Any) -> None:
+    def _write_parameters(self, model: Any) -> None:
         """Put all that is not as in the file into a copy of its model, except drives that turn by themselves."""
         for name, value in self.values.items():
-            self.plan.numbers[name].write(model, value)
+            self.plan.parameters[name].write(model, value)
         reshape_inertias(model, self._shapes())
         for place, mass in self.payloads:
             add_mass(model, place, mass)
@@ -369,7 +369,7 @@ class MjcfRobot(Robot):
 
     def _write(self, model: Any) -> None:
         """Put all that is not as in the file into a copy of its model."""
-        self._write_numbers(model)
+        self._write_parameters(model)
         for c in self.compliances:
             tendon = model.tendon(rotor_of(c.joint)).id
             model.tendon_stiffness[tendon], model.tendon_damping[tendon] = c.stiffness, c.damping
@@ -389,7 +389,7 @@ class MjcfRobot(Robot):
         Those that others can replace are not among them. Centres of mass, the orientation of inertias and actuators are
         taken to be known.
         """
-        own = [n.name for n in self.plan.numbers.values()]
+        own = [n.name for n in self.plan.parameters.values()]
         values = self.parameters()
         wanted = [
             n for kind in ("mass", "inertia", "armature") for n in own if n.endswith(f".{kind}") and values[n] > 0
@@ -400,7 +400,7 @@ class MjcfRobot(Robot):
 
     def base_names(self) -> list[str]:
         """Of masses, centres, inertias and armatures as many as there are base parameters, see ``independent``."""
-        own = self.plan.numbers.values()
+        own = self.plan.parameters.values()
         kinds = "mass", "com_x", "com_y", "com_z", "inertia", *SHAPE, "armature"
         wanted = [n.name for kind in kinds for n in own if n.kind == kind]
         return independent(self, [n for n in wanted if not n.endswith(".armature") or self.parameters()[n] > 0])

@@ -1,4 +1,4 @@
-"""Models whose numbers may be anything, to be written anew: that takes less than to copy one."""
+"""Models whose parameters are overwritten before each use: that takes less time than a copy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from equimus_ctrl.types import Array
 KEPT = 64
 """So many models are kept in each thread."""
 _WRITTEN = ("body_", "dof_", "jnt_", "qpos_", "tendon_", "actuator_")
-"""What arrays of a model begin with that a robot's numbers go into."""
+"""Prefixes of the arrays of a model that hold a robot's parameters."""
 
 
 class Scratch(local):
@@ -25,7 +25,7 @@ class Scratch(local):
         self.known: dict[tuple[str, Assets], tuple[Any, Any, list[tuple[Array, Array]]]] = {}
 
     def blank(self, xml: str, assets: Assets, base: Any) -> tuple[Any, Any]:
-        """A model with the numbers of ``base``, to be used before the next is asked for, and its data."""
+        """A model with the parameters of ``base``, to be used before the next is asked for, and its data."""
         key = (xml, assets)
         if key not in self.known:
             if len(self.known) >= KEPT:

@@ -1,4 +1,4 @@
-"""The numbers of a MuJoCo model in the order in which its equations take them."""
+"""The parameters of a MuJoCo model in the order in which its equations take them."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ SHARP = 2000.0
 """Rate of the motion at the ends of a play, critically damped [1/s]."""
 Drive = tuple[float, float, float, float]
 USUAL = 0.02, 1.0
-"""What MuJoCo takes where only one of a reference's two numbers is positive."""
+"""What MuJoCo takes where only one of a reference's two values is positive."""
 
 
 def pack(form: TreeForm, model: Any, drives: Mapping[int, Drive] | None = None) -> Array:
-    """(n,) the numbers of an ``mujoco.MjModel`` of a form, in the order of ``TreeForm.layout``.
+    """(n,) the parameters of an ``mujoco.MjModel`` of a form, in the order of ``TreeForm.layout``.
 
     Args:
         form: of its equations.
@@ -168,7 +168,7 @@ def _reference(solref: Array, solimp: Array) -> Array:
 
 
 def _actuator(form: TreeForm, model: Any, i: int) -> Array:
-    """Of a gain and a bias: three numbers each, lowest and highest force, then command.
+    """Of a gain and a bias: three parameters each, lowest and highest force, then command.
 
     Of a controller or a motor: MuJoCo's gain, bias and dynamics parameters, ten each, lowest and highest force, then
     those of up to four commands.
