@@ -27,7 +27,7 @@ class RecordingError(EquimusError):
 
 
 class SimulationDiverged(EquimusError):
-    """A simulation left the range where its numbers mean anything."""
+    """A simulation left the range where its values mean anything."""
 
 
 class HardwareFault(EquimusError):

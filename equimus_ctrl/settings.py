@@ -16,7 +16,7 @@ def settings_from(cls: type[T], data: Mapping[str, Any], where: str, form: str |
 
     Args:
         cls: a frozen dataclass that checks its own values.
-        data: what a table holds; what it leaves out stays as it is by default.
+        data: what a table holds; keys that are missing keep their defaults.
         where: for messages.
         form: what ``format`` has to say where it is there.
 

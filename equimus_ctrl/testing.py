@@ -68,9 +68,9 @@ def check_controller(
         raise ConfigError(f"steps is {steps}, expected at least 10")
     name = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
     made = as_controller(controller, name)
-    machine = plant or MujocoPlant(nominal_model())
-    wanted = reference or _there_and_back(machine, steps)
-    first = _driven(made, machine, wanted, steps, name)
+    plant = plant or MujocoPlant(nominal_model())
+    wanted = reference or _there_and_back(plant, steps)
+    first = _driven(made, plant, wanted, steps, name)
     kept = [f"a finite pressure for each actuator at each of {steps} steps"]
     for k in (0, steps // 2, steps - 1):
         again = _asked(made, first.observations[k], wanted, first.states[k], name)[0]
@@ -81,7 +81,7 @@ def check_controller(
                 "draw on nothing but its arguments"
             )
     kept.append("the same command from the same state")
-    second = _driven(made, machine, wanted, steps, name)
+    second = _driven(made, plant, wanted, steps, name)
     off = np.flatnonzero(np.any(first.commands != second.commands, axis=1))
     if len(off):
         raise ControllerError(
@@ -90,13 +90,13 @@ def check_controller(
             "the state that init returns"
         )
     kept.append("the same run, begun anew")
-    notes = _odd_input(made, machine, first, steps, name)
+    notes = _odd_input(made, plant, first, steps, name)
     kept.append("a command or a sentence for a reference out of reach, for late measurements and for none")
     times = np.array(first.times[1:])
-    median, longest, period = float(np.median(times)), float(times.max()), machine.spec.control_dt
+    median, longest, period = float(np.median(times)), float(times.max()), plant.spec.control_dt
     if median > period:
         notes.append(f"a step takes {median * 1e3:.3g} ms, but there is one each {period * 1e3:.3g} ms")
-    share = float(np.mean((first.commands < machine.spec.command_low) | (first.commands > machine.spec.command_high)))
+    share = float(np.mean((first.commands < plant.spec.command_low) | (first.commands > plant.spec.command_high)))
     if share > 0:
         notes.append(f"{100 * share:.0f} % of its commands lie outside the limits and are clipped")
     return ContractReport(name, tuple(kept), tuple(notes), (median, longest))

@@ -134,7 +134,7 @@ def test_effects_of_ones_own_of_every_kind_are_drawn(diagnosis: Diagnosis, scene
         summary_figure(replace(diagnosis, findings=(finding,)), scene).canvas.draw()
         assert sentence(finding, nominal_model()).startswith(finding.part.candidate.effect.summary.capitalize())
     assert titles["squared"][0] == "once it has settled"
-    assert titles["heavy"] == ["numbers of the robot"]
+    assert titles["heavy"] == ["parameters of the robot"]
     assert titles["spot"][0] == "to and fro"
     assert len(titles["noisy"]) == 4
 

@@ -12,10 +12,10 @@ from diagnosed_leg import VERDICTS, consistent
 from rich.console import Console
 
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.report import diagnosis_text as story
+from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
 from equimus_ctrl.report.diagnosis_page import page
-from equimus_ctrl.report.diagnosis_text import sentence, tell
+from equimus_ctrl.report.diagnosis_text import print_diagnosis, sentence
 from equimus_ctrl.report.diagnosis_words import estimate_text
 
 # Figures and page
@@ -41,7 +41,7 @@ def test_figures_without_held_out_trials_show_those_fitted(diagnosis: Diagnosis)
     figures = diagnosis_figures(d)
     texts = [t.get_text() for axes in figures["before_after"].axes for t in (axes.title, axes._left_title)]
     assert any("first (fitted)" in text for text in texts)
-    assert story.headline(d) == ""
+    assert diagnosis_text.headline(d) == ""
     assert "trials that were fitted" in page(d, "no judges")
 
 
@@ -106,7 +106,7 @@ def test_a_consistent_page_tells_what_would_have_shown(diagnosis: Diagnosis) -> 
     said = " ".join(checked(page(consistent(diagnosis), "Leg")).text)
     assert "Consistent" in said
     assert "0.061 kPa at baa" in said and "1 ± 0.0020 at hip" in said and "no size that was tried at baa" in said
-    assert "corrected" not in said and "What the model leaves out" not in said
+    assert "corrected" not in said and "Missing physics" not in said
 
 
 # Terminal
@@ -114,7 +114,7 @@ def test_a_consistent_page_tells_what_would_have_shown(diagnosis: Diagnosis) -> 
 
 def told(diagnosis: Diagnosis, width: int = 100) -> str:
     console = Console(width=width, record=True, file=io.StringIO(), highlight=False)
-    tell(console, diagnosis)
+    print_diagnosis(console, diagnosis)
     return console.export_text()
 
 
@@ -126,12 +126,12 @@ def test_the_terminal_is_told_every_verdict(diagnosis: Diagnosis, verdict: str, 
     text = " ".join(line.strip() for line in lines)
     assert len(lines) <= (60 if width == 100 else 90)
     assert max(map(len, lines)) <= width
-    assert story.verdict(d) in text
+    assert diagnosis_text.verdict(d) in text
     for one in d.findings:
         assert sentence(one, d.model) in text
     assert ("the error changes by" in text) == bool(d.findings) and ("the error is" in text) != bool(d.findings)
-    assert ("Where the refitted model is off" in text) == (verdict != "consistent")
-    assert ("What remains unexplained" in text) == bool(d.unexplained)
+    assert ("Where the residuals of the refitted model are" in text) == (verdict != "consistent")
+    assert ("Unexplained residuals" in text) == bool(d.unexplained)
     assert ("equimus-ctrl run hold --set p1=12 --set p2=2.5" in text) == (d.experiment is not None)
     assert ("0.061 kPa at baa" in text) == (verdict == "consistent")
 
@@ -144,4 +144,4 @@ def test_names_are_not_taken_for_markup(diagnosis: Diagnosis) -> None:
 def test_the_fall_on_held_out_trials_is_that_of_the_rmse(diagnosis: Diagnosis) -> None:
     before, after = (diagnosis.rmse(s, "validation")[1] for s in ("refitted", "corrected"))
     change = round(100 * (1 - after / before))
-    assert f"−{change} % at the knee" in story.headline(diagnosis)
+    assert f"−{change} % at the knee" in diagnosis_text.headline(diagnosis)

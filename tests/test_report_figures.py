@@ -18,7 +18,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.plants.mujoco_plant import make_spec
 from equimus_ctrl.report import run_figures, style
-from equimus_ctrl.report.drawing import far_apart, first_pass, skeleton
+from equimus_ctrl.report.drawing import well_spaced, first_pass, skeleton
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.elastic.morphology import ElasticActuator, Joint, JointStop, Link, Morphology, Point
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
@@ -113,8 +113,8 @@ def test_brackets_join_the_links_to_attachments_off_their_axis() -> None:
 
 def test_poses_far_apart_and_the_path_without_what_it_retraces() -> None:
     square = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.01, 0.0]])
-    assert far_apart(square, 4) == [0, 2, 1, 3]
-    assert far_apart(np.zeros((5, 2)), 4) == [0]
+    assert well_spaced(square, 4) == [0, 2, 1, 3]
+    assert well_spaced(np.zeros((5, 2)), 4) == [0]
     twice = first_pass(np.concatenate([square, square]))
     kept = twice[np.isfinite(twice[:, 0])]
     step = np.linalg.norm(np.diff(kept, axis=0), axis=1)

@@ -84,9 +84,9 @@ def diagnose(
             presets.write_text(files[-1], text)
             files.append(report / "record.json")
             presets.write_text(files[-1], presets.json_text(record))
-    from equimus_ctrl.report.diagnosis_text import tell
+    from equimus_ctrl.report.diagnosis_text import print_diagnosis
 
-    tell(console, found)
+    print_diagnosis(console, found)
     if write_model is not None:
         files += workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem), model)
     print_files(console, files)

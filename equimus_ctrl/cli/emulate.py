@@ -48,7 +48,7 @@ def emulate(
     """Play the robot's end of the wire: the MuJoCo leg in real time behind the same topics.
 
     A watchdog on the device vents it when commands stop. Faults to rehearse: stall, silent, nan, jump, clock, back,
-    repeat, reorder, rival, deaf and crash.
+    repeat, reorder, second_publisher, deaf and crash.
 
     \b
     [bold]Examples[/bold]

@@ -99,13 +99,13 @@ def identify(
         files = write_results(folder, draw, record)
     if write_model is not None:
         files += workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem), model)
-    tell(console, found)
+    print_identification(console, found)
     print_files(console, files)
     if as_json:
         print_json({**record, "files": [str(file) for file in files]})
 
 
-def tell(console: Console, found: Identification) -> None:
+def print_identification(console: Console, found: Identification) -> None:
     """What was found, for people."""
     if found.poses is not None:
         _print_poses(console, found.poses)

@@ -102,16 +102,16 @@ def stage_bar(
     try:
         with bars(console, *columns, transient=True) as progress:
             task = progress.add_task(first, total=1.0, best="")
-            begun = told = time.monotonic()
+            begun = last_shown = time.monotonic()
 
             def show(stage: str | None = None, share: float | None = None, best: str | None = None) -> None:
-                nonlocal told
+                nonlocal last_shown
                 progress.update(task, description=stage, completed=share)
                 if best is not None:
                     progress.update(task, best=best)
                 now = time.monotonic()
-                if not console.is_terminal and now - told >= EVERY:
-                    told = now
+                if not console.is_terminal and now - last_shown >= EVERY:
+                    last_shown = now
                     own = progress.tasks[task]
                     so_far = f"; best so far: {own.fields['best']}" if own.fields["best"] else ""
                     line = f"{own.description}, {own.completed:.0%} after {now - begun:.0f} s{so_far}"

@@ -142,7 +142,7 @@ def _table(summaries: Sequence[Summary], robot: Model) -> Table:
     for heading in ("time\ns", "rate\nHz", "jitter\nms", *named):
         table.add_column(heading, justify="right", no_wrap=True)
 
-    def told(ends: tuple[float, float], own: Reading) -> str:
+    def reading_text(ends: tuple[float, float], own: Reading) -> str:
         low, high = (own.factor * end for end in ends)
         figures = max(1 - math.floor(math.log10(high - low)), 0) if high > low else 0
         return f"{low:.{figures}f}..{high:.{figures}f}"
@@ -153,8 +153,8 @@ def _table(summaries: Sequence[Summary], robot: Model) -> Table:
             f"{s.duration_s:.1f}",
             f"{s.rate_hz:.1f}",
             f"{s.jitter_s * 1e3:.2f}",
-            *(told(ends, commands[name]) for name, ends in s.command_pa.items()),
-            *(told(ends, joints[name]) for name, ends in s.position_rad.items()),
+            *(reading_text(ends, commands[name]) for name, ends in s.command_pa.items()),
+            *(reading_text(ends, joints[name]) for name, ends in s.position_rad.items()),
         )
     return table
 

@@ -42,7 +42,7 @@ class SamplingSettings(HorizonSettings, FileSettings):
         spline: ``"zero"`` (each knot holds until the next), ``"linear"`` or ``"cubic"``.
         least_deviation: standard deviation of the knots of the finest plans [Pa].
         deviation: of the boldest [Pa].
-        temperature: of MPPI, in shares of by how much the middling plan costs more than the best.
+        temperature: of MPPI, relative to the difference between the median and the least cost of the plans.
         elites: share of the plans that the cross-entropy method goes on with.
         iterations: rounds of samples at one instant, at most.
         engine: ``"mujoco"``, ``"reduced"`` (the exact reduced model in machine code) or ``"auto"``: MuJoCo where it

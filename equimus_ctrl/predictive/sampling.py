@@ -26,7 +26,7 @@ class Spread:
     Attributes:
         least: standard deviation of the knots of the finest candidates [Pa].
         most: of the boldest [Pa].
-        temperature: of MPPI, in shares of by how much the middling candidate costs more than the best.
+        temperature: of MPPI, relative to the difference between the median and the least cost of the candidates.
         elites: share of the candidates that the cross-entropy method goes on with.
     """
 

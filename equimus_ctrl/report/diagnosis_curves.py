@@ -67,7 +67,7 @@ def panels(scene: Scene, finding: Finding) -> list[Panel]:
 
 
 def unexplained_panel(scene: Scene, left: Unexplained) -> Panel | None:
-    """The curve of something that has no name; None where it has no coordinate."""
+    """The curve of an unstructured residual force; None where it has no coordinate."""
     if not left.axis or len(left.x) == 0:
         return None
     along = reading(left.axis_unit, float(np.abs(left.x).max()))
@@ -86,7 +86,7 @@ def unexplained_panel(scene: Scene, left: Unexplained) -> Panel | None:
 
 @dataclass(frozen=True, eq=False)
 class _Law:
-    """An effect's own law as numbers.
+    """An effect's own law, evaluated numerically.
 
     Attributes:
         effect: whose.
@@ -151,7 +151,7 @@ class _Law:
 
 
 def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) -> list[Panel]:
-    """Push against the coordinate, against its rate, around a loop and after a step: those that say anything."""
+    """Force against the coordinate, against its rate, around a loop and after a step: those that say anything."""
     place, seen = best.location, scene.seen[best.location]
     joint = place in scene.model.robot.joint_names
     short = units.noun(scene.model, place) if joint else "length"
@@ -241,9 +241,9 @@ def _own_panels(scene: Scene, best: Effect, others: Sequence[Effect]) -> list[Pa
 
 
 def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:
-    """What another robot's weight, springs and stops do to the joints at rest, and which numbers it has."""
+    """What another robot's weight, springs and stops do to the joints at rest, and its parameters."""
     if not scene.model.robot.traits.held_in_place:  # so no pose is one at rest
-        return [Panel("numbers of the effect", rows=_numbers_of(scene.model, best[0]))]
+        return [Panel("parameters of the effect", rows=_parameters_of(scene.model, best[0]))]
     m = scene.model.morphology
 
     def robot(effects: Sequence[Effect]) -> Morphology:
@@ -274,7 +274,7 @@ def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence
             around = band(x, curve * unit.factor, curves)
             axes = f"angle of {joint} [°]", f"torque of {what} {unit.bracket}"
             found.append(Panel(f"{what} at the {joint}", *axes, lines, around, np.degrees(seen)))
-    return [*found, Panel("numbers of the robot", rows=_changed_numbers(scene.model, modelled, now))]
+    return [*found, Panel("parameters of the robot", rows=_changed_parameters(scene.model, modelled, now))]
 
 
 def _torque(robot: Morphology, model: Model, what: str, poses: Array) -> Array:
@@ -290,23 +290,23 @@ def _torque(robot: Morphology, model: Model, what: str, poses: Array) -> Array:
     return torque(more) - (torque(less) if less else 0.0)
 
 
-def _numbers_of(model: Model, effect: Effect) -> tuple[tuple[str, ...], ...]:
+def _parameters_of(model: Model, effect: Effect) -> tuple[tuple[str, ...], ...]:
     """(what, how much) of an effect's parameters."""
     info = effect.parameter_info()
     rows = []
     for key, value in effect.parameters().items():
-        told = reading(place_unit(model, info[key]["unit"], effect.location), value)
-        rows.append((str(info[key]["doc"]), told(number(value * told.factor))))
+        scale = reading(place_unit(model, info[key]["unit"], effect.location), value)
+        rows.append((str(info[key]["doc"]), scale(number(value * scale.factor))))
     return tuple(rows)
 
 
-def _changed_numbers(model: Model, before: Morphology, after: Morphology) -> tuple[tuple[str, ...], ...]:
+def _changed_parameters(model: Model, before: Morphology, after: Morphology) -> tuple[tuple[str, ...], ...]:
     """(number, ``modelled → now``) of all that differ."""
     old, new = before.parameters(), after.parameters()
     rows = []
     for name, value in new.items():
         if old.get(name) != value:
-            told = reading(unit_of(model, name), max(abs(old.get(name, 0.0)), abs(value)))
-            first = number(old[name] * told.factor) if name in old else "none"
-            rows.append((name, f"{first} → {told(number(value * told.factor))}"))
+            scale = reading(unit_of(model, name), max(abs(old.get(name, 0.0)), abs(value)))
+            first = number(old[name] * scale.factor) if name in old else "none"
+            rows.append((name, f"{first} → {scale(number(value * scale.factor))}"))
     return tuple(rows)

@@ -1,4 +1,4 @@
-"""Panels drawn, for a finding and for something without a name; and the ranking of all candidates."""
+"""Panels drawn, for a finding and for an unstructured residual force; and the ranking of all candidates."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ def finding_figure(scene: Scene, finding: Finding) -> Figure:
 
 
 def unexplained_figure(scene: Scene, left: Unexplained) -> Figure | None:
-    """The curve of something without a name; None where it has none."""
+    """The curve of an unstructured residual force; None where it has none."""
     panel = unexplained_panel(scene, left)
     if panel is None:
         return None
-    title = f"Unexplained at {left.location}: a push that goes with {coordinate(left.depends_on, scene.model)}"
+    title = f"Unexplained at {left.location}: a force that depends on {coordinate(left.depends_on, scene.model)}"
     return _figure(textwrap.fill(title, 58), [panel], "95 % interval")
 
 
@@ -198,7 +198,7 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
     if beside:
         handles.append(Line2D([], [], marker="D", linestyle="", color=WITH, label="found, beside the others"))
     if equivalent:
-        handles.append(Patch(facecolor=EQUIVALENT, label="not to be told apart from it"))
+        handles.append(Patch(facecolor=EQUIVALENT, label="not distinguishable from it"))
     if any(r.fitted is not None and r.named not in (*findings, *equivalent) for r in shown):
         handles.append(Patch(facecolor=OTHER, label="other, fitted"))
     handles.append(
@@ -206,6 +206,6 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
             [], [], marker="o", linestyle="", color="white", markeredgecolor=style.INK, label="expected to first order"
         )
     )
-    handles.append(Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="least that is believed"))
+    handles.append(Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="acceptance threshold"))
     style.legend_below(figure, handles)
     return figure

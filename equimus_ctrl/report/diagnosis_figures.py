@@ -20,8 +20,7 @@ from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import PARTS, STATES, Diagnosis
 from equimus_ctrl.identification.residuals import DIVERGED
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.report import diagnosis_text as story
-from equimus_ctrl.report import style
+from equimus_ctrl.report import diagnosis_text, style
 from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_drawing import (
     WIDTH,
@@ -37,7 +36,7 @@ from equimus_ctrl.report.diagnosis_words import listed, number, short
 from equimus_ctrl.types import Array
 
 COLOURS = {"nominal": "#B0A08A", "refitted": "#D55E00", "corrected": "#0072B2"}
-WORDS = {"nominal": "as it came", "refitted": "refitted", "corrected": "corrected"}
+WORDS = {"nominal": "nominal", "refitted": "refitted", "corrected": "augmented"}
 MOST_TRIALS = 3
 LONG_NAME = 34
 BINS, LEAST_IN_BIN = 12, 5
@@ -115,7 +114,7 @@ def _draw_residuals(axes: Axes, diagnosis: Diagnosis, k: int, j: int) -> None:
     time, sigma = _part(diagnosis)[1][k].trial.sample_times, _sigma(diagnosis)[j] * factor
     axes.axhspan(-2 * sigma, 2 * sigma, color=style.SHADE, linewidth=0)
     top = 3 * sigma
-    for state in story.states(diagnosis)[1:]:
+    for state in diagnosis_text.states(diagnosis)[1:]:
         values = _residual(diagnosis, state, k)[:, j] * factor
         if np.isfinite(values).any():
             top = max(top, float(np.nanquantile(np.abs(values), 0.995)) * 1.1)
@@ -141,13 +140,13 @@ def _position_label(diagnosis: Diagnosis, joint: str) -> str:
 
 
 def _command_label(diagnosis: Diagnosis) -> str:
-    told = {units.command(diagnosis.model, name).unit for name in diagnosis.model.robot.actuator_names}
-    return f"[{', '.join(sorted(told))}]" if told != {""} else "command"
+    shown = {units.command(diagnosis.model, name).unit for name in diagnosis.model.robot.actuator_names}
+    return f"[{', '.join(sorted(shown))}]" if shown != {""} else "command"
 
 
 def before_after_figure(diagnosis: Diagnosis) -> Figure:
     """The trials of which the refitted model is worst: angles, residuals and commands."""
-    chosen, joints, states = _worst(diagnosis), diagnosis.joints, story.states(diagnosis)
+    chosen, joints, states = _worst(diagnosis), diagnosis.joints, diagnosis_text.states(diagnosis)
     title = f"Before and after (RMSE {' → '.join(WORDS[s] for s in states)})"
     figure = style.new_figure(WIDTH, 0.9 + 3.9 * len(chosen), title)
     blocks = figure.subfigures(len(chosen), 1, squeeze=False)[:, 0]
@@ -179,7 +178,7 @@ def before_after_figure(diagnosis: Diagnosis) -> Figure:
 def residuals_figure(diagnosis: Diagnosis) -> Figure:
     """Size and mean of the residuals against time since a step, the joint's angle and speed, and the commands."""
     m = diagnosis.model.robot
-    states = story.states(diagnosis)[1:]
+    states = diagnosis_text.states(diagnosis)[1:]
     segments = (*diagnosis.train, *diagnosis.validation, *diagnosis.test)
     rows = {s: [r for part in PARTS for r in getattr(diagnosis.residuals[s], part)] for s in states}
     model = diagnosis.model
@@ -188,10 +187,10 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
     rates = np.concatenate([speeds(s) for s in segments])
     given = np.concatenate([commands(s)[0] for s in segments])
     since = np.concatenate([_since_step(s, float(given.max())) for s in segments])
-    told = [units.command(model, name) for name in m.actuator_names]
+    shown = [units.command(model, name) for name in m.actuator_names]
     shared = [
         (f"command of {name} {u.bracket}".rstrip(), given[:, a] * u.factor)
-        for a, (name, u) in enumerate(zip(m.actuator_names, told, strict=True))
+        for a, (name, u) in enumerate(zip(m.actuator_names, shown, strict=True))
     ]
     figure = style.new_figure(WIDTH + 1, 0.9 + 3.3 * len(m.joint_names), "Where the error lies")
     columns = 3 + len(shared)
@@ -266,20 +265,20 @@ def _binned(values: Array, residual: Array, even: bool) -> tuple[Array, Array, A
 def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
     """One picture of it all: a trial before and after, and the curve of what was found first."""
     figure = style.new_figure(8.4, 3.75)
-    told = "Refitted, the model leaves nothing but noise."
+    text = "Refitted, the model leaves nothing but noise."
     if diagnosis.findings:
         first, *others = diagnosis.findings
         also = f" Also: {listed([short(f.named) for f in others])}." if others else ""
-        told = sentence(first, diagnosis.model) + also
+        text = sentence(first, diagnosis.model) + also
     elif diagnosis.unexplained:
-        told = f"Unexplained at {diagnosis.unexplained[0].location}: none of the known effects does this."
+        text = f"Unexplained at {diagnosis.unexplained[0].location}: none of the known effects does this."
     figure.suptitle(
-        textwrap.fill(told, 96), x=0.012, ha="left", fontsize=style.PANEL_SIZE, fontweight="bold", color=style.INK
+        textwrap.fill(text, 96), x=0.012, ha="left", fontsize=style.PANEL_SIZE, fontweight="bold", color=style.INK
     )
     k, j = _most_improved(diagnosis)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.45, 1.0], height_ratios=[2.2, 1.0])
     top, bottom, right = (figure.add_subplot(g) for g in (grid[0, 0], grid[1, 0], grid[:, 1]))
-    states = story.states(diagnosis)[-2:]
+    states = diagnosis_text.states(diagnosis)[-2:]
     _draw_angles(top, diagnosis, k, j, states)
     _draw_residuals(bottom, diagnosis, k, j)
     joint = diagnosis.joints[j]

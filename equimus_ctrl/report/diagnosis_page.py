@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import PARTS, Diagnosis
 from equimus_ctrl.identification.results import together
-from equimus_ctrl.report import diagnosis_text as story
+from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_words import (
@@ -57,16 +57,17 @@ pre { padding: 8px 12px; white-space: pre-wrap; overflow-wrap: anywhere; }
   figure, tr, .verdict { break-inside: avoid; } h2, h3 { break-after: avoid; } }
 """
 METHOD = (
-    "All free numbers of the model are refitted first, by simulating every trial in full; everything is measured "
+    "All parameters to estimate are refitted first, by simulating every trial in full. Everything else is measured "
     "against this refitted model, so that a wrong stiffness is not called friction.",
-    "The noise of each joint, white and coloured, is estimated from what is left; a gain is the fall of −2 log "
+    "The noise of each joint, white and coloured, is estimated from the residuals. A gain is the fall of −2 log "
     "likelihood under it.",
-    "Every effect of the catalogue at every place is screened by what it changes that no free number can undo; the "
-    "best are fitted in the loop together with all free numbers, in sets, forward, backward and exchanged.",
-    "An effect is named only where its gain exceeds what chance gives to the best of all candidates, where it improves "
-    "trials that took no part, and where no flexible push without a name does as well.",
-    "What then remains is searched for pushes that go with angles, speeds, lengths, pressures or time. Intervals are "
-    "of 95 %; nominal is the model as it came.",
+    "Every effect of the catalogue is screened at every place by the component of its response that is orthogonal to "
+    "the Jacobian of the parameters. The best are fitted by simulation together with all parameters, in sets, forward, "
+    "backward and exchanged.",
+    "An effect is accepted only where its gain exceeds the threshold for the best of all candidates, where held-out "
+    "trials confirm it, and where no unstructured residual force explains as much.",
+    "The remaining residuals are searched for generalised forces that depend on angles, speeds, lengths, pressures or "
+    "time. Intervals are of 95 %; nominal is the model before refitting.",
 )
 
 
@@ -80,21 +81,21 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
     """
     figures = diagnosis_figures(diagnosis)
     parts = [
-        ("size", "How large it is", _size(diagnosis)),
-        ("where", "Where it is", _where(diagnosis, figures)),
-        ("findings", "What the model leaves out", _findings(diagnosis, figures)),
+        ("size", "Size of the residuals", _size(diagnosis)),
+        ("where", "Localization", _where(diagnosis, figures)),
+        ("findings", "Missing physics", _findings(diagnosis, figures)),
         ("trials", "Before and after", _before_after(diagnosis, figures)),
-        ("unexplained", "What remains unexplained", _unexplained(diagnosis, figures)),
-        ("apart", "What cannot be told apart", _apart(diagnosis)),
-        ("parameters", "The robot's own numbers", _parameters(diagnosis)),
+        ("unexplained", "Unexplained residuals", _unexplained(diagnosis, figures)),
+        ("confounded", "Not distinguishable", _confounded(diagnosis)),
+        ("parameters", "Model parameters", _parameters(diagnosis)),
         ("candidates", "All candidates", _candidates(diagnosis, figures)),
-        ("detectable", "What would have shown", _detectable(diagnosis)),
+        ("detectable", "Smallest detectable sizes", _detectable(diagnosis)),
         ("decisions", "What was decided, stage by stage", _decisions(diagnosis)),
         ("method", "Method", f"<ol>{''.join(f'<li>{escape(line)}</li>' for line in METHOD)}</ol>"),
         ("provenance", "Provenance", _provenance(diagnosis, command_line)),
     ]
     kept = [(key, head, body) for key, head, body in parts if body]
-    told = " ".join([story.verdict(diagnosis), *(sentence(f, diagnosis.model) for f in diagnosis.findings)])
+    summary = " ".join([diagnosis_text.verdict(diagnosis), *(sentence(f, diagnosis.model) for f in diagnosis.findings)])
     links = "".join(f'<a href="#{key}">{escape(head)}</a>' for key, head, _ in kept)
     notes = "".join(f"<p>Note: {escape(note)}</p>" for note in diagnosis.notes)
     sections = "\n".join(
@@ -104,10 +105,10 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
         f"<style>{CSS}</style>\n</head>\n<body>\n<header>\n<h1>{escape(title)}</h1>\n"
-        f'<p class="faint">{escape(story.trials(diagnosis))}</p>\n'
-        f'<p class="verdict {escape(diagnosis.verdict)}">{escape(story.verdict(diagnosis))}</p>\n'
-        f"<p>{escape(story.headline(diagnosis))}</p>\n{notes}\n"
-        f"<nav>{links}</nav>\n{_figure(figures['summary'], told)}\n</header>\n<main>\n{sections}\n"
+        f'<p class="faint">{escape(diagnosis_text.trials(diagnosis))}</p>\n'
+        f'<p class="verdict {escape(diagnosis.verdict)}">{escape(diagnosis_text.verdict(diagnosis))}</p>\n'
+        f"<p>{escape(diagnosis_text.headline(diagnosis))}</p>\n{notes}\n"
+        f"<nav>{links}</nav>\n{_figure(figures['summary'], summary)}\n</header>\n<main>\n{sections}\n"
         f"</main>\n</body>\n</html>\n"
     )
 
@@ -136,7 +137,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: int = 1, st
 
 
 def _size(diagnosis: Diagnosis) -> str:
-    told, *_ = story.against_noise(diagnosis)
+    text, *_ = diagnosis_text.against_noise(diagnosis)
     rows: list[tuple[str, ...]] = []
     shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     factors, alike = np.array([u.factor for u in shown]), len({u.unit for u in shown}) == 1
@@ -144,7 +145,7 @@ def _size(diagnosis: Diagnosis) -> str:
         words = "fitted" if part == "train" else part
         if not getattr(diagnosis, part):
             continue
-        for state in story.states(diagnosis):
+        for state in diagnosis_text.states(diagnosis):
             values = diagnosis.rmse(state, part) * factors
             whole = (number(together(values)),) if alike else ()
             rows.append((f"{words}: {WORDS[state]}", *(number(v) for v in values), *whole))
@@ -162,11 +163,11 @@ def _size(diagnosis: Diagnosis) -> str:
     heads = names if alike else tuple(f"{j} [{u.unit}]" for j, u in zip(names, shown, strict=True))
     first = f"RMSE in {shown[0].unit}, trials" if alike else "RMSE, trials"
     table = _table((first, *heads, *(("all joints",) if alike else ())), rows)
-    return f"<p>{escape(told)}</p>{table}{coloured}"
+    return f"<p>{escape(text)}</p>{table}{coloured}"
 
 
 def _where(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
-    lines = story.where(diagnosis) if diagnosis.verdict != "consistent" else []
+    lines = diagnosis_text.where(diagnosis) if diagnosis.verdict != "consistent" else []
     alt = "Size and mean of the errors against time since a step, angle, speed and commands, joint by joint"
     return _list(lines) + _figure(figures["residuals"], alt)
 
@@ -177,41 +178,41 @@ def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     head = (
         "effect",
         "gain",
-        "believed from",
-        "chance",
+        "threshold",
+        "p-value",
         "gain in validation",
-        "share of the excess",
-        "share in validation",
+        "explained",
+        "explained in validation",
     )
     rows = []
     for finding in diagnosis.findings:
         e = finding.evidence
         gains = (number(e.gain), number(e.threshold), power_of_ten(e.log10_chance), number(e.validation_gain))
         rows.append((short(finding.named), *gains, percent(e.share), percent(e.validation_share)))
-    told = [sentence(finding, diagnosis.model) for finding in diagnosis.findings]
+    sentences = [sentence(finding, diagnosis.model) for finding in diagnosis.findings]
     shown = [
         f"<h3>{escape(text)}</h3>{_figure(figures[f'finding_{k + 1}'], f'Curves of {short(finding.named)}: {text}')}"
-        for k, (finding, text) in enumerate(zip(diagnosis.findings, told, strict=True))
+        for k, (finding, text) in enumerate(zip(diagnosis.findings, sentences, strict=True))
     ]
     explained = (
-        '<p class="faint">Gain: fall of −2 log likelihood with the effect, everything else free without it. Share: of '
-        "the mean squared error in excess of the noise.</p>"
+        '<p class="faint">Gain: fall of −2 log likelihood with the effect, everything else free without it. Explained: '
+        "share of the excess residual variance (mean squared residual above the noise variance).</p>"
     )
-    return f"{_list(told)}{_table(head, rows)}{explained}{''.join(shown)}"
+    return f"{_list(sentences)}{_table(head, rows)}{explained}{''.join(shown)}"
 
 
 def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     which = "test" if diagnosis.test else "validation" if diagnosis.validation else "fitted"
-    text = f"<p>The {which} trials of which the refitted model is worst.</p>"
-    alt = "Measured and predicted angles, errors and commands of the trials of which the refitted model is worst"
+    text = f"<p>The {which} trials with the largest residuals of the refitted model.</p>"
+    alt = "Measured and predicted angles, residuals and commands of the trials with the largest residuals"
     return text + _figure(figures["before_after"], alt)
 
 
 def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
-    body = _list(story.remains(diagnosis))
+    body = _list(diagnosis_text.remains(diagnosis))
     for k, left in enumerate(diagnosis.unexplained):
         if figure := figures.get(f"unexplained_{k + 1}"):
-            alt = f"The push at {left.location} that nothing explains, against {coordinate(left.axis, diagnosis.model)}"
+            alt = f"Unstructured residual force at {left.location}, against {coordinate(left.axis, diagnosis.model)}"
             body += _figure(figure, alt)
     return body
 
@@ -222,11 +223,11 @@ def _decisions(diagnosis: Diagnosis) -> str:
     return _table(("stage", "decision", "reason"), [(d.stage, d.decision, d.reason) for d in diagnosis.decisions], 3)
 
 
-def _apart(diagnosis: Diagnosis) -> str:
-    body = _list(story.apart(diagnosis))
+def _confounded(diagnosis: Diagnosis) -> str:
+    body = _list(diagnosis_text.confounded(diagnosis))
     if diagnosis.experiment is not None:
-        body += f"<p>{escape(story.separating(diagnosis.experiment))}</p>"
-        body += f"<pre>{escape(story.command(diagnosis.experiment))}</pre>"
+        body += f"<p>{escape(diagnosis_text.separating(diagnosis.experiment))}</p>"
+        body += f"<pre>{escape(diagnosis_text.command(diagnosis.experiment))}</pre>"
     return body
 
 
@@ -234,26 +235,26 @@ def _parameters(diagnosis: Diagnosis) -> str:
     base, fit = diagnosis.base.fit, diagnosis.best.fit
     rows = []
     for i, free in enumerate(base.parameters.free):
-        told = reading(free.unit, free.start)
+        scale = reading(free.unit, free.start)
         value, width = float(fit.theta[i]), float(fit.uncertainty.half_width[i])
         low, high = value - width, value + width
         if math.isfinite(width):
             low, high = max(low, free.low), min(high, free.high)
-        interval = value * told.factor, low * told.factor, high * told.factor
+        interval = value * scale.factor, low * scale.factor, high * scale.factor
         digits = interval_digits(*interval)
-        columns = [free.start, float(base.theta[i]), value][: len(story.states(diagnosis))]
-        before = (number(v * told.factor, digits) for v in columns)
+        columns = [free.start, float(base.theta[i]), value][: len(diagnosis_text.states(diagnosis))]
+        before = (number(v * scale.factor, digits) for v in columns)
         held = {-1: "low", 0: "", 1: "high"}[int(fit.at_bound[i])]
-        rows.append((free.name, told.unit, *before, interval_text(*interval), held))
-    head = ("number", "unit", *(WORDS[s] for s in story.states(diagnosis)), "95 % interval", "at bound")
+        rows.append((free.name, scale.unit, *before, interval_text(*interval), held))
+    head = ("parameter", "unit", *(WORDS[s] for s in diagnosis_text.states(diagnosis)), "95 % interval", "at bound")
     return _table(head, rows, 2)
 
 
 def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     if not diagnosis.ranking:
         return ""
-    marks = dict.fromkeys(diagnosis.doubtful, "would fit best, not believed")
-    marks |= {other: f"not told from {short(f.named)}" for f in diagnosis.findings for other in f.equivalent}
+    marks = dict.fromkeys(diagnosis.doubtful, "fits best, rejected")
+    marks |= {other: f"not distinguishable from {short(f.named)}" for f in diagnosis.findings for other in f.equivalent}
     marks |= {f.named: "found" for f in diagnosis.findings}
     rows = [
         (
@@ -266,17 +267,17 @@ def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
         for k, r in enumerate(diagnosis.ranking)
     ]
     strong = [k for k, r in enumerate(diagnosis.ranking) if marks.get(r.named) == "found"]
-    told = "<p>What each would gain were it the only effect: expected to first order, and fitted where promising.</p>"
-    picture = _figure(figures["ranking"], "Bars: gain of the best candidates, alone; the same numbers are in the table")
-    return told + picture + _table(("", "effect", "note", "first order", "fitted"), rows, 3, strong)
+    text = "<p>Gain of each as the only effect: expected to first order, and fitted where promising.</p>"
+    picture = _figure(figures["ranking"], "Bars: gain of each of the best candidates; the table has the same values")
+    return text + picture + _table(("", "effect", "note", "first order", "fitted"), rows, 3, strong)
 
 
 def _detectable(diagnosis: Diagnosis) -> str:
-    rows = story.detectables(diagnosis)
+    rows = diagnosis_text.detectables(diagnosis)
     if not rows:
         return ""
-    told = "<p>Nothing was found. Effects of these sizes, others middling, would have been believed.</p>"
-    return told + _table(("effect", "smallest size"), rows, 2)
+    text = "<p>Nothing was found. An effect of this size, its other parameters at median values, would be accepted.</p>"
+    return text + _table(("effect", "smallest size"), rows, 2)
 
 
 def _provenance(diagnosis: Diagnosis, command_line: str) -> str:
@@ -292,7 +293,7 @@ def _provenance(diagnosis: Diagnosis, command_line: str) -> str:
         rows.append((words, ", ".join(names) or "none"))
     carried = [f"{e.name} at {e.location}" for e in diagnosis.model.effects]
     if carried:
-        rows.append(("effects that the model came with", ", ".join(carried)))
+        rows.append(("effects of the nominal model", ", ".join(carried)))
     rows.append(("samples fitted", str(sum(len(s.measured) for s in diagnosis.train))))
     rows.append(("time taken", f"{diagnosis.seconds:.1f} s"))
     shown = f"<p>Made with</p><pre>{escape(command_line)}</pre>" if command_line else ""

@@ -26,7 +26,7 @@ ROUNDING = 1e-9
 LEAST_BAND = 5e-3
 """Share of a curve's height below which a band about it cannot be seen."""
 FEW = 400
-"""Poses from which an actuator's lengths are told."""
+"""Poses from which an actuator's lengths are worked out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Line:
         x: (n,).
         y: (n,).
         label: for the legend.
-        without: whether the effect is left out of it.
+        without: whether the effect is omitted from it.
     """
 
     x: Array
@@ -78,7 +78,7 @@ class Scene:
     """What recordings show.
 
     Attributes:
-        model: as it came.
+        model: the nominal model.
         segments: all that was measured.
         seen: place → what is seen of it.
     """
@@ -146,7 +146,7 @@ def variants(finding: Finding) -> list[tuple[Effect, ...]]:
                 inside = float(np.clip(end, info[key]["low"], info[key]["high"]))
                 try:
                     found.append(candidate.attached({**finding.part.values, key: inside}))
-                except ConfigError:  # an effect may refuse numbers that do not go together
+                except ConfigError:  # an effect may refuse parameter values that do not go together
                     continue
     return found
 

@@ -1,4 +1,4 @@
-"""Each effect in plain words, with its numbers and intervals: what its class says, of numbers as people read them."""
+"""Each effect as a sentence, with its parameters and intervals."""
 
 from __future__ import annotations
 
@@ -71,10 +71,10 @@ class FoundEffect:
 
 
 def sentence(finding: Finding, model: Model) -> str:
-    """What is missing, as a sentence of physics with its numbers and intervals.
+    """The missing physics as a sentence, with its parameters and intervals.
 
     Args:
         finding: what.
-        model: the nominal one.
+        model: the nominal model.
     """
     return finding.part.candidate.effect.sentence(FoundEffect(finding, model))

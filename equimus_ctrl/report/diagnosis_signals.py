@@ -34,14 +34,14 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
     Args:
         scene: what was recorded.
         best: the effects.
-        others: the same with other numbers.
+        others: the same with other parameters.
     """
     names = scene.model.robot.actuator_names
     own = names.index(best[0].location)
     shown_in = units.command(scene.model, names[own])
     factor = shown_in.factor
     pressures = scene.model.robot.traits.commands_are_pressures
-    push = "pressure" if pressures else "what acts"
+    label = "pressure" if pressures else "what acts"
     commands = scene.commands
     rest = [i for i in range(len(names)) if i != own]
     grid = np.linspace(0.0, max(float(commands[:, own].max()), 1.0), POINTS)
@@ -56,11 +56,11 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
     plain, curve = static((), demand), static(best, demand)
     found = []
     if changes(curve, plain):
-        told = f"while {quantity(demand, 'Pa')} are asked of the others" if demand else "once it has settled"
+        title = f"while {quantity(demand, 'Pa')} are asked of the others" if demand else "once it has settled"
         lines = (Line(grid * factor, plain, "without", True), Line(grid * factor, curve, name_of(best)))
         around = band(grid * factor, curve, [static(o, demand) for o in others])
         axis = f"command of {names[own]} {shown_in.bracket}"
-        found.append(Panel(told, axis, f"{push} {shown_in.bracket}", lines, around, commands[:, own] * factor))
+        found.append(Panel(title, axis, f"{label} {shown_in.bracket}", lines, around, commands[:, own] * factor))
     low, high = _typical_step(commands[:, own])
     if changes(curve, plain) and np.allclose(np.interp([low, high], grid, curve - plain), 0.0):
         low, high = 0.0, float(grid[-1])  # such as a level that a typical command does not reach
@@ -91,7 +91,7 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
     if pressures:
         ends = [quantity(high, "Pa"), quantity(low, "Pa")]
     title = f"a step to {ends[0]} and back to {ends[1]}"
-    return [*found, Panel(title, axis, f"{push} of {names[own]} {shown_in.bracket}", lines, around)]
+    return [*found, Panel(title, axis, f"{label} of {names[own]} {shown_in.bracket}", lines, around)]
 
 
 def _typical_step(commands: Array) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""A diagnosis as a story for people: its sentences, and all of it for a terminal."""
+"""A diagnosis as text: its sentences, and the whole report for a terminal."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from equimus_ctrl.report.diagnosis_words import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["sentence", "tell"]
+__all__ = ["print_diagnosis", "sentence"]
 
 NOWHERE = "nowhere in particular"
 MOST_DETECTABLE = 24
-"""Smallest effects that a terminal shows."""
+"""Smallest detectable sizes that a terminal shows."""
 COUNTS = ("no", "one", "two", "three", "four", "five")
 
 
@@ -39,33 +39,31 @@ def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in one sentence."""
     n = len(diagnosis.findings)
     if diagnosis.verdict == "consistent":
-        return (
-            "Consistent: refitted, the model explains the recordings down to the noise; nothing is seen to be missing."
-        )
+        return "Consistent: refitted, the model explains the recordings down to the noise; no missing physics is seen."
     if diagnosis.verdict == "unexplained":
-        return "Unexplained: the model leaves something out, and it is none of the known effects."
+        return "Unexplained: physics is missing from the model, and it is none of the known effects."
     what = listed([short(f.named) for f in diagnosis.findings])
-    found = f"{COUNTS[n] if n < len(COUNTS) else n} {'effect' if n == 1 else 'effects'} left out of the model: {what}"
+    found = f"{COUNTS[n] if n < len(COUNTS) else n} {'effect' if n == 1 else 'effects'} missing from the model: {what}"
     if diagnosis.verdict == "unfinished":
-        return f"Unfinished: so far {found if n else 'no effect left out of the model was found'}, not confirmed."
+        return f"Unfinished: so far {found if n else 'no missing effect was found'}, not confirmed."
     if diagnosis.verdict == "explained":
         return f"Explained: {found}."
-    return f"Partly explained: {found}; something more remains that is none of the known effects."
+    return f"Partly explained: {found}; further residuals are none of the known effects."
 
 
 def states(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Those of the model that differ: without a finding nothing was corrected."""
+    """The states of the model that differ: without a finding there is no augmented model."""
     return STATES if diagnosis.findings else STATES[:2]
 
 
 def against_noise(diagnosis: Diagnosis) -> list[str]:
-    """How large the mismatch is, all joints together and one by one."""
+    """The size of the residuals: normalised RMSE of all joints together, and each joint's RMSE."""
     sizes = {state: math.sqrt(1.0 + max(diagnosis.excess[state], 0.0)) for state in diagnosis.excess}
-    told = f"Refitted, the model is off by {_times(sizes['refitted'])} the noise on the trials fitted"
+    text = f"Normalised RMSE on the fitted trials (1 is the noise): nominal {number(sizes['nominal'])}"
+    text += f", refitted {number(sizes['refitted'])}"
     if diagnosis.findings:
-        told += f", with what was found by {_times(sizes['corrected'])}"
-    told += f"; as it came, by {_times(sizes['nominal'])}."
-    lines = [told]
+        text += f", augmented {number(sizes['corrected'])}"
+    lines = [f"{text}."]
     for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.best.noise, strict=True)):
         unit = units.error(diagnosis.model, joint)
         first, last = (diagnosis.rmse(state, "train")[j] * unit.factor for state in states(diagnosis)[-2:])
@@ -79,11 +77,11 @@ def _times(size: float) -> str:
 
 
 def where(diagnosis: Diagnosis) -> list[str]:
-    """Where the refitted model is off."""
+    """Where the refitted model's residuals are."""
     lines = []
     for place in diagnosis.where:
-        told = [text for text in (place.when, place.region) if text != NOWHERE] or [NOWHERE]
-        lines.append(f"{place.location}: {percent(place.share)} of the excess error; {'; '.join(told)}")
+        when = [text for text in (place.when, place.region) if text != NOWHERE] or [NOWHERE]
+        lines.append(f"{place.location}: {percent(place.share)} of the excess residual variance; {'; '.join(when)}")
     return lines
 
 
@@ -115,31 +113,31 @@ def _fall(joint: str, before: float, after: float, unit: Reading) -> str:
 
 
 def evidence(diagnosis: Diagnosis, k: int) -> str:
-    """Why a finding is believed."""
+    """The evidence for a finding."""
     e = diagnosis.findings[k].evidence
-    told = f"−2 log likelihood falls by {number(e.gain)} (believed from {number(e.threshold)}), chance "
-    told += power_of_ten(e.log10_chance)
+    text = f"−2 log likelihood falls by {number(e.gain)} (threshold {number(e.threshold)}), p-value "
+    text += power_of_ten(e.log10_chance)
     if math.isfinite(e.validation_gain):
-        told += f"; on validation trials by {number(e.validation_gain)}"
-    told += f"; takes away {percent(e.share)} of the excess error"
-    return f"{told} ({percent(e.validation_share)} in validation)" if math.isfinite(e.validation_share) else told
+        text += f"; on validation trials by {number(e.validation_gain)}"
+    text += f"; explains {percent(e.share)} of the excess residual variance"
+    return f"{text} ({percent(e.validation_share)} in validation)" if math.isfinite(e.validation_share) else text
 
 
 def remains(diagnosis: Diagnosis) -> list[str]:
-    """What none of the findings explains, and effects that were not named because of it."""
+    """What none of the findings explains, and effects that were rejected because of it."""
     lines = [_left(left, diagnosis.model) for left in diagnosis.unexplained]
     if diagnosis.doubtful:
         named = listed([short(named) for named in diagnosis.doubtful])
-        lines.append(f"Of the known effects, {named} would fit best, but no better than a push without a name.")
+        lines.append(f"Of the known effects, {named} fits best, but no better than an unstructured residual force.")
     return lines
 
 
 def _left(left: Unexplained, model: Model) -> str:
     if not left.depends_on:
-        return f"At the {left.location}: an error {_times(math.sqrt(1 + left.gain))} the noise" + (
-            " on validation trials, whatever its numbers"
+        return f"At the {left.location}: normalised RMSE {number(math.sqrt(1 + left.gain))}" + (
+            " on validation trials, whatever the parameters"
             if left.on_validation
-            else ", which goes with nothing that was looked for"
+            else ", which depends on none of the coordinates tried"
         )
     at = f" at {listed(left.places)}" if set(left.places) != {left.location} else ""
     size = ""
@@ -148,13 +146,14 @@ def _left(left: Unexplained, model: Model) -> str:
         largest, half = float(abs(left.push[k])), float(left.band[k])
         size = f", up to {estimate_text(Estimate(largest, largest - half, largest + half, left.unit))}"
     return (
-        f"At the {left.location}: a push{at} that goes with {coordinate(left.depends_on, model)}{size}; "
-        f"{percent(left.share)} of what remains, χ² falls by {number(left.gain)} (counts from {number(left.threshold)})"
+        f"At the {left.location}: a residual force{at} that depends on {coordinate(left.depends_on, model)}{size}; "
+        f"{percent(left.share)} of the remaining excess; "
+        f"χ² falls by {number(left.gain)} (threshold {number(left.threshold)})"
     )
 
 
-def apart(diagnosis: Diagnosis) -> list[str]:
-    """What these recordings cannot tell apart."""
+def confounded(diagnosis: Diagnosis) -> list[str]:
+    """Findings that these recordings do not distinguish from others."""
     found = [f for f in diagnosis.findings if f.equivalent]
     return [f"{_upper(short(f.named))} or {listed([short(o) for o in f.equivalent], 'or')}." for f in found]
 
@@ -173,13 +172,13 @@ def separating(experiment: Experiment) -> str:
     """What an experiment would do."""
     first, second = (short(named) for named in experiment.separates)
     return (
-        f"An experiment would tell {first} from {second}: in the one below their predictions differ by "
-        f"{_times(experiment.distance)} the noise, refitted to one another."
+        f"An experiment would distinguish {first} from {second}: in the one below their predictions differ by "
+        f"{number(experiment.distance)} times the noise (RMS), after refitting each to the other."
     )
 
 
 def smallest(detectable: Detectable) -> str:
-    """The size from which on an effect would have shown."""
+    """The smallest detectable size of an effect."""
     if not math.isfinite(detectable.size):
         return "no size that was tried"
     cls = REGISTRY.get(detectable.named.effect)
@@ -189,7 +188,7 @@ def smallest(detectable: Detectable) -> str:
 
 
 def detectables(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """(effect and its parameter, sizes by place), each place alone: what acts alike in several shows no later."""
+    """(effect and its parameter, sizes by place) of effects at one place each."""
     found: dict[str, list[str]] = {}
     for d in diagnosis.detectable:
         if len(d.named.locations) == 1:
@@ -210,7 +209,7 @@ def trials(diagnosis: Diagnosis) -> str:
     )
 
 
-def tell(console: Console, diagnosis: Diagnosis) -> None:
+def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     """A diagnosis for a terminal."""
     from rich.padding import Padding
     from rich.text import Text
@@ -232,27 +231,27 @@ def tell(console: Console, diagnosis: Diagnosis) -> None:
     for line in joints:
         say(line, 2)
     if diagnosis.verdict != "consistent":
-        head("Where the refitted model is off")
+        head("Where the residuals of the refitted model are")
         for line in where(diagnosis):
             say(line, 2)
     if diagnosis.findings:
-        head("What the model leaves out")
+        head("Missing physics")
         for k, finding in enumerate(diagnosis.findings):
             say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
             say(evidence(diagnosis, k), 5, "dim")
     if lines := remains(diagnosis):
-        head("What remains unexplained")
+        head("Unexplained residuals")
         for line in lines:
             say(line, 2)
-    if lines := apart(diagnosis):
-        head("Not to be told apart by these recordings")
+    if lines := confounded(diagnosis):
+        head("Not distinguishable from these recordings")
         for line in lines:
             say(line, 2)
     if diagnosis.experiment is not None:
         say(separating(diagnosis.experiment))
         console.print(f"  {command(diagnosis.experiment)}", markup=False, soft_wrap=True, highlight=False)
     if shown := detectables(diagnosis):
-        head("Would have shown from these sizes on")
+        head("Smallest detectable sizes")
         for who, sizes in shown[:MOST_DETECTABLE]:
             say(f"{who}: {sizes}", 2)
         if len(shown) > MOST_DETECTABLE:

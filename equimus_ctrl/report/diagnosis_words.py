@@ -63,8 +63,8 @@ def _order(value: float) -> int:
 
 def quantity(value: float, unit: str, digits: int = DIGITS) -> str:
     """An SI number without an interval as a person reads it: ``2.80 kPa``."""
-    told = reading(unit, value)
-    return told(number(value * told.factor, digits=digits))
+    shown = reading(unit, value)
+    return shown(number(value * shown.factor, digits=digits))
 
 
 def interval_digits(value: float, low: float, high: float) -> int:
@@ -80,9 +80,9 @@ def interval_digits(value: float, low: float, high: float) -> int:
 def estimate_text(estimate: Estimate) -> str:
     """Such as ``2.80 kPa (2.78 to 2.82)``."""
     size = max(abs(v) for v in (estimate.value, estimate.low, estimate.high) if math.isfinite(v))
-    told = reading(estimate.unit, abs(estimate.value) or size)
-    value, low, high = (v * told.factor for v in (estimate.value, estimate.low, estimate.high))
-    return f"{told(number(value, interval_digits(value, low, high)))} ({interval_text(value, low, high)})"
+    shown = reading(estimate.unit, abs(estimate.value) or size)
+    value, low, high = (v * shown.factor for v in (estimate.value, estimate.low, estimate.high))
+    return f"{shown(number(value, interval_digits(value, low, high)))} ({interval_text(value, low, high)})"
 
 
 def interval_text(value: float, low: float, high: float) -> str:
@@ -90,12 +90,12 @@ def interval_text(value: float, low: float, high: float) -> str:
     decimals = interval_digits(value, low, high)
     first, last = number(low, decimals), number(high, decimals)
     if not math.isfinite(low) and not math.isfinite(high):
-        return "not told by these recordings"
+        return "not identifiable"
     if not math.isfinite(low):
         return f"at most {last}"
     if not math.isfinite(high):
         return f"at least {first}"
-    return "sure to all digits shown" if first == last else f"{first} to {last}"
+    return "certain to all digits shown" if first == last else f"{first} to {last}"
 
 
 def percent(share: float) -> str:
@@ -140,7 +140,7 @@ _COORDINATES = {
 
 
 def coordinate(text: str, model: Model | None = None) -> str:
-    """What a push depends on, in words: ``pos.hip·vel.hip`` → ``the angle of hip and the speed of hip``.
+    """What a residual force depends on, in words: ``pos.hip·vel.hip`` → ``the angle of hip and the speed of hip``.
 
     Args:
         text: as ``diagnosis.force_basis`` calls it.

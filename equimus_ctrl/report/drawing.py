@@ -1,4 +1,4 @@
-"""The machine as lines in its plane: where links and actuators are at given angles, and a sketch of them."""
+"""The robot as lines in its plane: where links and actuators are at given angles, and a sketch of them."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def bracket_points(morphology: Morphology) -> list[tuple[Point, Point]]:
     return found
 
 
-def far_apart(points: Array, count: int) -> list[int]:
+def well_spaced(points: Array, count: int) -> list[int]:
     """Indices of up to ``count`` of the points (n, 2), each as far from those before as can be, the first first.
 
     Points nearer than a tenth of the widest distance found are dropped.
@@ -137,7 +137,7 @@ def base_span(morphology: Morphology) -> tuple[float, float]:
 def sketch(
     axes: Axes, morphology: Morphology, pose: ArrayLike, phase: Phase = "swing", *, strength: float = 1.0
 ) -> None:
-    """Draw the machine at one pose, in mm.
+    """Draw the robot at one pose, in mm.
 
     Args:
         axes: with y pointing down.

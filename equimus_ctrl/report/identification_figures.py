@@ -20,7 +20,7 @@ from equimus_ctrl.types import Array
 
 MOST_TRIALS = 6
 BEFORE = "#B0A08A"
-"""Of the model as it came: apart from what was measured in hue and in lightness."""
+"""Of the initial model: differs from measured curves in hue and in lightness."""
 HELDOUT = "#117733"
 LEFT_AXES = 0.3
 """Share of a row of parameters at either end, beyond their bounds."""
@@ -34,7 +34,7 @@ class Shown:
         name: of the trial.
         time: (m,) [s].
         measured: (m, nj) [rad].
-        before: (m, nj) measured − predicted by the model as it came [rad].
+        before: (m, nj) measured − predicted by the initial model [rad].
         after: (m, nj) the same by the model identified [rad].
         heldout: whether it took no part in the fit.
     """
@@ -92,7 +92,7 @@ def shown_trials(found: Identified) -> list[Shown]:
     return trials
 
 
-def _telling(trials: list[Shown]) -> list[tuple[Shown, str]]:
+def _shown_trials(trials: list[Shown]) -> list[tuple[Shown, str]]:
     """At most six trials and why: best, median and worst of those fitted, and all held out or the same of these."""
     chosen: list[tuple[Shown, str]] = []
     for heldout in (False, True):
@@ -110,7 +110,7 @@ def fits_figure(found: Identified, trials: list[Shown]) -> Figure:
     """Measured and predicted angles of a few trials, a row each, a column for each joint."""
     model = found.fit.model
     joints = model.robot.joint_names
-    chosen = _telling(trials)
+    chosen = _shown_trials(trials)
     width = min(5.2 * len(joints) + 0.6, 15.0)
     figure = style.new_figure(width, 1.1 + 1.75 * len(chosen), f"Measured and predicted, {found.engine.name} engine")
     grid = figure.subplots(len(chosen), len(joints), squeeze=False)
@@ -145,7 +145,7 @@ def residuals_figure(found: Identified, trials: list[Shown]) -> Figure:
     joints = model.robot.joint_names
     count = len(trials)
     height = 1.6 + 2 * 0.4 + len(joints) * max(0.19 * count, 0.9)
-    figure = style.new_figure(12.0, height, "What is left over, trial by trial")
+    figure = style.new_figure(12.0, height, "Residuals, trial by trial")
     grid = figure.subplots(len(joints), 2, squeeze=False, width_ratios=[1.0, 1.45], sharey=True)
     shown = [units.position(model, joint) for joint in joints]
     factors = np.array([u.factor for u in shown])
@@ -183,8 +183,8 @@ def residuals_figure(found: Identified, trials: list[Shown]) -> Figure:
             label.set_fontsize(7.5 if count > 20 else style.SMALL_SIZE)
     if drawn is not None:
         bar = figure.colorbar(drawn, ax=list(grid[:, 1]), pad=0.02, extend="both", shrink=0.8)
-        told = ", ".join(dict.fromkeys(u.unit for u in shown))
-        bar.set_label(f"residual [{told}]", fontsize=style.TEXT_SIZE, color=style.INK)
+        unit = ", ".join(dict.fromkeys(u.unit for u in shown))
+        bar.set_label(f"residual [{unit}]", fontsize=style.TEXT_SIZE, color=style.INK)
         bar.ax.tick_params(labelsize=style.SMALL_SIZE)
     handles: list[Artist] = [Line2D([], [], marker="o", linestyle="", color=BEFORE, label="before")]
     for j, joint in enumerate(joints):
@@ -207,7 +207,7 @@ def _edges(time: Array) -> Array:
 
 
 def parameters_figure(found: Fit | StaticFit) -> Figure:
-    """Every parameter between its bounds, which are drawn equally far apart: where it began, where it is, how sure."""
+    """Every parameter between its bounds, scaled to one width: initial value, identified value, interval."""
     free, known = found.parameters.free, found.uncertainty
     n = len(free)
     figure = style.new_figure(10.5, 1.6 + 0.42 * n, "Parameters between their bounds, with 95 % intervals")

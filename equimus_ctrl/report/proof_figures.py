@@ -1,4 +1,4 @@
-"""Figures of a proof: who was taken for whom, what is found from which strength on, and how right the numbers are."""
+"""Figures of a proof: confusion matrix, detection rate over effect strength, and errors of the parameters."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def confusion_figure(score: Score) -> Figure:
     counts = np.array([[found.get(row, {}).get(column, 0.0) for column in columns] for row in rows])
     total = counts.sum(axis=1, keepdims=True)
     shares = np.divide(counts, total, out=np.zeros_like(counts), where=total > 0)
-    figure = style.new_figure(12.5, 11.0, f"What was taken for what, excess {STRONG:g} and more")
+    figure = style.new_figure(12.5, 11.0, f"Confusion matrix, excess residual variance {STRONG:g} and more")
     axes = figure.add_subplot()
     right = np.zeros_like(shares, dtype=bool)
     for i, row in enumerate(rows):
@@ -106,10 +106,10 @@ def power_figure(score: Score) -> Figure:
         axes.set_ylim(-3, 103)
         style.dress(axes, title=title)
     for axes in grid[2:]:
-        axes.set_xlabel("excess over the noise's variance, without the effect", fontsize=style.TEXT_SIZE)
+        axes.set_xlabel("excess residual variance over the noise's, without the effect", fontsize=style.TEXT_SIZE)
     for axes in grid[::2]:
         axes.set_ylabel("share of the cases [%]", fontsize=style.TEXT_SIZE)
-    counts = Patch(color=style.SHADE, label=f"excess {STRONG:g} and more: what the goals are about")
+    counts = Patch(color=style.SHADE, label=f"excess {STRONG:g} and more: what the goals judge")
     style.legend_below(figure, [*_legend(score), counts])
     return figure
 
@@ -173,29 +173,29 @@ def false_alarms_figure(score: Score) -> Figure:
 
 
 def parameters_figure(score: Score) -> Figure:
-    """Sizes estimated against true ones, over the middle true size of each parameter, and how errors are spread."""
+    """Sizes estimated against true ones, normalised by each parameter's median true size, and the errors' spread."""
     numbers = [n for n in score.numbers[OURS] if n.zero is not None]
     figure = style.new_figure(13.0, 6.0, "Parameters of what was named right")
     left, right = figure.subplots(1, 2)
-    middles = {key: _middle([n for n in numbers if (n.of, n.name) == key]) for key in {(n.of, n.name) for n in numbers}}
+    medians = {key: _median([n for n in numbers if (n.of, n.name) == key]) for key in {(n.of, n.name) for n in numbers}}
     for n in numbers:
-        middle, zero = middles[n.of, n.name], n.zero or 0.0
-        sizes = [(v - zero) * np.sign(n.true - zero) / middle for v in (n.value, n.low, n.high)]
+        median, zero = medians[n.of, n.name], n.zero or 0.0
+        sizes = [(v - zero) * np.sign(n.true - zero) / median for v in (n.value, n.low, n.high)]
         low, high = sorted(sizes[1:])
         colour, y = SIDES[REGISTRY[n.of].side], max(sizes[0], 1e-3)
         bars = [[y - max(low, 1e-3)], [min(high, 1e3) - y]]
         left.errorbar(
-            [n.scale / middle], [y], yerr=np.maximum(bars, 0.0), color=colour, marker="o" if n.main else "x",
+            [n.scale / median], [y], yerr=np.maximum(bars, 0.0), color=colour, marker="o" if n.main else "x",
             markersize=5, elinewidth=0.9, capsize=2, alpha=0.8, zorder=3,
         )  # fmt: skip
-    sizes = [n.scale / middles[n.of, n.name] for n in numbers] or [0.5, 2.0]
+    sizes = [n.scale / medians[n.of, n.name] for n in numbers] or [0.5, 2.0]
     ends = np.array([min(sizes) / 1.5, max(sizes) * 1.5])
     left.plot(ends, ends, color=style.INK, linestyle=style.DASHES, linewidth=1.0, zorder=2)
     left.set_xscale("log")
     left.set_yscale("log")
     left.set_xlim(*ends)
     left.set_ylim(*(ends * [0.6, 1.6]))
-    style.dress(left, title="sizes, over the middle one", x="true", y="estimated, 95 % interval")
+    style.dress(left, title="sizes, normalised by the median", x="true", y="estimated, 95 % interval")
     everything = score.numbers[OURS]
     for main, colour, title in ((True, style.INK, "main parameters"), (False, style.FAINT, "all others")):
         errors = np.sort([100 * max(n.error, 1e-5) for n in everything if n.main == main])
@@ -216,7 +216,7 @@ def parameters_figure(score: Score) -> Figure:
     return figure
 
 
-def _middle(numbers: Sequence[Number]) -> float:
+def _median(numbers: Sequence[Number]) -> float:
     return float(np.exp(np.mean([np.log(n.scale) for n in numbers])))
 
 
@@ -248,8 +248,8 @@ def coverage_figure(score: Score) -> Figure:
 
 
 def heldout_figure(score: Score) -> Figure:
-    """What the corrected models take away of the error on trials that no fit saw."""
-    figure = style.new_figure(9.0, 4.4, "Held-out error that the corrected model takes away")
+    """Share of the excess residual variance on test trials that the augmented models explain."""
+    figure = style.new_figure(9.0, 4.4, "Excess residual variance on held-out trials that the augmented model explains")
     axes = figure.add_subplot()
     shares = 100 * np.clip([h.share for h in score.heldout], -0.25, 1.0)
     axes.hist(shares, bins=[-25.0 + 2.5 * k for k in range(51)], color=style.JOINT_COLOURS[0], alpha=0.8, zorder=3)
@@ -258,7 +258,7 @@ def heldout_figure(score: Score) -> Figure:
     style.dress(
         axes,
         title=f"{len(shares)} cases where exactly what is missing was found; the goal is dashed",
-        x="share of the mean squared error in excess of the noise [%]",
+        x="share of the excess residual variance [%]",
         y="cases",
     )
     return figure

@@ -94,7 +94,7 @@ def goals_sheet(score: Score) -> Sheet:
         ("effects of pairs named", *_shown(t.recall["strong"])),
         ("names in pairs right", *_shown(t.precision)),
         ("single: right, at wrong places", *_shown(t.misplaced)),
-        ("single: right, and leftovers", *_shown(t.unsettled)),
+        ("single: right, and unexplained residuals", *_shown(t.unsettled)),
         ("outside: unexplained", *_shown(t.unexplained)),
         ("outside: of these placed", *_shown(t.placed)),
         ("outside: given wrong names", *_shown(t.wrong["strong"])),
@@ -107,7 +107,7 @@ def goals_sheet(score: Score) -> Sheet:
         f"{len(score.cases)} cases: reached and wanted",
         ("", "reached", "95 % interval", "goal", ""),
         (*rows, *((title, value, interval, "", "") for title, value, interval in more)),
-        f"What is missing counts from an excess of {STRONG:g} on. Open: not reached, but so few cases cannot tell.",
+        f"Missing physics counts from an excess residual variance of {STRONG:g} on. Open: undecided with so few cases.",
     )
 
 
@@ -215,7 +215,7 @@ def wrong_sheet(score: Score) -> Sheet:
             said = said or [line.get("failed") or line["verdict"]]
             truth = ", ".join(_named(line["truth"])) or "nothing"
             rows.append((str(line["case"]), line["kind"], f"{line['strength']:.3g}", truth, ", ".join(said)))
-    note = f"Weak ones (excess below {STRONG:g}) of which nothing was said are left out: {unseen}."
+    note = f"Weak ones (excess below {STRONG:g}) that were not detected are not listed: {unseen}."
     columns = ("case", "kind", "excess", "truth", "said")
     return Sheet("Answers that were not right", columns, tuple(rows), note if unseen else "")
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.report import style
-from equimus_ctrl.report.drawing import MM, far_apart, first_pass, label_parts, skeleton, sketch
+from equimus_ctrl.report.drawing import MM, well_spaced, first_pass, label_parts, skeleton, sketch
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import Score, on_grid
 from equimus_ctrl.types import Array, Run
@@ -117,8 +117,8 @@ def _slow_outcome(run: Run, kinematics: Kinematics) -> Array:
     """(n, nj) the pose at rest under the command in force at each instant [rad]."""
     n = len(run.time)
     some = _spread(n, 40)
-    apart = np.abs(kinematics.equilibria(run.command[some]) - run.reference[some]).max(axis=1)
-    if np.median(apart) < SAME_POSE:
+    distance = np.abs(kinematics.equilibria(run.command[some]) - run.reference[some]).max(axis=1)
+    if np.median(distance) < SAME_POSE:
         return run.reference
     changes = np.flatnonzero(np.any(np.diff(run.command, axis=0) != 0, axis=1)) + 1
     if len(changes) < MAX_REST_POSES:
@@ -244,11 +244,11 @@ def _many_coloured(label: str, nj: int) -> Line2D:
 
 
 def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: Beside | None, label: str) -> Figure:
-    """The machine at a few poses of the run, and beside it the path alone and larger, in mm with y downwards."""
+    """The robot at a few poses of the run, and beside it the path alone and larger, in mm with y downwards."""
     m, phase = kinematics.morphology, kinematics.phase
     what = "foot" if phase == "swing" else "base"
     figure = style.new_figure(WIDTH, 5.5, f"{label}: path of the {what}")
-    machine, path = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
+    side_view, path = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
 
     def trace(angles: Array) -> Array:
         bones = skeleton(m, angles, phase)
@@ -257,7 +257,7 @@ def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: B
     walked, target = trace(run.position), first_pass(trace(wanted.position))
     shown = [walked, target[np.isfinite(target[:, 0])]]
     still = bool(np.ptp(shown[1], axis=0).max() < 1.0)
-    for axes in (machine, path):
+    for axes in (side_view, path):
         axes.plot(*walked.T, color=style.FOOT, linewidth=style.RUN_WIDTH, zorder=3)
         if still:
             axes.plot(*target[0], **TARGET, zorder=6)
@@ -265,18 +265,18 @@ def foot_path_figure(run: Run, kinematics: Kinematics, wanted: Wanted, beside: B
             _plot_wanted(axes, target[:, 0], wanted, target[:, 1], order=3.5)
     if beside is not None:
         shown.append(trace(beside.position))
-        for axes in (machine, path):
+        for axes in (side_view, path):
             axes.plot(*shown[-1].T, color=style.RECORDED, linewidth=style.RECORDED_WIDTH, alpha=0.7, zorder=2.6)
-    chosen = far_apart(walked, 4)
+    chosen = well_spaced(walked, 4)
     for strength, k in zip((1.0, 0.25, 0.25, 0.25), chosen, strict=False):
-        sketch(machine, m, run.position[k], phase, strength=strength)
-    label_parts(machine, m, run.position[0], phase)
-    style.dress(machine, title="the machine at the start, later poses faded", x="x [mm]", y="y, downwards [mm]")
+        sketch(side_view, m, run.position[k], phase, strength=strength)
+    label_parts(side_view, m, run.position[0], phase)
+    style.dress(side_view, title="the robot at the start, later poses faded", x="x [mm]", y="y, downwards [mm]")
     style.dress(path, title=f"the {what} alone", x="x [mm]", y="y, downwards [mm]")
     start, end = walked[[0, -1]]
     path.plot(*start, marker="o", markersize=8, markerfacecolor="white", markeredgecolor=style.INK, zorder=5)
     path.plot(*end, marker="s", markersize=6, color=style.INK, zorder=5)
-    _equal(machine, np.concatenate([skeleton(m, run.position[chosen], phase).points * MM, *shown]))
+    _equal(side_view, np.concatenate([skeleton(m, run.position[chosen], phase).points * MM, *shown]))
     _equal(path, np.concatenate(shown))
     handles: list[Artist] = [Line2D([], [], color=style.FOOT, linewidth=style.RUN_WIDTH + 0.6, label="this run")]
     handles += _line_handles(wanted, beside)

@@ -1,4 +1,4 @@
-"""One look for every figure: colours that colour-blind readers can tell apart, sizes, and how a figure is saved.
+"""One look for every figure: colours that colour-blind readers can distinguish, sizes, and how a figure is saved.
 
 Figures are built with matplotlib's objects and drawn by Agg; nothing global is read or changed.
 """

@@ -1,4 +1,4 @@
-"""The figures of one run as a table for a person and as plain data for a machine."""
+"""The figures of one run as a table and as JSON data."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def make_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> P
 
     Args:
         study: the study.
-        model: the middle of the ensemble, and what the controller computes with.
+        model: the centre of the ensemble, and what the controller computes with.
         scenarios: one for each of the study's objectives, in their order.
     """
     members = make_ensemble(model, study.ensemble, study.ensemble.members, study.seed)

@@ -53,8 +53,8 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
         settings: how far the parameters spread.
         count: how many.
         seed: the same seed gives the same legs.
-        fixed: whether the first is the model itself with middling valves and the second the leg that is hardest to
-            keep stable: latest valves, most force, least stiffness, damping and mass.
+        fixed: whether the first is the model itself with valves at the centre of their ranges and the second the leg
+            that is hardest to stabilise: longest delays, most force, least stiffness, damping and mass.
 
     Raises:
         ConfigError: where an effect is of no kind known here.

@@ -97,8 +97,8 @@ class EnsembleSettings:
     """The legs the gains must work on.
 
     Attributes:
-        members: how many; the first is the model itself with valves of middling speed, the second the leg that is
-            hardest to keep stable: latest valves, most force, least stiffness, damping and mass.
+        members: how many; the first is the model itself with valves at the centre of their ranges, the second the leg
+            that is hardest to stabilise: longest delays, most force, least stiffness, damping and mass.
         stiffness: ± share of each actuator's stiffness.
         area: ± share of each actuator's area.
         damping: ± share of each actuator's and joint's damping.

@@ -37,7 +37,7 @@ def diagnose_recordings(
     asked: Asked = never,
     **changes: Any,
 ) -> Diagnosis:
-    """Find what a model leaves out of recordings: where, what, how much, and how sure.
+    """Find the physics that a model lacks, from recordings: where, which effect, how large, and how certain.
 
     Args:
         recordings: files, folders or trials.

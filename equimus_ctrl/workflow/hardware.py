@@ -155,11 +155,11 @@ def _judged(samples: list[Sample], plant: HardwarePlant) -> str:
 def _heard(samples: list[Sample], host: Transport) -> dict[str, Any]:
     stamps = np.array([s.stamp for s in samples])
     arrivals = np.array([s.received for s in samples])
-    late = arrivals - stamps
-    late -= late.min()
+    lateness = arrivals - stamps
+    lateness -= lateness.min()
     steps = np.diff(stamps)
     fresh = steps[steps > 0]
-    p50, p99 = np.quantile(late, [0.5, 0.99])
+    p50, p99 = np.quantile(lateness, [0.5, 0.99])
     return {
         "joints": list(samples[-1].names),
         "samples": len(samples),

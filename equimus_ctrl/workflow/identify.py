@@ -283,7 +283,7 @@ def identify_files(
 
     Files of poses are recognised by their header. Where both are given the poses come first (stiffness, area and rest
     length, as far as these are free), then the trials, from the model that the poses gave and between the bounds about
-    the model as it came.
+    the initial model.
 
     Args:
         sources: files, or folders of trials.
@@ -332,7 +332,7 @@ def identify_files(
         start = rest.fit.model
     own = replace(options, free=chosen.names, fix=(), bounds=limits, select=None, heldout=others)
     found = identify_recordings(trials, start, own, progress=progress)
-    # What was held out is judged against the model as it came, whatever the poses made of it.
+    # Held-out data are judged against the initial model, whatever the poses made of it.
     simulator = simulator_of(options.engine, options.dt, options.threads, model)
     judged = [
         replace(h, before=residuals_of(model, [h.segment], simulator)[0])

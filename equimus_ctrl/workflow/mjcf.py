@@ -162,10 +162,10 @@ def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]
     for effect in model.effects:
         if not effect.write_mjcf(own.mujoco):
             left.append(f"{effect.name} at {effect.location}")
-    for drive, late in zip(own.robot.actuators, own.valve[:, DELAY], strict=True):
+    for drive, delay in zip(own.robot.actuators, own.valve[:, DELAY], strict=True):
         # By the XML and by effects together; MuJoCo reads what it has written a step before at the earliest.
-        held = late >= own.mujoco.opt.timestep
-        own.mujoco.actuator_delay[drive.index] = late if held else 0.0
-        if late > 0 and not held:
+        held = delay >= own.mujoco.opt.timestep
+        own.mujoco.actuator_delay[drive.index] = delay if held else 0.0
+        if delay > 0 and not held:
             left.append(f"{TransportDelay.name} at {drive.name}")
     return exported(own.robot, own.mujoco, left, folder), tuple(left)

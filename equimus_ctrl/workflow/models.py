@@ -70,7 +70,7 @@ def save_model(path: Path | str, model: Model, near: Path | None = None) -> list
         # The robot's own XML, or one that was not written together with this model file.
         whole = path.with_name(f"{path.stem}_whole.xml")
     left = write_corrected(whole, model, None if near is None else found.parent)
-    told = f"{whole.name} has all of this in one MuJoCo model"
-    told += f", but for {', '.join(left)}." if left else "."
-    presets.write_text(path, presets.toml_text(data, told))
+    shown_text = f"{whole.name} has all of this in one MuJoCo model"
+    shown_text += f", but for {', '.join(left)}." if left else "."
+    presets.write_text(path, presets.toml_text(data, shown_text))
     return [path, whole]

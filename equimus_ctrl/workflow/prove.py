@@ -1,4 +1,4 @@
-"""The proof: ground truths made and sealed, diagnosed by processes that know nothing of them, opened and scored."""
+"""The proof: blinded synthetic ground truths with SHA-256 seals, diagnosed by other processes, then scored."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def put_to_proof(
         **changes: of the options, one by one.
 
     Raises:
-        ConfigError: for numbers that make no proof, a folder that holds another one, or truths that were changed.
+        ConfigError: for settings that make no proof, a folder that holds another one, or truths that were changed.
         EquimusError: where a diagnosis' process ended without an answer.
     """
     begun = time.perf_counter()
@@ -97,13 +97,13 @@ def put_to_proof(
     _claim(request)
     done = 0
 
-    def told(made: object) -> None:
+    def count_made(made: object) -> None:
         nonlocal done
         done += 1
         progress(STAGES[0], done, cases)
 
     progress(STAGES[0], 0, cases)
-    seals = [made.seal for made in make_cases(request, range(cases), workers, told)]
+    seals = [made.seal for made in make_cases(request, range(cases), workers, count_made)]
     whole = seal_of_all(seals)
     lines = "".join(f"{one}  case_{case:04d}\n" for case, one in enumerate(seals))
     presets.write_text(folder / "seals.txt", f"{whole}  all\n{lines}")

@@ -243,7 +243,7 @@ def tune_pid(
 
     Args:
         study: a study file; ``tuning/pid.toml`` by default.
-        model: the middle of the ensemble; the nominal leg by default.
+        model: the centre of the ensemble; the nominal leg by default.
         scenarios: objectives in place of the study's own, each of the same weight.
         candidates: sets of gains to try in all, in place of the study's number.
         seed: in place of the study's.
