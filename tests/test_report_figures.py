@@ -18,7 +18,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.plants.mujoco_plant import make_spec
 from equimus_ctrl.report import run_figures, style
-from equimus_ctrl.report.drawing import well_spaced, first_pass, skeleton
+from equimus_ctrl.report.drawing import first_pass, skeleton, well_spaced
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.elastic.morphology import ElasticActuator, Joint, JointStop, Link, Morphology, Point
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference

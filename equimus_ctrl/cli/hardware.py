@@ -68,7 +68,7 @@ def _lines(found: dict[str, Any], states: str, commands: str) -> list[str]:
     ]
     for name, moved in found.get("reactions", {}).items():
         lines.append(
-            f"{name}: moved a joint by {moved['moved_rad']:.4f} rad, at rest it varies by {moved['still_rad']:.4f}"
+            f"{name}: moved a joint by {moved['moved_rad']:.4f} rad, at rest by {moved['still_rad']:.4f}"
         )
     return lines + [f"problem: {text}" for text in found["problems"]]
 

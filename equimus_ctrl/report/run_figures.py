@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.report import style
-from equimus_ctrl.report.drawing import MM, well_spaced, first_pass, label_parts, skeleton, sketch
+from equimus_ctrl.report.drawing import MM, first_pass, label_parts, skeleton, sketch, well_spaced
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import Score, on_grid
 from equimus_ctrl.types import Array, Run
