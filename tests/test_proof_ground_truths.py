@@ -33,7 +33,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof import outside, sizes
 from equimus_ctrl.proof.designs import DURATION, JITTER, SAMPLE_RATE, TOP, design, sample_times
-from equimus_ctrl.proof.drawing import GroundTruth, attached, findings, noise, strayed
+from equimus_ctrl.proof.drawing import GroundTruth, attached, findings, noise, perturbed
 from equimus_ctrl.proof.leg_simulation import recordings as recorded
 from equimus_ctrl.proof.leg_simulation import simulate
 from equimus_ctrl.proof.legs import (
@@ -142,7 +142,7 @@ def test_numbers_stay_in_their_ranges() -> None:
 
 def test_the_leg_spreads_over_its_whole_range() -> None:
     rng, draws = np.random.default_rng(0), leg_draws()
-    legs = [strayed(rng, draws).parameters() for _ in range(300)]
+    legs = [perturbed(rng, draws).parameters() for _ in range(300)]
     for name in ("maa.stiffness", "baa.area", "maa.rest_length", "knee.damping"):
         share = np.array([leg[name] for leg in legs]) / nominal_leg().parameters()[name] - 1
         spread = SPREAD[name.rpartition(".")[2]]
@@ -223,7 +223,7 @@ def motion() -> tuple[Motion, list[ca.SX]]:
 
 def pushed(effect: outside.MotionEffect, place: str, *values: object) -> float:
     at, symbols = motion()
-    return float(ca.Function("f", symbols, [effect.push(at)[place]])(*values))
+    return float(ca.Function("f", symbols, [effect.forces(at)[place]])(*values))
 
 
 def test_the_cross_spring_has_an_energy() -> None:

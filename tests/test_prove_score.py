@@ -49,9 +49,9 @@ def test_every_excess_has_its_range() -> None:
 
 def test_lever_arms_say_on_which_joints_an_actuator_acts() -> None:
     places = Places.of(nominal_leg())
-    assert places.moved(["maa"]) == {"hip"}
-    assert places.moved(["baa"]) == {"hip", "knee"}
-    assert places.moved(["knee"]) == {"knee"}
+    assert places.joints_of(["maa"]) == {"hip"}
+    assert places.joints_of(["baa"]) == {"hip", "knee"}
+    assert places.joints_of(["knee"]) == {"knee"}
 
 
 def test_the_tip_of_the_last_link_is_the_foot() -> None:
@@ -66,7 +66,7 @@ def test_one_effect_found_in_two_places_apart_is_the_same_as_in_both() -> None:
     apart = report(SAID_LAG, finding("first_order_lag", "baa", time_constant=0.19))
     found = scored((both, apart), (both, report(SAID_LAG)))
     assert [case.exact("diagnosis") for case in found.cases] == [True, False]
-    assert len(found.numbers["diagnosis"]) == 2
+    assert len(found.estimates["diagnosis"]) == 2
 
 
 def test_what_cannot_be_told_apart_counts_as_its_group() -> None:
@@ -126,7 +126,7 @@ def test_single_effects_are_counted_by_their_strength_and_name() -> None:
     assert t.single["all"] == Share(2, 4) and t.single["strong"] == Share(2, 3)
     assert t.single["0.03 to 0.3"] == Share(0, 1) and t.single["3 to 30"] == Share(2, 3)
     assert t.effects == {"coulomb_friction": Share(1, 1), "first_order_lag": Share(1, 2)}
-    assert t.unsettled == Share(1, 2)
+    assert t.with_unexplained == Share(1, 2)
 
 
 def test_pairs_are_right_as_a_whole_and_counted_in_parts() -> None:
@@ -205,11 +205,11 @@ def test_numbers_count_where_the_name_is_right_and_the_effect_strong() -> None:
     found = scored(
         (pair, report(SAID_LAG, SAID_RUB)), (pair, report(SAID_RUB)), (truth("single", LAG), report(open_end))
     )
-    numbers = found.numbers["diagnosis"]
-    assert [(n.case, n.of) for n in numbers] == [(0, "first_order_lag"), (2, "first_order_lag")]
-    assert [n.error for n in numbers] == pytest.approx([0.05, 0.5])
-    assert [n.covered for n in numbers] == [True, False] and [n.bounded for n in numbers] == [True, False]
-    # The robot's own numbers count where all that is missing was found.
+    estimates = found.estimates["diagnosis"]
+    assert [(n.case, n.of) for n in estimates] == [(0, "first_order_lag"), (2, "first_order_lag")]
+    assert [n.error for n in estimates] == pytest.approx([0.05, 0.5])
+    assert [n.covered for n in estimates] == [True, False] and [n.bounded for n in estimates] == [True, False]
+    # The robot's own parameters count where all that is missing was found.
     assert {n.case for n in found.own} == {0, 2} and all(n.covered for n in found.own)
 
 

@@ -67,9 +67,7 @@ def _lines(found: dict[str, Any], states: str, commands: str) -> list[str]:
         f"{commands}: {found['listeners']} listening",
     ]
     for name, moved in found.get("reactions", {}).items():
-        lines.append(
-            f"{name}: moved a joint by {moved['moved_rad']:.4f} rad, at rest by {moved['still_rad']:.4f}"
-        )
+        lines.append(f"{name}: moved a joint by {moved['moved_rad']:.4f} rad, at rest by {moved['still_rad']:.4f}")
     return lines + [f"problem: {text}" for text in found["problems"]]
 
 

@@ -1,4 +1,4 @@
-"""Truths and answers made comparable: which effects at which places, and on which joints something pushes."""
+"""Truths and answers made comparable: which effects at which places, and on which joints forces act."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Places:
 
     Attributes:
         foot: the link whose tip is the foot; "" where it has none.
-        joints: place → the joints on which a push there acts.
+        joints: place → the joints on which a force there acts.
     """
 
     foot: str
@@ -49,21 +49,21 @@ class Places:
     def of(cls, robot: Robot) -> Places:
         """Of a robot; where a joint and its actuator have one name, it is the joint's."""
         names, places = robot.joint_names, robot.places()
-        moved = {place: frozenset(names) for kind in ("link", "foot", "base") for place in places[kind]}
-        moved |= {actuator: robot.driven_joints(actuator) for actuator in robot.actuator_names}
-        moved |= {name: frozenset({name}) for name in names}
-        return cls(robot.foot_link or "", moved)
+        joints_of = {place: frozenset(names) for kind in ("link", "foot", "base") for place in places[kind]}
+        joints_of |= {actuator: robot.driven_joints(actuator) for actuator in robot.actuator_names}
+        joints_of |= {name: frozenset({name}) for name in names}
+        return cls(robot.foot_link or "", joints_of)
 
     def same(self, location: str) -> str:
         """The one name of a place: the tip of the last link is the foot."""
         return "foot" if location == self.foot else location
 
-    def moved(self, locations: Iterable[str]) -> frozenset[str]:
-        """The joints on which pushes at some places act."""
+    def joints_of(self, locations: Iterable[str]) -> frozenset[str]:
+        """The joints on which forces at some places act."""
         return frozenset().union(*(self.joints[location] for location in locations))
 
     def parts(self, findings: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
-        """Which effects act where; one effect found in two places apart is the same as in both together."""
+        """Which effects act where; one effect found at two places separately is the same as in both together."""
         found: dict[str, frozenset[str]] = {}
         for finding in findings:
             effect, where = self._key(finding)
@@ -74,7 +74,7 @@ class Places:
         return named["effect"], frozenset(self.same(location) for location in named["locations"])
 
     def in_group(self, wanted: Parts, findings: Sequence[Mapping[str, Any]]) -> bool:
-        """Whether findings are right, each by itself or by one that it cannot be told from."""
+        """Whether findings are right, each by itself or by one that is not distinguishable from it."""
         if self.parts(findings) == dict(wanted):
             return True
         options = [{self._key(f), *(self._key(e) for e in f.get("equivalent", ()))} for f in findings]
@@ -168,7 +168,7 @@ class Case:
         return not self.answer(method).failed and self.named(method) == self.wanted
 
     def in_group(self, method: Method) -> bool:
-        """The same, or what the method says cannot be told from it."""
+        """The same, or what the method calls not distinguishable from it."""
         answer = self.answer(method)
         return not answer.failed and self.places.in_group(self.wanted, answer.findings)
 
@@ -182,6 +182,6 @@ class Case:
         left = self.answer(method).unexplained
         if not left:
             return False
-        pushed = {location for e in self.truth["outside"] for location in e["locations"]}
-        joints = self.places.moved(pushed)
-        return left[0]["location"] in joints or bool(set(left[0].get("acts_at", ())) & (joints | pushed))
+        places = {location for e in self.truth["outside"] for location in e["locations"]}
+        joints = self.places.joints_of(places)
+        return left[0]["location"] in joints or bool(set(left[0].get("acts_at", ())) & (joints | places))

@@ -1,4 +1,4 @@
-"""Three simpler ways to tell what is missing, on the same recordings, candidates and refits as the diagnosis."""
+"""Three simpler methods that find missing physics, on the same recordings, candidates and refits as the diagnosis."""
 
 from __future__ import annotations
 

@@ -37,8 +37,8 @@ class TrialDesign:
         kind: steps, staircase, multisine or releases; as recorded where it was.
         time: (n,) sample times, ascending from 0 [s].
         command: (n, na) in force from each of them on, in units of the robot's commands.
-        start: (nj,) where the joints are at the first, at rest [rad or m]; None where the robot has settled under the
-            first command.
+        start: (nj,) where the joints are at the first, at rest [rad or m]; None where the robot is at equilibrium
+            under the first command.
         notes: what differs in this trial, see ``Recording``.
     """
 
@@ -51,7 +51,7 @@ class TrialDesign:
 
     @property
     def settles(self) -> bool:
-        """Whether the robot has settled under the first command when the trial starts."""
+        """Whether the robot is at equilibrium under the first command when the trial starts."""
         return self.start is None
 
     def __post_init__(self) -> None:

@@ -84,8 +84,8 @@ class Draws:
     """How ground truths of a robot differ from those of another.
 
     Attributes:
-        nominal: the model whose parameters stray.
-        spread: parameter → by which share of itself it strays at most.
+        nominal: the model whose parameters are perturbed.
+        spread: parameter → its largest relative perturbation.
         table: sizes of effects from the catalogue and from outside it.
         choose: (generator, names, how many) → so many different names.
         place: (generator, class of an effect) → where it is put.
@@ -109,7 +109,7 @@ class GroundTruth:
     Attributes:
         case: its number.
         seed: of the whole proof.
-        kind: how much is left out of the nominal model.
+        kind: how much is missing from the nominal model.
         robot: with its true parameters.
         effects: from the catalogue.
         outside: physics from outside it.
@@ -149,7 +149,7 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class Excess:
-    """Mean squared residual over the noise's variance, of data without noise, to six digits.
+    """Excess residual variance: mean squared residual of data without noise over the noise's variance, to six digits.
 
     Attributes:
         total: over all joints.
@@ -205,7 +205,7 @@ class CaseSource(ABC):
     def excess(
         self, ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
     ) -> Excess:
-        """What is left when the robot with ``effects`` alone is fitted to a ground truth, see ``strength.excess``."""
+        """Excess residual variance of the fitted robot with ``effects`` alone, see ``strength.excess``."""
 
     def hashes(self) -> dict[str, str]:
         """SHA-256 of what cases are made from beside seeds and settings."""
@@ -237,7 +237,7 @@ def draw_case(
     """
     rng = stream(seed, case, WHAT + STREAMS * attempt)
     kind = kind_of(rng, kind)
-    real = strayed(rng, draws)
+    real = perturbed(rng, draws)
     noise, correlation = draw_noise(rng, draws.noise, draws.correlation)
     inside, beyond = EFFECTS[kind]
     effects = missing_physics(rng, draws, real, REGISTRY, inside)
@@ -248,7 +248,7 @@ def draw_case(
     )  # fmt: skip
 
 
-def strayed(rng: np.random.Generator, draws: Draws) -> Model:
+def perturbed(rng: np.random.Generator, draws: Draws) -> Model:
     """The nominal model with its uncertain parameters spread evenly."""
     nominal = draws.nominal.parameters()
     shares = {name: most * rng.uniform(-1.0, 1.0) for name, most in draws.spread.items()}

@@ -1,4 +1,4 @@
-"""How right the numbers are: sizes of what was found, intervals, and the error that the corrected model takes away."""
+"""Errors of estimates: sizes of effects, coverage of intervals, and the share of the variance that is explained."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from equimus_ctrl.robots.elastic.leg import nominal_leg
 
 
 @dataclass(frozen=True)
-class Number:
-    """A number estimated and what it truly is.
+class ParameterEstimate:
+    """An estimated parameter and its true value.
 
     Attributes:
         case: where.
@@ -28,7 +28,7 @@ class Number:
         low: end of the 95 % interval, −inf where it has none.
         high: upper end.
         scale: what the error is relative to [SI].
-        zero: where the effect does nothing; None where the number says but where something sits.
+        zero: where the effect does nothing; None where the parameter is only a position.
     """
 
     case: int
@@ -74,9 +74,9 @@ def measure_of(effect: str, parameter: str, location: str, true: float) -> tuple
     return measured_by(size_of(leg_table(), effect, parameter, kind, location), REGISTRY[effect], true)
 
 
-def found_numbers(cases: Sequence[Case], method: Method = OURS) -> list[Number]:
-    """All numbers of effects that were named right in their places and are strong alone."""
-    found: list[Number] = []
+def effect_estimates(cases: Sequence[Case], method: Method = OURS) -> list[ParameterEstimate]:
+    """All parameters of effects that were named right in their places and are strong alone."""
+    found: list[ParameterEstimate] = []
     for case in cases:
         named = case.named(method)
         for truth in case.truth["findings"]:
@@ -85,23 +85,25 @@ def found_numbers(cases: Sequence[Case], method: Method = OURS) -> list[Number]:
                 continue
             for finding in case.answer(method).findings:
                 if finding["effect"] == effect:
-                    found += _numbers(case.number, truth, finding["parameters"])
+                    found += _estimates(case.number, truth, finding["parameters"])
     return found
 
 
-def _numbers(case: int, truth: Mapping[str, Any], estimates: Mapping[str, Any]) -> Iterable[Number]:
+def _estimates(case: int, truth: Mapping[str, Any], found: Mapping[str, Any]) -> Iterable[ParameterEstimate]:
     for k, name in enumerate(REGISTRY[truth["effect"]].parameter_info()):
-        if name in estimates:
-            true, own = float(truth["parameters"][name]), estimates[name]
+        if name in found:
+            true, own = float(truth["parameters"][name]), found[name]
             if "scales" in truth:
                 scale, zero = truth["scales"][name]
             else:
                 scale, zero = measure_of(truth["effect"], name, truth["locations"][0], true)
-            yield Number(case, truth["effect"], name, k == 0, true, float(own["value"]), *_ends(own), scale, zero)
+            yield ParameterEstimate(
+                case, truth["effect"], name, k == 0, true, float(own["value"]), *_ends(own), scale, zero
+            )
 
 
-def own_numbers(cases: Sequence[Case]) -> list[Number]:
-    """The robot's own numbers where exactly what is missing was found: elsewhere they stand in for it."""
+def robot_estimates(cases: Sequence[Case]) -> list[ParameterEstimate]:
+    """The robot's own parameters where exactly the missing physics was found: elsewhere they compensate it."""
     found = []
     for case in cases:
         if case.kind == "outside" or not case.exact(OURS):
@@ -109,7 +111,9 @@ def own_numbers(cases: Sequence[Case]) -> list[Number]:
         for name, true in case.truth["parameters"].items():
             own = case.report["parameters"].get(name)
             if own is not None:
-                found.append(Number(case.number, "", name, False, true, float(own["value"]), *_ends(own), abs(true)))
+                found.append(
+                    ParameterEstimate(case.number, "", name, False, true, float(own["value"]), *_ends(own), abs(true))
+                )
     return found
 
 
@@ -118,18 +122,18 @@ def _ends(estimate: Mapping[str, Any]) -> tuple[float, float]:
     return -math.inf if low is None else float(low), math.inf if high is None else float(high)
 
 
-def coverage(numbers: Sequence[Number]) -> Share:
+def coverage(estimates: Sequence[ParameterEstimate]) -> Share:
     """Intervals that hold the truth."""
-    return Share.among(n.covered for n in numbers)
+    return Share.among(n.covered for n in estimates)
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What the corrected model takes away on trials that no fit saw.
+    """Share of the excess residual variance on test trials that the augmented model explains.
 
     Attributes:
         case: where.
-        share: of the mean squared error in excess of the noise that the refitted model has.
+        share: of the refitted model's excess residual variance.
     """
 
     case: int
@@ -141,13 +145,13 @@ def held_out(cases: Sequence[Case]) -> list[HeldOut]:
     found = []
     for case in cases:
         if case.kind in ("single", "pair") and case.strength >= STRONG and case.exact(OURS):
-            before, after = (heldout_excess(case, state) for state in ("refitted", "corrected"))
+            before, after = (heldout_excess_variance(case, state) for state in ("refitted", "corrected"))
             if before > 0:
                 found.append(HeldOut(case.number, 1.0 - after / before))
     return found
 
 
-def heldout_excess(case: Case, state: str) -> float:
+def heldout_excess_variance(case: Case, state: str) -> float:
     """Mean over the joints of rmse²/noise² − 1 on held-out trials; nan where there are none."""
     noise, parts = case.truth["noise_rad"], case.report["rmse_rad"]
     rmse = parts["test" if case.report["trials"]["test"] else "validation"][state]

@@ -1,6 +1,6 @@
 """Ground truths of legs in MuJoCo: the leg of 3-2-1 elements at a fine step, all trials side by side.
 
-What pushes is stepped in the loop, at the middle of each step, that is at positions and speeds carried on from its
+All forces of effects are evaluated at the midpoint of each step, that is at positions and speeds carried on from its
 start. Dry friction is MuJoCo's own.
 """
 
@@ -43,23 +43,23 @@ HALVES = ("middle", "lower")
 
 
 @dataclass(frozen=True, eq=False)
-class _Pushes:
-    """All that pushes, as compiled functions with the numbers filled in.
+class _AppliedForces:
+    """The forces of all effects, as compiled functions of the state.
 
     Attributes:
-        push: (q, v, z, pressure, t) → (torque (nj,), force (na,), dz/dt, bound of dry friction (nr,)).
+        forces: (q, v, z, pressure, t) → (torque (nj,), force (na,), dz/dt, bound of dry friction (nr,)).
         rest: q → z after a long rest.
         rubbing: (kind, index) of the place of each bound.
         n_states: size of z.
     """
 
-    push: ca.Function
+    forces: ca.Function
     rest: ca.Function
     rubbing: tuple[tuple[str, int], ...]
     n_states: int
 
 
-def _pushes(ground_truth: GroundTruth, robot: Morphology) -> _Pushes | None:
+def _applied_forces(ground_truth: GroundTruth, robot: Morphology) -> _AppliedForces | None:
     effects = [e for e in (*ground_truth.effects, *ground_truth.outside) if isinstance(e, ForceEffect)]
     free = [e for e in ground_truth.outside if isinstance(e, MotionEffect)]
     if not effects and not free:
@@ -68,7 +68,7 @@ def _pushes(ground_truth: GroundTruth, robot: Morphology) -> _Pushes | None:
     m = augmented_model(structure(robot), "swing", laws)
     joints, actuators = robot.joint_names, robot.actuator_names
     base = build(structure(robot), "swing")
-    numbers = [*pack(robot), *law_parameters(m.slots, effects, joints, actuators)]
+    parameters = [*pack(robot), *law_parameters(m.slots, effects, joints, actuators)]
     time = ca.SX.sym("t")
     coordinates = ca.vertsplit(ca.vertcat(m.q, base.lengths))
     rates = ca.vertsplit(ca.vertcat(m.v, base.jacobian @ m.v))
@@ -82,7 +82,7 @@ def _pushes(ground_truth: GroundTruth, robot: Morphology) -> _Pushes | None:
     )
     torque, force = ca.SX(m.torque), ca.SX(m.force + m.more_area * m.pressure)
     for effect in free:
-        for name, value in effect.push(at).items():
+        for name, value in effect.forces(at).items():
             if name in joints:
                 torque[joints.index(name)] += value
             else:
@@ -91,39 +91,39 @@ def _pushes(ground_truth: GroundTruth, robot: Morphology) -> _Pushes | None:
     outputs = ca.substitute(
         [torque, force, m.z_rate, bound, m.rest_state],
         [m.p, base.p],
-        [ca.SX(ca.DM(numbers)), ca.SX(ca.DM(pack(robot)))],
+        [ca.SX(ca.DM(parameters)), ca.SX(ca.DM(pack(robot)))],
     )
-    push = ca.Function("push", [m.q, m.v, m.z, m.pressure, time], outputs[:4])
-    return _Pushes(push, ca.Function("rest", [m.q], [outputs[4]]), m.rubbing, int(m.z.numel()))
+    forces = ca.Function("forces", [m.q, m.v, m.z, m.pressure, time], outputs[:4])
+    return _AppliedForces(forces, ca.Function("rest", [m.q], [outputs[4]]), m.rubbing, int(m.z.numel()))
 
 
-def settled(kinematics: Kinematics, pushes: _Pushes | None, pressure: Array, bias: Array) -> Array:
-    """(nj,) where the leg rests under constant pressures, all that pushes included [rad].
+def settled(kinematics: Kinematics, acting: _AppliedForces | None, pressure: Array, bias: Array) -> Array:
+    """(nj,) where the leg rests under constant pressures, all forces of effects included [rad].
 
     Args:
         kinematics: of the leg.
-        pushes: on it.
+        acting: the forces of its effects.
         pressure: (na,) [Pa].
         bias: (nj + na,) share of its dry friction that holds each joint and actuator.
 
     Raises:
         ModelError: where there is no such place.
     """
-    if pushes is None:
+    if acting is None:
         return kinematics.equilibrium(pressure)
     nj = len(kinematics.morphology.joints)
 
-    def pushed(q: Array, pressure: Array) -> tuple[Array, Array]:
-        found = pushes.push(q, np.zeros(nj), pushes.rest(q), pressure, 0.0)
+    def exerted(q: Array, pressure: Array) -> tuple[Array, Array]:
+        found = acting.forces(q, np.zeros(nj), acting.rest(q), pressure, 0.0)
         joint, force, _, bound = (np.array(part).ravel() for part in found)
-        for (kind, i), size in zip(pushes.rubbing, bound, strict=True):
+        for (kind, i), size in zip(acting.rubbing, bound, strict=True):
             if kind == "joint":
                 joint[i] += bias[i] * size
             else:
                 force[i] += bias[nj + i] * size
         return joint, force
 
-    return settle(kinematics, pressure, pushed)
+    return settle(kinematics, pressure, exerted)
 
 
 def simulate(ground_truth: GroundTruth, rate: float = RATE) -> list[Array]:
@@ -135,7 +135,7 @@ def simulate(ground_truth: GroundTruth, rate: float = RATE) -> list[Array]:
 
     Raises:
         ModelError: where the leg finds no rest to begin from.
-        SimulationDiverged: where the leg's numbers are none.
+        SimulationDiverged: where the leg's state is not finite.
     """
     model, dt = ground_truth.model, 1.0 / rate
     require_kinds(model.effects, MUJOCO_KINDS, f"case {ground_truth.case}")
@@ -144,13 +144,13 @@ def simulate(ground_truth: GroundTruth, rate: float = RATE) -> list[Array]:
     steps = max(int(np.ceil(trial.time[-1] * rate - 1e-9)) for trial in ground_truth.trials)
     pressure = np.empty((len(ground_truth.trials), steps, 2, len(names)))
     starts = []
-    pushes, kinematics = _pushes(ground_truth, robot), Kinematics(robot)
+    acting, kinematics = _applied_forces(ground_truth, robot), Kinematics(robot)
     for k, trial in enumerate(ground_truth.trials):
         shaped = shaped_commands(model.effects, names, trial.command)
         valve = valve_settings(model.effects, names)
         pressure_history(np.array(trial.time), shaped, shaped[0].copy(), valve, 0.0, dt, pressure[k])
-        starts.append(settled(kinematics, pushes, shaped[0], ground_truth.rest_bias[k]))
-    q, v = _run(robot, pushes, np.array(starts), pressure[:, :, 0].copy(), dt)
+        starts.append(settled(kinematics, acting, shaped[0], ground_truth.rest_bias[k]))
+    q, v = _run(robot, acting, np.array(starts), pressure[:, :, 0].copy(), dt)
     if not (np.all(np.isfinite(q)) and np.all(np.abs(v) < MAX_SPEED)):
         raise SimulationDiverged(f"case {ground_truth.case} of seed {ground_truth.seed}: the simulation diverged")
     sensors = sensor_settings(model.effects, robot.joint_names)
@@ -165,7 +165,9 @@ def simulate(ground_truth: GroundTruth, rate: float = RATE) -> list[Array]:
     return clean
 
 
-def _run(robot: Morphology, pushes: _Pushes | None, q0: Array, pressure: Array, dt: float) -> tuple[Array, Array]:
+def _run(
+    robot: Morphology, acting: _AppliedForces | None, q0: Array, pressure: Array, dt: float
+) -> tuple[Array, Array]:
     """(trials, steps + 1, nj) angles and speeds from rest at q0 (trials, nj) under pressures (trials, steps, na)."""
     compiled = compile_model(robot, "swing", replace(FAST_SETTINGS, timestep=dt))
     for flag in (mujoco.mjtDisableBit.mjDSBL_AUTORESET, mujoco.mjtDisableBit.mjDSBL_ISLAND):
@@ -173,7 +175,7 @@ def _run(robot: Morphology, pushes: _Pushes | None, q0: Array, pressure: Array, 
     joints = [compiled.joint(name) for name in robot.joint_names]
     at, dof = [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
     tendons = [compiled.tendon(f"{name}/length").id for name in robot.actuator_names]
-    for kind, i in pushes.rubbing if pushes else ():
+    for kind, i in acting.rubbing if acting else ():
         if kind == "joint":
             compiled.dof_solref[dof[i]], compiled.dof_solimp[dof[i]] = (2 * dt, 1.0), STICKING
         else:
@@ -188,18 +190,18 @@ def _run(robot: Morphology, pushes: _Pushes | None, q0: Array, pressure: Array, 
         runs.bind("qpos")[k], runs.bind("qvel")[k] = data.qpos, data.qvel
     q, v = np.zeros((2, n, steps + 1, len(at)))
     q[:, 0] = q0
-    if pushes is None:
+    if acting is None:
         found = runs.rollout(steps, pressure, record=("qpos", "qvel"))
         q[:, 1:], v[:, 1:] = found["qpos"][:, :, at], found["qvel"][:, :, dof]
         return q, v
-    loop = _Loop(pushes, n)
-    loop.z[:] = np.array([np.array(pushes.rest(position)).ravel() for position in q0])
+    loop = _Loop(acting, n)
+    loop.z[:] = np.array([np.array(acting.rest(position)).ravel() for position in q0])
     control, applied, qpos, qvel = (runs.bind(name) for name in ("ctrl", "qfrc_applied", "qpos", "qvel"))
     slides = [[compiled.joint(f"{name}/{half}").dofadr[0] for name in robot.actuator_names] for half in HALVES]
     losses = {"joint": runs.expand("dof_frictionloss"), "actuator": runs.expand("tendon_frictionloss")}
-    places = [losses[kind][:, dof[i] if kind == "joint" else tendons[i]] for kind, i in pushes.rubbing]
+    places = [losses[kind][:, dof[i] if kind == "joint" else tendons[i]] for kind, i in acting.rubbing]
     for s in range(steps):
-        torque, force, bound = loop.middle(q[:, s], v[:, s], v[:, max(s - 1, 0)], pressure[:, s], s * dt, dt)
+        torque, force, bound = loop.at_midpoint(q[:, s], v[:, s], v[:, max(s - 1, 0)], pressure[:, s], s * dt, dt)
         control[:] = pressure[:, s]
         applied[:, dof] = torque
         for half in slides:
@@ -212,19 +214,19 @@ def _run(robot: Morphology, pushes: _Pushes | None, q0: Array, pressure: Array, 
 
 
 class _Loop:
-    """The pushes of all trials at once, through buffers: that takes a tenth of the time of calls with arrays."""
+    """The forces of all trials at once, through buffers: that takes a tenth of the time of calls with arrays."""
 
-    def __init__(self, pushes: _Pushes, n: int) -> None:
+    def __init__(self, acting: _AppliedForces, n: int) -> None:
         # Lanes stand side by side in CasADi's columns, which are the rows of an array.
-        self._evaluate = Buffered(pushes.push.map(n))
+        self._evaluate = Buffered(acting.forces.map(n))
         self._given = [array.reshape(n, -1) for array in self._evaluate.arguments]
         self._found = [array.T.reshape(n, -1) for array in self._evaluate.results]
-        self.z: Array = np.zeros((n, pushes.n_states))
+        self.z: Array = np.zeros((n, acting.n_states))
 
-    def middle(
+    def at_midpoint(
         self, q: Array, v: Array, before: Array, pressure: Array, time: float, dt: float
     ) -> tuple[Array, Array, Array]:
-        """Torques, forces and friction bounds in the middle of a step, the effects' states moved to its end.
+        """Torques, forces and friction bounds at the midpoint of a step, the effects' states moved to its end.
 
         Args:
             q: (n, nj) at the step's start [rad].

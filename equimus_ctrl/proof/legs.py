@@ -1,4 +1,4 @@
-"""Ground truths of legs: the nominal leg with its actuators' numbers off, on trials that are drawn too."""
+"""Ground truths of legs: the nominal leg with perturbed actuators, on trials that are drawn too."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, Recording
 
 SPREAD = {"stiffness": 0.15, "area": 0.15, "rest_length": 0.02, "damping": 0.4}
-"""± share of the nominal leg's numbers."""
+"""± relative perturbation of the nominal leg's parameters."""
 
 NOISE = (1e-3, 3e-3)
 """Standard deviation of each joint's noise [rad]."""

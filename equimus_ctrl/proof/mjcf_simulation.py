@@ -1,8 +1,8 @@
 """Ground truths of MJCF robots in MuJoCo, free of discretisation error, by other code than the diagnosis uses.
 
-MuJoCo is stepped from Python. All that pushes is a CasADi function, evaluated in the middle of each step, that is at
-coordinates and rates carried on from its start; the diagnosis gives MuJoCo's fields what they can hold and evaluates
-the rest in machine code at the start of its own, longer steps. Dry friction is MuJoCo's in both.
+MuJoCo is stepped from Python. The effects' forces are a CasADi function, evaluated at the midpoint of each step, that
+is at coordinates and rates carried on from its start. The diagnosis gives MuJoCo's fields what they can hold and
+evaluates the rest in machine code at the start of its own, longer steps. Dry friction is MuJoCo's in both.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
 FINER, FINEST = 8, 256
-"""Physics steps for each of the nominal model's, at first and at most; half as many are simulated too, and what both
-tell of an infinitely short one is the ground truth."""
+"""Physics steps for each of the nominal model's, at first and at most. Half as many are simulated too; the
+extrapolation of both to an infinitely short step is the ground truth."""
 EXACT = 0.05
-"""By so much of the noise's standard deviation the ground truth may be off, as the next finer steps tell."""
+"""By so much of the noise's standard deviation the ground truth may be off, estimated from the next finer steps."""
 SEARCH = FitSettings(tolerance=1e-3, steps=30)
 """Of the refit that says how strong a case is; it begins at the truth."""
 
@@ -51,28 +51,28 @@ def simulate_mjcf_truth(truth: GroundTruth) -> list[Array]:
     """For each trial (n, nj) what the sensors would show without noise [rad or m].
 
     Raises:
-        SimulationDiverged: where the robot's parameters are none, or its motion is too sensitive to be simulated.
+        SimulationDiverged: where the robot's parameters are impossible, or its motion is too sensitive to be simulated.
     """
     stepped = Stepped(truth)
     return [_without_step(stepped, trial) for trial in trials_of(truth)]
 
 
 def _without_step(stepped: Stepped, trial: Trial) -> Array:
-    """(n, nj) as of an infinitely short step, steps halved until that changes no more.
+    """(n, nj) extrapolated to an infinitely short step (Richardson), steps halved until that has converged.
 
-    Where errors grow along a trial, two motions that came apart tell nothing of a third.
+    Where errors grow along a trial, two motions that have diverged from each other cannot be extrapolated.
     """
     truth, steps, before = stepped.truth, FINER, None
     coarse = stepped.measured(trial, steps // 2)
     while steps <= FINEST:
         fine = stepped.measured(trial, steps)
         found = 2.0 * fine - coarse  # the error of a step is of first order (Richardson, 1911)
-        # What is left is of second order: a quarter at half the step.
+        # The remaining error is of second order: a quarter at half the step.
         if before is not None and np.all(np.abs(found - before) / 3.0 < EXACT * np.array(truth.noise)):
             return found
         steps, coarse, before = 2 * steps, fine, found
     raise SimulationDiverged(
-        f"case {truth.case} of seed {truth.seed}: {trial.name} is so sensitive that no step of MuJoCo tells its motion"
+        f"case {truth.case} of seed {truth.seed}: {trial.name} is so sensitive that its motion converges at no step"
     )
 
 
@@ -82,7 +82,7 @@ class Stepped:
     def __init__(self, truth: GroundTruth) -> None:
         self.truth = truth
         self._bodies = Model(truth.robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
-        self._push = _push(truth)
+        self._applied = _applied_forces(truth)
 
     def measured(self, trial: Trial, steps: int) -> Array:
         """(n, nj) what the sensors show without noise, with so many steps for each of the XML's [rad or m].
@@ -92,7 +92,7 @@ class Stepped:
         """
         own = realise(self._bodies, trial, mjcf_of(self.truth.robot).timestep / steps)
         with quietly():
-            course = _follow(own, trial, self._push)
+            course = _follow(own, trial, self._applied)
         if course.sound < len(course.q):
             raise SimulationDiverged(f"case {self.truth.case} of seed {self.truth.seed}: the simulation diverged")
         return measured_of(own, course, trial.sample_times)[0]
@@ -109,14 +109,14 @@ def trials_of(truth: GroundTruth) -> list[Trial]:
     return found
 
 
-class _Push:
-    """All pushes at once, through buffers."""
+class _AppliedForces:
+    """The forces of all effects at once, through buffers."""
 
     def __init__(self, function: ca.Function, rubbing: tuple[int, ...]) -> None:
         self.rubbing, self._evaluate = rubbing, Buffered(function)
 
     def __call__(self, q: Array, v: Array, load: Array, command: Array, time: float) -> tuple[Array, Array]:
-        """(nj,) pushes and (nj,) bounds of dry friction."""
+        """(nj,) generalised forces and (nj,) bounds of dry friction."""
         values: tuple[Array | float, ...] = (q, v, load, command, time)
         for array, value in zip(self._evaluate.arguments, values, strict=True):
             array[:] = value
@@ -125,7 +125,7 @@ class _Push:
         return torque, bound
 
 
-def _push(truth: GroundTruth) -> _Push | None:
+def _applied_forces(truth: GroundTruth) -> _AppliedForces | None:
     effects: list[Effect] = [e for e in truth.effects if isinstance(e, ForceEffect)]
     effects += truth.outside
     if not effects:
@@ -142,7 +142,7 @@ def _push(truth: GroundTruth) -> _Push | None:
     )  # fmt: skip
     for effect in effects:
         if isinstance(effect, MotionEffect):
-            for name, value in effect.push(at).items():
+            for name, value in effect.forces(at).items():
                 torque[by_name[name]] += value
             continue
         assert isinstance(effect, ForceEffect) and effect.n_states == 0
@@ -152,16 +152,16 @@ def _push(truth: GroundTruth) -> _Push | None:
         bound[j] += effect.dry_friction(q[j], speed, p) + effect.friction_of_load(ca.fabs(load[j]), speed, p)
         if effect.rubs or effect.loads:
             rubbing.add(j)
-    return _Push(ca.Function("push", [q, v, load, command, time], [torque, bound]), tuple(sorted(rubbing)))
+    return _AppliedForces(ca.Function("forces", [q, v, load, command, time], [torque, bound]), tuple(sorted(rubbing)))
 
 
-def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
+def _follow(own: Realised, trial: Trial, applied: _AppliedForces | None) -> Course:
     model, nj = own.mujoco, len(own.places)
     dt = float(model.opt.timestep)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
     data = mujoco.MjData(model)
     at, dofs, drives = own.places.T
-    rubbing = set(push.rubbing if push else ()) | {j for j, size in enumerate(own.loss) if size > 0}
+    rubbing = set(applied.rubbing if applied else ()) | {j for j, size in enumerate(own.loss) if size > 0}
     for j in sorted(rubbing):
         harden(model, int(dofs[j]))
     loss = own.loss.copy()
@@ -180,11 +180,11 @@ def _follow(own: Realised, trial: Trial, push: _Push | None) -> Course:
         if k == steps:
             break
         data.ctrl[:] = ctrl[k]
-        if push is not None:
+        if applied is not None:
             gain = 0.5 * (v[k] - v[max(k - 1, 0)])
-            middle = q[k] + 0.5 * dt * (v[k] + 0.5 * gain)
+            midpoint = q[k] + 0.5 * dt * (v[k] + 0.5 * gain)
             load = data.qfrc_actuator[drives]
-            torque, bound = push(middle, v[k] + gain, load, ctrl[k], trial.start + (k + 0.5) * dt)
+            torque, bound = applied(midpoint, v[k] + gain, load, ctrl[k], trial.start + (k + 0.5) * dt)
             data.qfrc_applied[dofs] = torque
             model.dof_frictionloss[dofs] = loss + bound
         mujoco.mj_step(model, data)
@@ -204,10 +204,10 @@ def mjcf_recordings(truth: GroundTruth, clean: Sequence[Array], disturbed: Seque
 
 
 def mjcf_excess(truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = ()) -> Excess:
-    """What is left when a robot with ``effects`` alone is fitted to a ground truth, see ``strength.excess``.
+    """The excess residual variance of a robot with ``effects`` alone fitted to a ground truth, see ``strength.excess``.
 
-    It is fitted as a diagnosis would be: in the same windows, their starts and the default numbers free; but the error
-    of the physics step is none of it.
+    It is fitted as a diagnosis would be: with the same shooting intervals, their starts and the default parameters
+    free. The error of the physics step is no part of it.
     """
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
         model = Model(truth.robot, tuple(effects))

@@ -1,8 +1,8 @@
 """Physics that no catalogue holds: what a diagnosis has to call unexplained.
 
 These are written as a user would write effects, but they stand in a register of their own and must never come into
-``effects.REGISTRY``. Those that push along one coordinate alone are plain ``ForceEffect``s; the others see the whole
-motion and the clock.
+``effects.REGISTRY``. Those with a force along one coordinate alone are plain ``ForceEffect``s; the others see the
+whole motion and the clock.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ OUTSIDE: dict[str, type[Effect]] = {}
 """Name → class of everything from outside the catalogue."""
 
 
-def _conceal(cls: type[Effect]) -> type[Effect]:
+def _outside_catalogue(cls: type[Effect]) -> type[Effect]:
     cls.check_class()
     OUTSIDE[cls.name] = cls
     return cls
@@ -57,12 +57,12 @@ class MotionEffect(Effect):
 
     side = "force"
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         """Joint → torque [N·m], actuator → force [N], positive where they would increase its coordinate."""
         raise NotImplementedError
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class SquareDrag(MotionEffect):
     """−drag·|v|·v at a joint."""
@@ -76,12 +76,12 @@ class SquareDrag(MotionEffect):
     )
     drag: float = parameter("N·m·s²/rad²", 0.0, 10.0, "torque at 1 rad/s")
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         rate = at.rate[self.location]
         return {self.location: -self.drag * ca.fabs(rate) * rate}
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class CrossSpring(MotionEffect):
     """A spring across both joints, such as a hose along the leg, of energy ½·stiffness·(q₁·q₂)²."""
@@ -92,13 +92,13 @@ class CrossSpring(MotionEffect):
     leg_sizes = (Size("stiffness", 2e-3, 0.15, "a twentieth of the hip's own at a knee of 1 rad at most"),)
     stiffness: float = parameter("N·m/rad³", 0.0, 10.0, "of the coupling")
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         first, second = at.robot.joint_names[:2]
         both = at.x[first] * at.x[second]
         return {first: -self.stiffness * both * at.x[second], second: -self.stiffness * both * at.x[first]}
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class RoughSpot(ForceEffect):
     """Dry friction of size friction·exp(−((q − centre)/width)²)."""
@@ -119,7 +119,7 @@ class RoughSpot(ForceEffect):
         Share("centre", 0.25, 0.75, "linear", "range"),
         Share("width", 0.05, 0.15),
     )
-    friction: float = parameter("N·m", 0.0, 10.0, "in the middle of the spot")
+    friction: float = parameter("N·m", 0.0, 10.0, "at the centre of the spot")
     centre: float = parameter("rad", -3.2, 3.2, "angle of the spot")
     width: float = parameter("rad", 0.01, 3.2, "of the spot")
 
@@ -128,7 +128,7 @@ class RoughSpot(ForceEffect):
         return p["friction"] * ca.exp(-(((x - p["centre"]) / p["width"]) ** 2))
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class AngleDamping(ForceEffect):
     """−damping·((q − centre)/width)²·v."""
@@ -158,7 +158,7 @@ class AngleDamping(ForceEffect):
         return -p["damping"] * ((x - p["centre"]) / p["width"]) ** 2 * rate
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class Cogging(ForceEffect):
     """size·sin(2π q/pitch): a torque that repeats along the angle."""
@@ -184,7 +184,7 @@ class Cogging(ForceEffect):
         return p["size"] * ca.sin(2 * ca.pi * x / p["pitch"])
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class StiffnessDrift(MotionEffect):
     """An actuator's stiffness grows or falls by a share of itself each second of the trial."""
@@ -195,13 +195,13 @@ class StiffnessDrift(MotionEffect):
     leg_sizes = (Size("share", 6e-4, 0.03, "0.7 to 36 % within a trial", "either sign"),)
     share: float = parameter("1/s", -0.5, 0.5, "change each second")
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         own = at.actuator(self.location)
         stretch = at.x[self.location] - own.rest_length
         return {self.location: -own.stiffness * self.share * at.time * stretch}
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class PeriodicTorque(MotionEffect):
     """size·sin(2π·frequency·t) from the trial's start on."""
@@ -221,11 +221,11 @@ class PeriodicTorque(MotionEffect):
     size: float = parameter("N·m", 0.0, 10.0, "amplitude")
     frequency: float = parameter("Hz", 0.01, 50.0, "of the disturbance")
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         return {self.location: self.size * ca.sin(2 * ca.pi * self.frequency * at.time)}
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class PressureGrowth(MotionEffect):
     """The rest length grows with the square of the pressure: stiffness·growth·(P/10 kPa)²."""
@@ -239,12 +239,12 @@ class PressureGrowth(MotionEffect):
     )
     growth: float = parameter("m", 0.0, 0.1, "lengthening at 10 kPa")
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         own = at.actuator(self.location)
         return {self.location: own.stiffness * self.growth * (at.pressure[self.location] / 1e4) ** 2}
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class PressureDamping(MotionEffect):
     """An actuator is damped the more, the harder it is inflated: −damping·(P/10 kPa)·l̇."""
@@ -255,11 +255,11 @@ class PressureDamping(MotionEffect):
     leg_sizes = (Size("damping", 0.8, 20.0, "up to the actuators' own at 10 kPa"),)
     damping: float = parameter("N·s/m", 0.0, 1e3, "at 10 kPa")
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         return {self.location: -self.damping * at.pressure[self.location] / 1e4 * at.rate[self.location]}
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class Leak(MotionEffect):
     """Air passes between the actuators: both pressures move by a share of their difference towards each other."""
@@ -270,17 +270,17 @@ class Leak(MotionEffect):
     leg_sizes = (Size("share", 3e-3, 0.12, "0.3 to 12 % of the difference"),)
     share: float = parameter("1", 0.0, 0.5, "of the pressure difference that is lost")
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         first, second = at.robot.actuator_names[:2]
-        moved = self.share * (at.pressure[first] - at.pressure[second])
+        exchanged = self.share * (at.pressure[first] - at.pressure[second])
         areas = {name: at.actuator(name).area for name in (first, second)}
-        return {first: -areas[first] * moved, second: areas[second] * moved}
+        return {first: -areas[first] * exchanged, second: areas[second] * exchanged}
 
 
-@_conceal
+@_outside_catalogue
 @dataclass(frozen=True)
 class Fade(MotionEffect):
-    """An actuator that warms up pushes less: its force falls by share·(1 − e^(−t/time_constant))."""
+    """An actuator that warms up weakens: its force falls by share·(1 − e^(−t/time_constant))."""
 
     name = "fade"
     sits_at = ("actuator",)
@@ -292,16 +292,16 @@ class Fade(MotionEffect):
     share: float = parameter("1", 0.0, 0.9, "lost in the end")
     time_constant: float = parameter("s", 0.1, 1e3, "of the fading")
 
-    def push(self, at: Motion) -> dict[str, ca.SX]:
+    def forces(self, at: Motion) -> dict[str, ca.SX]:
         own = at.actuator(self.location)
         lost = self.share * (1 - ca.exp(-at.time / self.time_constant))
         return {self.location: -lost * own.area * at.pressure[self.location]}
 
 
 def acts_on(effect: Effect, robot: Robot) -> tuple[str, ...]:
-    """The joints and actuators that an effect pushes."""
+    """The joints and actuators on which an effect exerts a force."""
     if not isinstance(effect, MotionEffect):
         return (effect.location,)
     names = (*robot.joint_names, *robot.actuator_names)
     symbols = {name: ca.SX.sym(name) for name in names}
-    return tuple(effect.push(Motion(robot, ca.SX.sym("t"), symbols, symbols, symbols)))
+    return tuple(effect.forces(Motion(robot, ca.SX.sym("t"), symbols, symbols, symbols)))

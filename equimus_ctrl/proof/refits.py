@@ -43,7 +43,7 @@ class Refits:
         for s in sorted(screen(self.data, fitted, self.pool), key=lambda s: -s.gains[0])[:TOP]:
             begin: list[Begin] = [(s.begin, fitted.fit.starts)]
             if not fitted.hypothesis:
-                # What is missing may have led the refitted model far astray.
+                # The missing physics may have biased the refitted model far.
                 begin.append((np.concatenate([self.data.free.start, s.begin[own:]]), fitted.fit.starts))
             try:
                 found.append(self.data.rough(s.hypothesis, begin, weights, STEPS))

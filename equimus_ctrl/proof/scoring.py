@@ -9,7 +9,14 @@ from statistics import median
 from typing import Any, Literal
 
 from equimus_ctrl.proof.answers import OURS, Case, Method, Places
-from equimus_ctrl.proof.estimates import HeldOut, Number, coverage, found_numbers, held_out, own_numbers
+from equimus_ctrl.proof.estimates import (
+    HeldOut,
+    ParameterEstimate,
+    coverage,
+    effect_estimates,
+    held_out,
+    robot_estimates,
+)
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import Tally, confusion, tally
 from equimus_ctrl.robots.base import Robot
@@ -31,7 +38,7 @@ class Goal:
     """One figure against its goal.
 
     Attributes:
-        name: for machines.
+        name: its key in JSON.
         title: for people.
         value: what was reached; nan of no case.
         low: least value that meets the goal.
@@ -99,16 +106,16 @@ class Score:
     Attributes:
         cases: with their seals opened.
         tallies: method → counts, the diagnosis first.
-        numbers: method → numbers of the effects named right.
-        own: the robot's numbers.
+        estimates: method → estimated parameters of the effects named right.
+        own: the robot's parameters.
         heldout: error taken away.
         effort: of the diagnoses.
     """
 
     cases: tuple[Case, ...]
     tallies: Mapping[Method, Tally]
-    numbers: Mapping[Method, Sequence[Number]]
-    own: tuple[Number, ...]
+    estimates: Mapping[Method, Sequence[ParameterEstimate]]
+    own: tuple[ParameterEstimate, ...]
     heldout: tuple[HeldOut, ...]
     effort: Effort
 
@@ -120,22 +127,22 @@ class Score:
     @property
     def goals(self) -> tuple[Goal, ...]:
         """All of them."""
-        t, numbers = self.ours, self.numbers[OURS]
-        main = [n.error for n in numbers if n.main]
+        t, estimates = self.ours, self.estimates[OURS]
+        main = [n.error for n in estimates if n.main]
         shares = [h.share for h in self.heldout]
         seconds = self.effort.seconds
         quick = Share.among(s <= MOST_SECONDS for s in seconds)
         return (
             _counted("false_alarms", "false alarms", t.false_alarms["all"], 0.0, MOST_FALSE_ALARMS),
             _counted("single", "single effects right", t.single["strong"], LEAST_SINGLE),
-            _counted("single_group", "… or not to be told apart", t.group["strong"], LEAST_GROUP),
+            _counted("single_group", "… or not distinguishable", t.group["strong"], LEAST_GROUP),
             _counted("pair", "pairs exactly right", t.pair["strong"], LEAST_PAIR),
             _counted("outside", "outside: unexplained, placed", t.outside["strong"], LEAST_OUTSIDE),
-            _middle("main_error", "median error, main parameters", main, 0.0, MOST_ERROR),
-            _middle("error", "median error, all parameters", [n.error for n in numbers], 0.0, MOST_ERROR),
-            _counted("coverage", "intervals of effects hold", coverage(numbers), *COVERAGE),
+            _median_goal("main_error", "median error, main parameters", main, 0.0, MOST_ERROR),
+            _median_goal("error", "median error, all parameters", [n.error for n in estimates], 0.0, MOST_ERROR),
+            _counted("coverage", "intervals of effects hold", coverage(estimates), *COVERAGE),
             _counted("own_coverage", "intervals of the robot hold", coverage(self.own), *COVERAGE),
-            _middle("heldout", "held-out error taken, median", shares, LEAST_HELD_OUT, math.inf),
+            _median_goal("heldout", "held-out error taken, median", shares, LEAST_HELD_OUT, math.inf),
             Goal("seconds", "longest diagnosis, s", max(seconds), 0.0, MOST_SECONDS, quick, (1.0, 1.0), judged=False),
         )
 
@@ -158,12 +165,12 @@ class Score:
             "goals": [goal.to_dict() for goal in self.goals],
             **self.ours.to_dict(),
             "parameters": {
-                "error": _errors(self.numbers[OURS]),
-                "coverage": coverage(self.numbers[OURS]).to_dict(),
-                "unbounded": sum(not n.bounded for n in self.numbers[OURS]),
+                "error": _errors(self.estimates[OURS]),
+                "coverage": coverage(self.estimates[OURS]).to_dict(),
+                "unbounded": sum(not n.bounded for n in self.estimates[OURS]),
                 "own_coverage": coverage(self.own).to_dict(),
                 "own_median_error": _median([n.error for n in self.own]),
-                "numbers": [n.to_dict() for n in self.numbers[OURS]],
+                "estimates": [n.to_dict() for n in self.estimates[OURS]],
             },
             "heldout": {
                 "median_share": _median([h.share for h in self.heldout]),
@@ -174,7 +181,7 @@ class Score:
             "confusion": confusion(self.cases),
             "confusion_all": confusion(self.cases, least=0.0),
             "baselines": {
-                name: {**t.to_dict(), "error": _errors(self.numbers[name]), "confusion": confusion(self.cases, name)}
+                name: {**t.to_dict(), "error": _errors(self.estimates[name]), "confusion": confusion(self.cases, name)}
                 for name, t in self.tallies.items()
                 if name != OURS
             },
@@ -204,8 +211,8 @@ def score(
     return Score(
         cases,
         {m: tally(cases, m) for m in methods},
-        {m: found_numbers(cases, m) for m in methods},
-        tuple(own_numbers(cases)),
+        {m: effect_estimates(cases, m) for m in methods},
+        tuple(robot_estimates(cases)),
         tuple(held_out(cases)),
         Effort(
             tuple(s["seconds"] for s in spent),
@@ -219,8 +226,8 @@ def _counted(name: str, title: str, share: Share, low: float, high: float = 1.0)
     return Goal(name, title, share.value, low, high, share, (low, high))
 
 
-def _middle(name: str, title: str, values: Sequence[float], low: float, high: float) -> Goal:
-    """A median keeps what half of the numbers keep."""
+def _median_goal(name: str, title: str, values: Sequence[float], low: float, high: float) -> Goal:
+    """The median as the order statistic that half of the values keep."""
     value = median(values) if values else math.nan
     return Goal(name, title, value, low, high, Share.among(low <= v <= high for v in values), (0.5, 1.0))
 
@@ -229,15 +236,15 @@ def _median(values: Sequence[float]) -> float | None:
     return median(values) if values else None
 
 
-def _errors(numbers: Sequence[Number]) -> dict[str, Any]:
+def _errors(estimates: Sequence[ParameterEstimate]) -> dict[str, Any]:
     """Medians of relative errors: of main and of all parameters, over everything and for each effect."""
     found: dict[str, Any] = {
-        "main": _median([n.error for n in numbers if n.main]),
-        "all": _median([n.error for n in numbers]),
+        "main": _median([n.error for n in estimates if n.main]),
+        "all": _median([n.error for n in estimates]),
         "effects": {},
     }
-    for effect in sorted({n.of for n in numbers}):
-        own = [n for n in numbers if n.of == effect]
+    for effect in sorted({n.of for n in estimates}):
+        own = [n for n in estimates if n.of == effect]
         names = dict.fromkeys(n.name for n in own)
         found["effects"][effect] = {name: _median([n.error for n in own if n.name == name]) for name in names}
     return found

@@ -1,8 +1,8 @@
 """Sparse regression on accelerations, in the manner of SINDy (Brunton, Proctor and Kutz, 2016).
 
 What torque the nominal model lacks along the measured motions is regressed on a library: for each candidate the torque
-that it would take away, beside the same for the robot's own parameters. Orthogonal matching pursuit adds columns; how
-many is told by trials left out in turn, the fewest within one standard error of the best.
+that it would explain, beside the same for the robot's own parameters. Orthogonal matching pursuit adds columns; how
+many is decided by cross-validation, the fewest within one standard error of the best.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def sparse_regression(
     Args:
         free: the nominal model and its own free parameters.
         segments: what was measured.
-        pool: the candidates; those behind a sensor's play are left out, for no torque can tell them.
+        pool: the candidates; those behind a sensor's play are dropped, for no torque identifies them.
     """
     library = build_library(free, segments, pool)
     everything = list(range(len(segments)))
@@ -148,7 +148,7 @@ def _shapes(candidate: Candidate) -> list[dict[str, float]]:
     groups: dict[tuple[float, ...], list[dict[str, float]]] = {}
     for guess in candidate.guesses:
         groups.setdefault(tuple(v for key, v in guess.items() if key != first), []).append(dict(guess))
-    # Of sizes the middle one: the smallest drown in rounding, the largest are no longer a matter of proportion.
+    # Of sizes the median: the smallest drown in rounding, the largest are no longer a matter of proportion.
     return [sorted(own, key=lambda g: abs(g[first] - nothing))[len(own) // 2] for own in groups.values()]
 
 
@@ -162,7 +162,7 @@ def _column(candidate: Candidate, values: dict[str, float]) -> Column:
 
 
 def pursue(library: Library, trials: Sequence[int], count: int) -> tuple[list[int], list[float]]:
-    """Columns chosen one after the other, each where it takes most of what is left, and their factors."""
+    """Columns chosen one after the other, each where it explains most of the residual, and their factors."""
     target = np.concatenate([library.target[t] for t in trials])
     own = np.concatenate([library.own[t] for t in trials])
     columns = np.concatenate([library.columns[t] for t in trials])
@@ -198,7 +198,7 @@ def _factors(target: Array, own: Array, columns: Array) -> list[float]:
 
 
 def _best_count(library: Library, trials: Sequence[int]) -> int:
-    """The fewest columns whose error on trials left out is within one standard error of the least."""
+    """The fewest columns whose error on held-out trials is within one standard error of the least."""
     errors = np.empty((len(trials), MOST_COLUMNS + 1))
     for row, out in enumerate(trials):
         kept = [t for t in trials if t != out]

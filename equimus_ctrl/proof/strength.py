@@ -25,7 +25,7 @@ SEARCH = FitSettings(tolerance=2e-2, steps=12)
 def excess(
     ground_truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Effect] = (), refit: bool = True
 ) -> Excess:
-    """What is left when a leg with ``effects`` alone is fitted to a ground truth, weighted by the joints' noise.
+    """The excess residual variance of a leg with ``effects`` alone fitted to a ground truth, by the joints' noise.
 
     Args:
         ground_truth: what happened.

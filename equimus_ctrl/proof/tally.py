@@ -26,10 +26,10 @@ class Tally:
         method: its name.
         false_alarms: of cases where nothing is missing: all, with white and with coloured noise.
         single: effects named exactly right: all, strong ones, and by excess.
-        group: those or one that the method says cannot be told apart.
+        group: those, or one that the method calls not distinguishable.
         effects: effect → strong ones named exactly right.
         misplaced: strong single effects named right, but at other places.
-        unsettled: of the single effects named exactly right, beside which something was called unexplained.
+        with_unexplained: of the single effects named exactly right, beside which something was called unexplained.
         pair: sets exactly right: all, those of which each part alone is strong, and by the weaker one's excess.
         recall: of the effects in pairs, all and those strong alone, that were named.
         precision: of what was named in pairs, that was there.
@@ -45,7 +45,7 @@ class Tally:
     group: Table
     effects: Table
     misplaced: Share
-    unsettled: Share
+    with_unexplained: Share
     pair: Table
     recall: Table
     precision: Share
@@ -88,7 +88,7 @@ def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
     for name in sorted({effect for c in strong for effect in c.wanted}):
         effects[name] = Share.among(exact(c) for c in strong if name in c.wanted)
     beyond = [c for c in outside if c.strength >= STRONG]
-    told = [c for c in beyond if c.unexplained(method)]
+    called = [c for c in beyond if c.unexplained(method)]
     return Tally(
         method,
         {
@@ -106,7 +106,7 @@ def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
         Share.among(c.wanted.get(e) == where for c in pair for e, where in c.named(method).items()),
         by_strength(outside, lambda c: c.unexplained(method) and c.placed(method)),
         Share.among(c.unexplained(method) for c in beyond),
-        Share.among(c.placed(method) for c in told),
+        Share.among(c.placed(method) for c in called),
         by_strength(outside, lambda c: bool(c.answer(method).findings)),
     )
 
@@ -127,7 +127,7 @@ def confusion(cases: Sequence[Case], method: Method = OURS, least: float = STRON
     Args:
         cases: all of them.
         method: whose answers.
-        least: excess, of a part of a pair that alone, below which an effect is left out.
+        least: excess, of a part of a pair that alone, below which an effect does not count.
     """
     rows: dict[str, dict[str, float]] = {}
 

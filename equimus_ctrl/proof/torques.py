@@ -144,18 +144,20 @@ def missing_torque(model: Model, trials: Sequence[Smooth], instants: Sequence[ND
     robot = changed_bodies(model.effects, model.morphology)
     laws, form = force_laws(), structure(robot)
     missing, moved, rest = _functions(form, model.phase, laws)
-    pushes = [e for e in model.effects if isinstance(e, ForceEffect)]
+    force_effects = [e for e in model.effects if isinstance(e, ForceEffect)]
     slots = augmented_model(form, model.phase, laws).slots
-    numbers = np.array([*pack(robot), *law_parameters(slots, pushes, robot.joint_names, robot.actuator_names)])
-    remembers = any(e.n_states for e in pushes)
+    parameters = np.array(
+        [*pack(robot), *law_parameters(slots, force_effects, robot.joint_names, robot.actuator_names)]
+    )
+    remembers = any(e.n_states for e in force_effects)
     found = []
     for trial, used in zip(trials, instants, strict=True):
         q, v, a = trial.motion(model)
         states = np.zeros((len(q), moved.size1_in(0)))
         if remembers:
-            first = rest(q[0], numbers)
-            along = moved.mapaccum(len(q) - 1)(first, q[1:].T, v[1:].T, numbers, trial.step)
+            first = rest(q[0], parameters)
+            along = moved.mapaccum(len(q) - 1)(first, q[1:].T, v[1:].T, parameters, trial.step)
             states = np.vstack([np.array(first).T, np.array(along).T])
         rows = [x[used].T for x in (q, v, a, states, trial.pressure(model))]
-        found.append(np.array(missing(*rows, numbers)).T)
+        found.append(np.array(missing(*rows, parameters)).T)
     return found

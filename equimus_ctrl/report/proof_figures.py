@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.proof.answers import BINS, EDGES, OURS, STRONG
-from equimus_ctrl.proof.estimates import Number
+from equimus_ctrl.proof.estimates import ParameterEstimate
 from equimus_ctrl.proof.legs import catalogue
 from equimus_ctrl.proof.outside import OUTSIDE
 from equimus_ctrl.proof.scoring import COVERAGE, LEAST_HELD_OUT, MOST_FALSE_ALARMS, Score
@@ -160,9 +160,9 @@ def false_alarms_figure(score: Score) -> Figure:
         if known:
             _with_bars(axes, [p for p, _ in known], [s for _, s in known], style.INK, "")
     axes.axhline(100 * MOST_FALSE_ALARMS, color=style.ALERT, linestyle=style.DASHES, linewidth=1.2, zorder=4)
-    numbers = [score.ours.false_alarms[g].of for g in groups]
+    estimates = [score.ours.false_alarms[g].of for g in groups]
     names = ("all", "white noise", "coloured noise")
-    axes.set_xticks(range(len(groups)), [f"{n}\n{c} cases" for n, c in zip(names, numbers, strict=True)])
+    axes.set_xticks(range(len(groups)), [f"{n}\n{c} cases" for n, c in zip(names, estimates, strict=True)])
     axes.set_ylim(bottom=0)
     style.dress(axes, y="share of the cases [%]")
     axes.grid(False, axis="x")
@@ -174,11 +174,13 @@ def false_alarms_figure(score: Score) -> Figure:
 
 def parameters_figure(score: Score) -> Figure:
     """Sizes estimated against true ones, normalised by each parameter's median true size, and the errors' spread."""
-    numbers = [n for n in score.numbers[OURS] if n.zero is not None]
+    estimates = [n for n in score.estimates[OURS] if n.zero is not None]
     figure = style.new_figure(13.0, 6.0, "Parameters of what was named right")
     left, right = figure.subplots(1, 2)
-    medians = {key: _median([n for n in numbers if (n.of, n.name) == key]) for key in {(n.of, n.name) for n in numbers}}
-    for n in numbers:
+    medians = {
+        key: _median([n for n in estimates if (n.of, n.name) == key]) for key in {(n.of, n.name) for n in estimates}
+    }
+    for n in estimates:
         median, zero = medians[n.of, n.name], n.zero or 0.0
         sizes = [(v - zero) * np.sign(n.true - zero) / median for v in (n.value, n.low, n.high)]
         low, high = sorted(sizes[1:])
@@ -188,7 +190,7 @@ def parameters_figure(score: Score) -> Figure:
             [n.scale / median], [y], yerr=np.maximum(bars, 0.0), color=colour, marker="o" if n.main else "x",
             markersize=5, elinewidth=0.9, capsize=2, alpha=0.8, zorder=3,
         )  # fmt: skip
-    sizes = [n.scale / medians[n.of, n.name] for n in numbers] or [0.5, 2.0]
+    sizes = [n.scale / medians[n.of, n.name] for n in estimates] or [0.5, 2.0]
     ends = np.array([min(sizes) / 1.5, max(sizes) * 1.5])
     left.plot(ends, ends, color=style.INK, linestyle=style.DASHES, linewidth=1.0, zorder=2)
     left.set_xscale("log")
@@ -196,7 +198,7 @@ def parameters_figure(score: Score) -> Figure:
     left.set_xlim(*ends)
     left.set_ylim(*(ends * [0.6, 1.6]))
     style.dress(left, title="sizes, normalised by the median", x="true", y="estimated, 95 % interval")
-    everything = score.numbers[OURS]
+    everything = score.estimates[OURS]
     for main, colour, title in ((True, style.INK, "main parameters"), (False, style.FAINT, "all others")):
         errors = np.sort([100 * max(n.error, 1e-5) for n in everything if n.main == main])
         if len(errors):
@@ -216,17 +218,17 @@ def parameters_figure(score: Score) -> Figure:
     return figure
 
 
-def _median(numbers: Sequence[Number]) -> float:
-    return float(np.exp(np.mean([np.log(n.scale) for n in numbers])))
+def _median(estimates: Sequence[ParameterEstimate]) -> float:
+    return float(np.exp(np.mean([np.log(n.scale) for n in estimates])))
 
 
 def coverage_figure(score: Score) -> Figure:
     """How many of the 95 % intervals hold the truth, group by group."""
-    numbers = score.numbers[OURS]
-    groups: dict[str, Sequence[Number]] = {"all of effects": numbers}
-    groups["their main parameters"] = [n for n in numbers if n.main]
-    for effect in sorted({n.of for n in numbers}):
-        groups[effect.replace("_", " ")] = [n for n in numbers if n.of == effect]
+    estimates = score.estimates[OURS]
+    groups: dict[str, Sequence[ParameterEstimate]] = {"all of effects": estimates}
+    groups["their main parameters"] = [n for n in estimates if n.main]
+    for effect in sorted({n.of for n in estimates}):
+        groups[effect.replace("_", " ")] = [n for n in estimates if n.of == effect]
     groups["all of the robot"] = score.own
     for name in sorted({n.name for n in score.own}):
         groups[name] = [n for n in score.own if n.name == name]

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from equimus_ctrl.proof.answers import BINS, OURS, STRONG
 from equimus_ctrl.proof.baselines import TITLES
-from equimus_ctrl.proof.estimates import Number
+from equimus_ctrl.proof.estimates import ParameterEstimate
 from equimus_ctrl.proof.scoring import Goal, Score
 from equimus_ctrl.proof.shares import Share
 from equimus_ctrl.proof.tally import CONSISTENT, Tally
@@ -70,7 +70,7 @@ def _line(cells: Sequence[str]) -> str:
 
 def sheets(score: Score) -> list[Sheet]:
     """All tables, the goals first."""
-    return [goals_sheet(score), strength_sheet(score), effects_sheet(score), numbers_sheet(score), wrong_sheet(score)]
+    return [goals_sheet(score), strength_sheet(score), effects_sheet(score), estimates_sheet(score), wrong_sheet(score)]
 
 
 def markdown(head: Mapping[str, Any], score: Score) -> str:
@@ -94,7 +94,7 @@ def goals_sheet(score: Score) -> Sheet:
         ("effects of pairs named", *_shown(t.recall["strong"])),
         ("names in pairs right", *_shown(t.precision)),
         ("single: right, at wrong places", *_shown(t.misplaced)),
-        ("single: right, and unexplained residuals", *_shown(t.unsettled)),
+        ("single: right, and unexplained residuals", *_shown(t.with_unexplained)),
         ("outside: unexplained", *_shown(t.unexplained)),
         ("outside: of these placed", *_shown(t.placed)),
         ("outside: given wrong names", *_shown(t.wrong["strong"])),
@@ -178,14 +178,14 @@ def effects_sheet(score: Score) -> Sheet:
     return Sheet("Single effects named right", ("", *score.tallies), tuple(rows))
 
 
-def numbers_sheet(score: Score) -> Sheet:
+def estimates_sheet(score: Score) -> Sheet:
     """Errors and intervals of every parameter of the effects that were named right."""
-    numbers = score.numbers[OURS]
+    estimates = score.estimates[OURS]
     rows = []
-    for effect, name in sorted({(n.of, n.name) for n in numbers}):
-        own = [n for n in numbers if (n.of, n.name) == (effect, name)]
+    for effect, name in sorted({(n.of, n.name) for n in estimates}):
+        own = [n for n in estimates if (n.of, n.name) == (effect, name)]
         rows.append((f"{effect}.{name}", *_errors(own)))
-    rows.append(("all", *_errors(numbers)))
+    rows.append(("all", *_errors(estimates)))
     rows.append(("the robot's own", *_errors(score.own)))
     return Sheet(
         "Parameters of what was named right",
@@ -196,9 +196,9 @@ def numbers_sheet(score: Score) -> Sheet:
     )
 
 
-def _errors(numbers: Sequence[Number]) -> tuple[str, str, str]:
-    error = f"{100 * median(n.error for n in numbers):.2g} %" if numbers else NOTHING
-    return str(len(numbers)), error, str(Share.among(n.covered for n in numbers))
+def _errors(estimates: Sequence[ParameterEstimate]) -> tuple[str, str, str]:
+    error = f"{100 * median(n.error for n in estimates):.2g} %" if estimates else NOTHING
+    return str(len(estimates)), error, str(Share.among(n.covered for n in estimates))
 
 
 def wrong_sheet(score: Score) -> Sheet:
