@@ -13,7 +13,7 @@ from diagnosed_leg import DRAG, PLAUSIBLE, TRUE, finding_of, part_of, plausible
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
 from equimus_ctrl.effects import BodyEffect, ForceEffect, SensorEffect, ShapingEffect, make, parameter, register
 from equimus_ctrl.effects.bodies import Robot
-from equimus_ctrl.effects.sensors import LATE, OFFSET
+from equimus_ctrl.effects.sensors import OFFSET, SENSOR_DELAY
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_drawing import finding_figure
@@ -117,7 +117,7 @@ def own_effects() -> list[Finding]:
         late: float = parameter("s", 0.0, 1.0, "age")
 
         def apply(self, sensor: Array) -> None:
-            sensor[LATE], sensor[OFFSET] = self.late, 0.01
+            sensor[SENSOR_DELAY], sensor[OFFSET] = self.late, 0.01
 
     cases = {"squared": ("maa", {"bend": 0.5}), "heavy": ("calf", {"factor": 3.0}),
              "spot": ("hip", {"friction": 0.05, "centre": 1.5}), "noisy": ("knee", {"late": 0.03})}  # fmt: skip

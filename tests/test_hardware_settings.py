@@ -19,12 +19,12 @@ def test_clocks_are_as_far_apart_as_the_quickest_sample_says() -> None:
         stamp = k / 120
         clock = clock.seen(stamp, 100.0 + stamp + 0.002 + abs(rng.normal(0, 0.003)))
     assert clock.local(5.0) == pytest.approx(105.002, abs=2e-4)
-    assert clock.late(5.0, 105.012) == pytest.approx(0.01, abs=2e-4)
+    assert clock.lateness(5.0, 105.012) == pytest.approx(0.01, abs=2e-4)
     # A clock that loses 1e-4 is followed within the window.
     for k in range(600, 600 + int(4 * WINDOW * 120)):
         stamp = k / 120
         clock = clock.seen(stamp, 100.0 + stamp * 1.0001 + 0.002)
-    assert clock.late(stamp, 100.0 + stamp * 1.0001 + 0.002) < 2.1 * WINDOW * 1e-4
+    assert clock.lateness(stamp, 100.0 + stamp * 1.0001 + 0.002) < 2.1 * WINDOW * 1e-4
 
 
 @pytest.mark.parametrize(

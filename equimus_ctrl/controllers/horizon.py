@@ -1,8 +1,9 @@
 """What predictive controllers share: where the robot will be, what is wanted of it then, and what to do without a plan.
 
-An observer tells where the robot will be when the next command arrives, the inverse model what the reference takes over
-a horizon, and the regulator of ``controllers.lqr`` what lies beyond it costs. A plan that fails or comes late falls
-back: to the plan of the instant before, shifted, else to the regulator, else to the command in force.
+An observer predicts where the robot will be when the next command arrives. The inverse model gives the commands of the
+reference over a horizon, and the regulator of ``controllers.lqr`` the cost beyond it. Where a plan fails or overruns
+its deadline, there is a fallback: the plan of the instant before, shifted, else the regulator, else the command in
+force.
 """
 
 from __future__ import annotations
@@ -180,8 +181,8 @@ class Horizon:
     Args:
         spec: of the plant.
         settings: of the controller.
-        periods: tells (n,) how many control periods each interval lasts, given by how many periods each actuator obeys
-            the next command later than the first one does.
+        periods: returns (n,) how many control periods each interval lasts, given the number of periods by which each
+            actuator obeys the next command later than the first one does.
 
     Attributes:
         observer: of the plant.
@@ -313,7 +314,7 @@ class Horizon:
         )
         return frozen_array(command), replace(state, observer=view.observer, sight=view.sight, under_way=under_way)
 
-    def late(self, after: float) -> str:
+    def overrun(self, after: float) -> str:
         """That a plan came too long after the step began [s], in words; empty where it did not."""
         deadline = self.settings.deadline
         if not deadline or after <= deadline:

@@ -2,7 +2,7 @@
 
 The reference is differentiated, the equations of motion with all effects give the pressures P (``models.inverse``), and
 valves are undone in turn: a command leads P by the transport delay and, where the valve lags, by τ dP/dt, and is what
-dead zone, supply coupling, saturation and cutoff leave P of. Held commands act half a period late on average and lead
+dead zone, supply coupling, saturation and cutoff leave P of. Held commands have a mean delay of half a period and lead
 by that, too. Rate limits and filling flows cannot be undone. What is measured is compared with what offset, scale,
 delay and play of the sensors make of the reference.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from equimus_ctrl.controllers.pid_kernel import blend
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.effects.sensors import LATE, PLAY, behind, follow, sensor_settings, shown
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, behind, follow, sensor_settings, shown
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, command_for, shaped_commands, useful_commands, valve_settings
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
@@ -48,7 +48,7 @@ class InverseState:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Where a robot that follows a reference is when the next command arrives, all that is late waited for.
+    """Where a robot that follows a reference is when the next command arrives, all delays included.
 
     Attributes:
         position: (nj,) [rad].
@@ -120,7 +120,7 @@ class Inverse:
         """What to command, and what the sensors show of a robot that follows.
 
         Args:
-            reference: of the true angles; looked at ahead of time where valves are late.
+            reference: of the true angles; evaluated ahead of time by the valves' delay.
             times: (n,) successive control instants [s].
             state: how far it has been followed.
             stamps: (n,) when what is known at each of them was measured [s]; then, by default.
@@ -137,7 +137,7 @@ class Inverse:
         """Where a robot that follows is when a command that is given now first arrives.
 
         Args:
-            reference: of the true angles; looked at ahead of time where valves are late.
+            reference: of the true angles; evaluated ahead of time by the valves' delay.
             time: of the control instant [s].
             state: how far it has been followed.
 
@@ -222,9 +222,9 @@ class Inverse:
     def _seen(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
         """(n, nj) what the sensors show, and (nj,) where those with play are held in the end."""
         angles, held = np.empty((len(times), len(state.pose))), state.held.copy()
-        for late in np.unique(self._sensor[:, LATE]):
-            own = np.flatnonzero(self._sensor[:, LATE] == late)
-            angles[:, own] = self._poses(reference, times - late, state)[:, own]
+        for sensor_delay in np.unique(self._sensor[:, SENSOR_DELAY]):
+            own = np.flatnonzero(self._sensor[:, SENSOR_DELAY] == sensor_delay)
+            angles[:, own] = self._poses(reference, times - sensor_delay, state)[:, own]
         for j in np.flatnonzero(self._sensor[:, PLAY] > 0):
             for k in range(len(times)):
                 angles[k, j] = held[j] = follow(held[j], angles[k, j], self._sensor[j, PLAY])

@@ -38,7 +38,7 @@ class NmpcSettings(HorizonSettings, FileSettings):
 
     Attributes:
         nodes: intervals of the horizon.
-        stride: how many control periods each interval lasts, those in which the next command takes hold apart: they
+        stride: how many control periods each interval lasts, except those in which the next command takes hold: they
             last one.
         iterations: programs solved at one instant, at most; 1 is the real-time iteration.
         tolerance: it has converged where no pressure changes by more, in allowances.
@@ -166,13 +166,13 @@ class NmpcController:
             view.known.state, view.disturbance, view.wanted, guess, fixed=view.fixed, before=view.before,
             period=horizon.dt, iterations=s.iterations, tolerance=s.tolerance, enough=pace.enough,
         )  # fmt: skip
-        late = horizon.late(pace.end())
+        overrun = horizon.overrun(pace.end())
         failed = answer.outcome == "failed"
         status, reason, asked = horizon.choose(
             view,
             None if failed else answer.plan.inputs,
             "converged" if answer.outcome == "converged" else "iterated",
-            (answer.reason if failed else "") or late,
+            (answer.reason if failed else "") or overrun,
             None if shifted is None else shifted.inputs,
             state,
         )

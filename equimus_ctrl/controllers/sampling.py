@@ -200,7 +200,7 @@ class SamplingController:
             view,
             None if found is None else found.inputs,
             "sampled",
-            reason or horizon.late(pace.end()),
+            reason or horizon.overrun(pace.end()),
             fallback,
             state,
         )

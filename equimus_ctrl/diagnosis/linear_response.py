@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.effects.force import force_laws
-from equimus_ctrl.effects.sensors import LATE, SCALE
+from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY
 from equimus_ctrl.engines.encoding import Encoded
 from equimus_ctrl.engines.field import Field, States
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
@@ -165,7 +165,7 @@ def linearise(model: Model, motions: Sequence[Motion]) -> Linearised:
     assert own is not None
     sensor, joints = own.sensor[0], own.mechanics[0].joints
     return Linearised(
-        tuple(motions), tuple(transitions), sensor[:, SCALE].copy(), sensor[:, LATE].copy(), joints,
+        tuple(motions), tuple(transitions), sensor[:, SCALE].copy(), sensor[:, SENSOR_DELAY].copy(), joints,
         motions[0].coordinates.shape[1],
     )  # fmt: skip
 

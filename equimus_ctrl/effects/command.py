@@ -26,7 +26,7 @@ REFERENCE = 1e4
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shaped(law: int, own: float, others: float, number: float) -> float:
-    """What is left of an actuator's command [Pa].
+    """An actuator's command after shaping [Pa].
 
     Args:
         law: DEAD_ZONE: max(u − number, 0); COUPLING: max(u − number·others, 0); SATURATION: min(u, number);

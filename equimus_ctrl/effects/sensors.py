@@ -16,7 +16,7 @@ from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.effects.telling import Told
 from equimus_ctrl.types import Array
 
-OFFSET, SCALE, LATE, PLAY = 0, 1, 2, 3
+OFFSET, SCALE, SENSOR_DELAY, PLAY = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class SensorDelay(SensorEffect):
     delay: float = parameter("s", 0.0, 2.0, "age of what is measured")
 
     def apply(self, sensor: Array) -> None:
-        sensor[LATE] = self.delay
+        sensor[SENSOR_DELAY] = self.delay
 
     @classmethod
     def sentence(cls, t: Told) -> str:
@@ -183,18 +183,18 @@ def follow(held: float, angle: float, play: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def recall(past: Array, newest: int, late: float, dt: float) -> float:
+def recall(past: Array, newest: int, age: float, dt: float) -> float:
     """Where a joint was a while ago.
 
     Args:
         past: (n, 2) its angle [rad] and rate [rad/s] at the last n steps, that of step s at s modulo n.
         newest: the last of them; the first step of all is 0, and before it the joint stood still.
-        late: how long ago, in steps.
+        age: how long ago, in steps.
         dt: of a step [s].
     """
     n = len(past)
     first = max(newest + 1 - n, 0)
-    place = newest - late - first
+    place = newest - age - first
     if place <= 0.0:
         oldest: float = past[first % n, 0]
         return oldest

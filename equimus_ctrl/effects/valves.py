@@ -78,7 +78,7 @@ class TransportDelay(ValveEffect):
 
     name = "transport_delay"
     robots = ("elastic", "mjcf")
-    summary = "the command arrives late"
+    summary = "dead time between command and pressure"
     leg_sizes = (Size("delay", 4e-3, 0.2, "half a sample to many; valves with long hoses"),)
     leg_alike = True
     mjcf_sizes = (Share("delay", 0.005, 0.2),)

@@ -87,7 +87,7 @@ class Emulated:
         refused: of them not one finite number for each actuator, which changed nothing.
         highest: (na,) highest command received [Pa].
         lowest: (na,) lowest [Pa].
-        steepest: the largest change from one command received to the next, venting apart [Pa].
+        steepest: the largest change from one command received to the next, venting excluded [Pa].
         watchdog: how often it vented by itself, there being pressure.
         vented: when the command in force last became 0 [s]; NaN where it is not 0 now.
         measurements: sent.
@@ -176,7 +176,7 @@ class Emulator:
                     self.seen.skipped += round(-left * TICK)
                     origin -= left
                 if tick % every == 0:
-                    # When the angles were these, however late this process is: as a sensor's own clock has it.
+                    # When the angles were these, whatever this process's delay: as a sensor's own clock has it.
                     self._measured(tick / TICK, origin + tick / TICK, observation.position)
                 self._deliver(tick / TICK)
                 if tick % int(TICK) == 0:

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from equimus_ctrl.effects.command import followed_history
-from equimus_ctrl.effects.sensors import LATE, PLAY, hermite, read, sample
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, hermite, read, sample
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ACTUATORS,
@@ -261,7 +261,7 @@ def measure(
         place, speeds = j * LANES, (N_JOINTS + j) * LANES
         alike = True
         for l in range(k):  # noqa: E741
-            alike = alike and sensor[l, j, PLAY] == 0.0 and sensor[l, j, LATE] == sensor[0, j, LATE]
+            alike = alike and sensor[l, j, PLAY] == 0.0 and sensor[l, j, SENSOR_DELAY] == sensor[0, j, SENSOR_DELAY]
         if alike:
             measure_alike(grid, j, start, dt, sensor, moving, times, out)
         for l in range(k):  # noqa: E741
@@ -273,7 +273,7 @@ def measure(
                     q[s], v[s] = grid[s, place + l], grid[s, speeds + l]
                 sample(q, v, start, dt, sensor[l, j], times, out[l, :, j], v[0] if moving else 0.0)
             if sound < n:
-                lost = start + (sound - 1) * dt + sensor[l, j, LATE]
+                lost = start + (sound - 1) * dt + sensor[l, j, SENSOR_DELAY]
                 reached[l] = min(reached[l], np.searchsorted(times, lost, side="right"))
 
 
@@ -281,12 +281,12 @@ def measure(
 def measure_alike(
     grid: Array, j: int, start: float, dt: float, sensor: Array, moving: bool, times: Array, out: Array
 ) -> None:
-    """What ``effects.sensors.sample`` says of a joint in all lanes, whose sensors are equally late and have no play."""
+    """What ``effects.sensors.sample`` says of a joint in all lanes, whose sensors have equal delays and no play."""
     k, n = len(sensor), len(grid)
-    place, speeds, late = j * LANES, (N_JOINTS + j) * LANES, sensor[0, j, LATE]
+    place, speeds, sensor_delay = j * LANES, (N_JOINTS + j) * LANES, sensor[0, j, SENSOR_DELAY]
     angles = np.empty(LANES)
     for i in range(len(times)):
-        at = (times[i] - late - start) / dt
+        at = (times[i] - sensor_delay - start) / dt
         s = min(int(at), n - 2) if at > 0.0 else 0
         for l in range(LANES):  # noqa: E741
             q, v = grid[s, place + l], grid[s, speeds + l]

@@ -54,7 +54,7 @@ N_STATE = 2 * N_JOINTS + N_STATES
 MOST_CUTS = 6
 """How often a lane's step can be cut where stops change; a joint that bounces more often within it is not resolved."""
 MOST_PARTS = 128
-"""In how many parts a step is taken at most; the last is then what is left."""
+"""In how many parts a step is taken at most; the last is then the rest."""
 BRACKETINGS = 20
 SHARPNESS = 1e-11
 """Share of a step to within which the instant is found at which a stop changes."""

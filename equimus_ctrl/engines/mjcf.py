@@ -20,7 +20,7 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import LATE, sample, sensor_settings
+from equimus_ctrl.effects.sensors import SENSOR_DELAY, sample, sensor_settings
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -291,7 +291,7 @@ def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
         for j in range(nj):
             column = np.empty(len(times))
             # A late sensor shows what was before the start: there the joint moved on as it does at the start.
-            lead = math.ceil(own.sensor[j, LATE] / path.dt) + 1 if own.sensor[j, LATE] > 0 else 0
+            lead = math.ceil(own.sensor[j, SENSOR_DELAY] / path.dt) + 1 if own.sensor[j, SENSOR_DELAY] > 0 else 0
             before = path.q[0, j] - path.v[0, j] * path.dt * np.arange(lead, 0, -1)
             q = np.concatenate([before, path.q[:, j]])
             v = np.concatenate([np.full(lead, path.v[0, j]), path.v[:, j]])

@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.sensors import LATE, SCALE, behind, sensor_settings
+from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, sensor_settings
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.batch import STEP
 from equimus_ctrl.engines.choice import engine_for
@@ -115,7 +115,7 @@ def behind_all(models: Sequence[Model], shown: Sequence[Array]) -> list[Array]:
         true[:, :nj] = behind(sensor, true[:, :nj])
         true[:, nj:] /= sensor[:, : true.shape[1] - nj, SCALE]
         if true.shape[1] > nj and not traits.starts_at_rest:
-            true[:, :nj] += true[:, nj:] * sensor[:, :, LATE]  # it has moved on since
+            true[:, :nj] += true[:, nj:] * sensor[:, :, SENSOR_DELAY]  # it has moved on since
         found.append(true)
     return found
 

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.sensors import LATE, OFFSET, SCALE, behind
+from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, behind
 from equimus_ctrl.effects.valves import DELAY, shaped_commands
 from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
@@ -172,7 +172,7 @@ class Observer:
         p, robot = self.prediction, changed_bodies(model.effects, model.morphology)
         self.model, self._names = model, robot.actuator_names
         self.delays: Array = p.valve[:, DELAY].copy()
-        self._late: Array = p.sensor[:, LATE].copy()
+        self._sensor_delay: Array = p.sensor[:, SENSOR_DELAY].copy()
         low, high = (np.clip(side, -np.pi, np.pi) for side in robot.joint_range)
         middle = (low + high) / 2
         self._substep = min(control_dt, STABLE / max(fastest_rates(robot, middle, model.phase)))
@@ -219,7 +219,7 @@ class Observer:
         deviation[p.nj : 2 * p.nj] = AT_REST
         deviation[2 * p.nj : 2 * p.nj + p.na] = s.pressure * self._pressure_span
         deviation[p.nx :] = FIRST * self._torque
-        start = observation.stamp - float(self._late.max())
+        start = observation.stamp - float(self._sensor_delay.max())
         sent = Sent(np.array([-math.inf]), arriving)
         seen = np.full(p.nj, observation.stamp)
         return ObserverState(start, mean, np.diag(deviation**2), observation.time, sent, observation.stamp, seen)
@@ -232,12 +232,12 @@ class Observer:
         good = np.isfinite(observation.position) & fresh
         seen = np.where(good, observation.stamp, state.seen)
         new = tuple(
-            (observation.stamp - float(self._late[j]), int(j), float(observation.position[j]))
+            (observation.stamp - float(self._sensor_delay[j]), int(j), float(observation.position[j]))
             for j in np.flatnonzero(good)
         )
         waiting = tuple(sorted((*state.waiting, *new)))
         stamp = observation.stamp if fresh else state.stamp
-        ready = stamp - float(self._late.max()) + EARLY
+        ready = stamp - float(self._sensor_delay.max()) + EARLY
         mean, covariance, time = state.mean, state.covariance, state.time
         for at, joint, angle in (w for w in waiting if w[0] <= ready):
             mean, covariance = self._ahead(mean, covariance, time, at, state.sent)

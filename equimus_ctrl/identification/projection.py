@@ -1,4 +1,4 @@
-"""What nuisance parameters can do to first order, and what is left when they have done it."""
+"""Projection onto the orthogonal complement of the Jacobian of nuisance parameters, to first order."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Nuisance:
     def of(cls, columns: Array) -> Nuisance:
         """The span of columns (N, p), each in units of its norm (QR with column pivoting; Golub & Van Loan, 5.4.2).
 
-        A column that depends on others to within ``DEPENDENT`` adds no direction, for what is left of it is rounding.
+        A column that depends on others to within ``DEPENDENT`` adds no direction, for its remainder is rounding.
         """
         size = np.linalg.norm(columns, axis=0)
         size[size == 0] = 1.0

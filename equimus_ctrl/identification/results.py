@@ -168,7 +168,7 @@ class IdentifiedPoses:
         """As JSON data; angles in rad, pressures in Pa."""
         found = self.fit
         m = found.model.morphology
-        before, after, left_out = (joint_rmse([r]) for r in (found.before, found.residuals, found.heldout))
+        before, after, heldout = (joint_rmse([r]) for r in (found.before, found.residuals, found.heldout))
         loose = np.isfinite(found.pressure_error).all(axis=1)
         pressure = found.pressure_error[loose]
         return {
@@ -181,7 +181,7 @@ class IdentifiedPoses:
             "effective_samples": found.uncertainty.effective_samples,
             "cross_check": {
                 "folds": found.folds,
-                "rmse_rad": _before_and_after(m.joint_names, before, left_out),
+                "rmse_rad": _before_and_after(m.joint_names, before, heldout),
             },
             "loose_poses": int(loose.sum()),
             "pressure_rmse_pa": _by_joint(m.actuator_names, joint_rmse([pressure])) if loose.any() else None,

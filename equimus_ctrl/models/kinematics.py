@@ -46,7 +46,7 @@ CLOSE_BY = 1.0
 def _followed(form: Structure, phase: Phase, n: int) -> tuple[ca.Function, ca.Function]:
     """Poses (nj, n), each by Newton's method from the one before, of (pose (nj,), forces (na, n), p).
 
-    The other function tells whether they rest: (poses, forces, p) → torque (nj, n), its slope by the pose and the mass
+    The other function checks whether they rest: (poses, forces, p) → torque (nj, n), its slope by the pose and the mass
     matrix, (nj, n nj) each.
     """
     m = build(form, phase)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import PayloadMass, changed_bodies
 from equimus_ctrl.effects.command import advance_pressure
-from equimus_ctrl.effects.sensors import LATE, PLAY, follow, recall, sensor_settings, shown
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, follow, recall, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
@@ -236,7 +236,7 @@ class MujocoPlant:
         self._commands = np.empty((256, na))
         self._clipped = np.zeros(na, dtype=bool)
         # As much of the motion as the latest sensor looks back, and a step more.
-        self._past = np.zeros((nj, int(np.ceil(self._sensor[:, LATE].max() / self._dt)) + 3, 2))
+        self._past = np.zeros((nj, int(np.ceil(self._sensor[:, SENSOR_DELAY].max() / self._dt)) + 3, 2))
         self._remember()
         self._held = self.position
         self._measure()
@@ -321,18 +321,18 @@ class MujocoPlant:
         return np.array(shaped_commands(self.model.effects, names, command[None, :])[0])
 
     def _sensor_remembers(self) -> bool:
-        return bool(np.any(self._sensor[:, LATE] > 0) or np.any(self._sensor[:, PLAY] > 0))
+        return bool(np.any(self._sensor[:, SENSOR_DELAY] > 0) or np.any(self._sensor[:, PLAY] > 0))
 
     def _remember(self) -> None:
         newest = self._step_count % self._past.shape[1]
         self._past[:, newest, 0], self._past[:, newest, 1] = self.position, self.data.qvel[self._dof]
 
     def _seen(self, j: int) -> float:
-        """Where joint j was as long ago as its sensor is late [rad]."""
-        late = self._sensor[j, LATE]
-        if late == 0.0:
+        """Where joint j was its sensor's delay ago [rad]."""
+        sensor_delay = self._sensor[j, SENSOR_DELAY]
+        if sensor_delay == 0.0:
             return float(self.position[j])
-        return float(recall(self._past[j], self._step_count, late / self._dt, self._dt))
+        return float(recall(self._past[j], self._step_count, sensor_delay / self._dt, self._dt))
 
     def _measure(self) -> None:
         self._stamp = self._step_count * self._dt

@@ -48,7 +48,7 @@ def costs(weights: Weights, durations: Array, angles: Array, wanted: Wanted, sta
     """(m,) what plans cost that all begin in the same state; the law stands above.
 
     The first state, which no plan can change, does not count, and neither does what the last one would over an
-    interval of its own, its range apart.
+    interval of its own, except its range.
 
     Args:
         weights: of errors and efforts.

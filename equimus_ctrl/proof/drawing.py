@@ -35,7 +35,7 @@ ATTEMPTS = 100
 """At most, to draw what a robot can have."""
 
 WHAT, DESIGN, NOISE_STREAM, REST = range(4)
-"""Streams of random numbers of one case, kept apart so that a change to one leaves the others' bits alone."""
+"""Streams of random numbers of one case, separate so that a change to one leaves the others' bits alone."""
 STREAMS = 10
 """So many streams further begins the next attempt at a case."""
 

@@ -20,7 +20,7 @@ from scipy.signal import savgol_filter
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, sensor_settings
+from equimus_ctrl.effects.sensors import OFFSET, PLAY, SCALE, SENSOR_DELAY, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
@@ -106,7 +106,7 @@ class Smooth:
         for j, sensor in enumerate(sensor_settings(model.effects, model.morphology.joint_names)):
             found[0][:, j] -= sensor[OFFSET]
             for values in found:
-                values[:, j] = np.interp(self.time + sensor[LATE], self.time, values[:, j]) / sensor[SCALE]
+                values[:, j] = np.interp(self.time + sensor[SENSOR_DELAY], self.time, values[:, j]) / sensor[SCALE]
         return found[0], found[1], found[2]
 
 

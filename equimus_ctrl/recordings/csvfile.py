@@ -103,10 +103,10 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
             raise sheet.header_error(_unknown_column(column))
     if "time" not in sheet.header:
         raise sheet.header_error("column 'time' is missing; sample times in seconds belong in it")
-    told = (
+    quantities = (
         ("commanded pressures in Pa", "joint angles in rad") if limits.pressures else ("commands", "joints' positions")
     )
-    for prefix, what in zip(("cmd", "pos"), told, strict=True):
+    for prefix, what in zip(("cmd", "pos"), quantities, strict=True):
         if not found[prefix]:
             raise sheet.header_error(
                 f"there is no column '{prefix}.<{PREFIXES[prefix]}>'; {what} belong in such columns"

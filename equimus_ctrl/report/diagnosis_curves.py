@@ -49,7 +49,7 @@ CLIPPED = 1.6
 
 
 def panels(scene: Scene, finding: Finding) -> list[Panel]:
-    """The curves of a finding at the first of its places, the most telling one first.
+    """The curves of a finding at the first of its places, the most informative one first.
 
     Args:
         scene: what was recorded.

@@ -9,7 +9,7 @@ import numpy as np
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.command import pressure_history
-from equimus_ctrl.effects.sensors import LATE, OFFSET, PLAY, SCALE, sample, sensor_settings
+from equimus_ctrl.effects.sensors import OFFSET, PLAY, SCALE, SENSOR_DELAY, sample, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import Model
@@ -130,7 +130,7 @@ def sensor_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequenc
         lines = (Line(x, x + error(plain), "without", True), Line(x, x + error(now), name_of(best)))
         around = band(x, x + error(now), [x + error(sensor(o)) for o in others])
         found.append(Panel("what is shown", axis, f"shown {what} {place.bracket}", lines, around, data))
-    if any(now[key] != plain[key] for key in (LATE, PLAY)):
+    if any(now[key] != plain[key] for key in (SENSOR_DELAY, PLAY)):
         sensors = plain, now, [sensor(o) for o in others]
         found += _to_and_fro(scene.model, joint, seen.low, seen.high, seen.speed, sensors, best)
     return found
@@ -148,7 +148,7 @@ def _to_and_fro(
     """A triangular motion about the middle, as wide as lets the effect be seen."""
     plain, now, others = sensors
     place, what = units.position(model, joint), units.noun(model, joint)
-    wide = min(high - low, TIMES_THE_PLAY * (now[PLAY] + now[LATE] * speed))
+    wide = min(high - low, TIMES_THE_PLAY * (now[PLAY] + now[SENSOR_DELAY] * speed))
     quarter = wide / 2 / speed
     time = np.linspace(0.0, 8 * quarter, 8 * POINTS)
     knots = np.arange(9) * quarter

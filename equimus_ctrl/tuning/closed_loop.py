@@ -16,7 +16,7 @@ from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import LATE, PLAY, sensor_settings, shown
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands, shaping_laws
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.lane_functions import LANES
@@ -184,8 +184,8 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
     position = np.array([loop.position for loop in loops])
     sensor = np.tile(sensor_settings(effects, nominal.joint_names), (k, 1, 1))
     dt = course.control_dt / steps
-    remembers = bool(np.any(sensor[:, :, [LATE, PLAY]] > 0))
-    past = np.zeros((k, nj, int(np.ceil(sensor[:, :, LATE].max() / dt)) + 3 if remembers else 1, 2))
+    remembers = bool(np.any(sensor[:, :, [SENSOR_DELAY, PLAY]] > 0))
+    past = np.zeros((k, nj, int(np.ceil(sensor[:, :, SENSOR_DELAY].max() / dt)) + 3 if remembers else 1, 2))
     past[:, :, 0, 0] = position
     before = np.array(course.command_before)
     reached_before = shaped_commands(effects, actuators, before[None])[0]

@@ -12,7 +12,7 @@ from numba import njit
 
 from equimus_ctrl.controllers.pid_kernel import blend, pid_command, pid_start, static_feed
 from equimus_ctrl.effects.command import advance_pressure, shape_command
-from equimus_ctrl.effects.sensors import LATE, PLAY, follow, read, recall
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, follow, read, recall
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ROWS,
@@ -177,7 +177,7 @@ def run_loop(
                         sound[l] = min(sound[l], now - 1)
                     if back > 1:
                         past[l, j, newest % back, 0], past[l, j, newest % back, 1] = q, v
-                        seen = recall(past[l, j], newest, sensor[l, j, LATE] / dt, dt)
+                        seen = recall(past[l, j], newest, sensor[l, j, SENSOR_DELAY] / dt, dt)
                         held[l, j] = follow(held[l, j], seen, sensor[l, j, PLAY])
         if now == n:
             break
@@ -192,8 +192,8 @@ def run_loop(
                 out_q[l, now, j] = q
                 if sensor[l, j, PLAY] > 0.0:
                     q = held[l, j]
-                elif sensor[l, j, LATE] > 0.0:
-                    q = recall(past[l, j], now * steps, sensor[l, j, LATE] / dt, dt)
+                elif sensor[l, j, SENSOR_DELAY] > 0.0:
+                    q = recall(past[l, j], now * steps, sensor[l, j, SENSOR_DELAY] / dt, dt)
                 y[j] = read(sensor[l, j], q) + noise[now, j]
             if planned.shape[1] > 0:
                 if now == 0:

@@ -326,9 +326,9 @@ class Problem:
             overshoot = float(np.max(beyond.max(axis=0) / size, initial=0.0))
             outside = np.flatnonzero(np.any(np.abs(error) > BAND, axis=1))
             settling = 0.0 if len(outside) == 0 else float((outside[-1] + 1) * t.control_dt)
-            late = slice(-(len(q) // 4), None)
-            restless = float(np.ptp(q[late], axis=0).max())
-            offset = math.sqrt(float((error[late] ** 2).mean()))
+            last_quarter = slice(-(len(q) // 4), None)
+            restless = float(np.ptp(q[last_quarter], axis=0).max())
+            offset = math.sqrt(float((error[last_quarter] ** 2).mean()))
         terms = np.array(
             [
                 math.sqrt(float((error**2).mean())),

@@ -14,7 +14,7 @@ from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.effects.sensors import LATE, SCALE, behind, hermite, sensor_settings
+from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, hermite, sensor_settings
 from equimus_ctrl.effects.valves import DELAY, ShapingEffect, command_for, shaped_commands
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.kinematics import Kinematics
@@ -32,7 +32,8 @@ SLOPES = 64
 class LinearLeg:
     """A leg about a pose, with its valves: d/dt x = A x + B S u(t − delay), z = C x in channel coordinates.
 
-    A valve of two time constants is taken at their mean. What C and the pose gain see of the joint angles is ``late``.
+    A valve of two time constants is taken at their mean.
+    C and the pose gain see the joint angles delayed by ``sensor_delay``.
 
     Attributes:
         a: (n, n) of joint angles, velocities and lagged pressures.
@@ -43,7 +44,7 @@ class LinearLeg:
         pose_gain: (na, n) pressures per change of pose that come from the map turning with the pose while an effort
             stands: none for lengths, and none where the nominal model is the leg's own.
         shaping: (na, na) S, what reaches the valves per command; all of it where it is None.
-        late: (nj,) age of each measured joint angle [s]; none where it is None.
+        sensor_delay: (nj,) dead time of each measured joint angle [s]; none where it is None.
     """
 
     a: Array
@@ -53,7 +54,7 @@ class LinearLeg:
     effort_map: Array
     pose_gain: Array
     shaping: Array | None = None
-    late: Array | None = None
+    sensor_delay: Array | None = None
 
 
 def linear_legs(
@@ -125,7 +126,7 @@ def linear_leg(
         effort_map,
         pose_gain,
         _steepest(member.effects, nominal),
-        sensor[:, LATE] if np.any(sensor[:, LATE] > 0) else None,
+        sensor[:, SENSOR_DELAY] if np.any(sensor[:, SENSOR_DELAY] > 0) else None,
     )
 
 
@@ -157,7 +158,7 @@ def _held(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class SampledLeg:
-    """A linear leg seen at the control instants, each command arriving whole periods and a rest late.
+    """A linear leg seen at the control instants, each command with a dead time of whole periods and a rest.
 
     Attributes:
         leg: linearised.
@@ -182,9 +183,9 @@ def sample(leg: LinearLeg, dt: float) -> SampledLeg:
     newer, older = np.empty_like(leg.b), np.empty_like(leg.b)
     for i in range(leg.b.shape[1]):
         rest = leg.delay[i] - whole[i] * dt
-        late_phi, late = _held(leg.a, leg.b[:, [i]], dt - rest)
-        newer[:, [i]] = late
-        older[:, [i]] = late_phi @ _held(leg.a, leg.b[:, [i]], rest)[1]
+        last_phi, last_gain = _held(leg.a, leg.b[:, [i]], dt - rest)
+        newer[:, [i]] = last_gain
+        older[:, [i]] = last_phi @ _held(leg.a, leg.b[:, [i]], rest)[1]
     phi, _ = _held(leg.a, leg.b, dt)
     return SampledLeg(leg, dt, phi, tuple(int(w) for w in whole), newer, older)
 
@@ -200,15 +201,15 @@ def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
     n, na = leg.b.shape
     nz = leg.c.shape[0]
     depth = max(sampled.whole) + 1
-    late = np.zeros(0) if leg.late is None else leg.late
-    kept = math.ceil(late.max(initial=0.0) / dt)
+    sensor_delay = np.zeros(0) if leg.sensor_delay is None else leg.sensor_delay
+    kept = math.ceil(sensor_delay.max(initial=0.0) / dt)
     # State: x, the last `depth` commands (newest first), angles and velocities at the last `kept` instants where a
-    # sensor is late, integral, derivative, minus the previous measurement.
+    # sensor has a delay, integral, derivative, minus the previous measurement.
     i_past = n + depth * na
-    size = i_past + kept * 2 * len(late) + 3 * nz
+    size = i_past + kept * 2 * len(sensor_delay) + 3 * nz
     i_int, i_der, i_pre = (size - (3 - k) * nz for k in range(3))
     eye = np.eye(size)
-    seen = _seen(late / dt, dt, eye, n, i_past)
+    seen = _seen(sensor_delay / dt, dt, eye, n, i_past)
     z_row = leg.c @ seen
     alpha = (dt / (gains[FILTER] + dt))[:, None]
     derivative = (1 - alpha) * eye[i_der : i_der + nz] + alpha * (-z_row - eye[i_pre : i_pre + nz]) / dt
@@ -222,7 +223,7 @@ def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
         out[:n] += sampled.newer[:, [i]] @ history[whole][[i]] + sampled.older[:, [i]] @ history[whole + 1][[i]]
     out[n : n + na] = command
     out[n + na : n + depth * na] = eye[n : n + (depth - 1) * na]
-    remembered = [*range(2 * len(late)), *range(i_past, i_int)][: i_int - i_past]
+    remembered = [*range(2 * len(sensor_delay)), *range(i_past, i_int)][: i_int - i_past]
     out[i_past:i_int] = eye[remembered]
     out[i_int : i_int + nz] = eye[i_int : i_int + nz] - dt * gains[KI][:, None] * z_row
     out[i_der : i_der + nz] = derivative
@@ -231,10 +232,10 @@ def loop_matrix(sampled: SampledLeg, gains: Array) -> Array:
 
 
 def _seen(periods: Array, dt: float, eye: Array, n: int, first: int) -> Array:
-    """(n, size) rows of x as its sensors show it: angles that are late lie on the cubic between two instants.
+    """(n, size) rows of x as its sensors show it: delayed angles lie on the cubic between two instants.
 
     Args:
-        periods: (nj,) how late each is, in control periods.
+        periods: (nj,) delay of each, in control periods.
         dt: control period [s].
         eye: (size, size) rows of the loop's state.
         n: size of x.
@@ -291,8 +292,8 @@ def loop_response(leg: LinearLeg, gains: Array, dt: float, omega: Array) -> Arra
     inputs = leg.b * np.exp(-s * leg.delay) * hold  # (n_omega, n, na)
     inputs = inputs if leg.shaping is None else inputs @ leg.shaping
     states = np.linalg.solve(s * np.eye(len(leg.a)) - leg.a, inputs)  # (n_omega, n, na)
-    if leg.late is not None:
-        states[:, : len(leg.late)] *= np.exp(-s * leg.late[:, None])
+    if leg.sensor_delay is not None:
+        states[:, : len(leg.sensor_delay)] *= np.exp(-s * leg.sensor_delay[:, None])
     plant = leg.c @ states  # (n_omega, nz, na)
     alpha = (dt / (gains[FILTER] + dt))[:, None]
     derivative = alpha * (1 - 1 / z) / dt / (1 - (1 - alpha) / z)

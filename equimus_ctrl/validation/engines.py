@@ -125,10 +125,10 @@ class NativeBatch:
             states, _ = pool.rollout(model, self._data, first, np.ascontiguousarray(pressure))
         states = np.concatenate([first[:, None], states], axis=1)
         # A run that diverged repeats its last state: its clock stands still.
-        late = states[:, :, 0] < (np.arange(states.shape[1]) - 0.5) * model.opt.timestep
+        behind = states[:, :, 0] < (np.arange(states.shape[1]) - 0.5) * model.opt.timestep
         angles, rates = states[:, :, q][:, :, self._qpos], states[:, :, v][:, :, self._dof]
-        late |= ~np.all(np.isfinite(angles) & (np.abs(rates) < MAX_SPEED), axis=2)
-        lost = np.logical_or.accumulate(late, axis=1)
+        behind |= ~np.all(np.isfinite(angles) & (np.abs(rates) < MAX_SPEED), axis=2)
+        lost = np.logical_or.accumulate(behind, axis=1)
         angles[lost] = rates[lost] = np.nan
         return angles, rates
 

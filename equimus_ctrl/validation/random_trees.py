@@ -379,7 +379,8 @@ def _motion(model: Any, times: Array, ctrl: Array, shift: float) -> tuple[Array,
 def _sound(model: Any, state: Array) -> bool:
     """Whether the mass matrix, its diagonal scaled to one, is well conditioned.
 
-    MuJoCo drops the coupling of different branches by a tendon's armature: what is left need not be positive definite.
+    MuJoCo drops the coupling of different branches by a tendon's armature: the remaining matrix need not be positive
+    definite.
     """
     data, mass = mujoco.MjData(model), np.empty((model.nv, model.nv))
     mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)

@@ -167,8 +167,8 @@ def reference_runs(
 
     Args:
         experiment: its runs.
-        near_stop: (n,) runs that may touch a stop, by any guess: they are integrated apart from the others, because
-            their kinks would cost all of a block their steps.
+        near_stop: (n,) runs that may touch a stop, by any guess: they are integrated separately from the others,
+            because their kinks would cost all of a block their steps.
         progress: called with the share done.
         factor: on all tolerances.
         pool: processes for the blocks; this one by default.

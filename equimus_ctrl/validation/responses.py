@@ -19,7 +19,7 @@ from equimus_ctrl.validation.poses import holding_pressure, workspace
 from equimus_ctrl.validation.reference import SHORTEST, own_error, reference_runs, shortest
 
 NEAR = 0.02
-"""Runs that an engine brings this near to a stop are integrated apart; a guess that costs no accuracy [rad]."""
+"""Runs that an engine brings this near to a stop are integrated separately; a guess that costs no accuracy [rad]."""
 
 PUBLISHED_FORCE = 10.0
 """Of each actuator in the published stance run [N]."""

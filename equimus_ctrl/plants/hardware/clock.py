@@ -13,7 +13,7 @@ class ClockMap:
     """The offset between two clocks.
 
     Attributes:
-        offset: this computer's time less the device's, as of the quickest sample of late [s].
+        offset: this computer's time less the device's, by the quickest recent sample [s].
         quickest: the same of the window that is not over [s].
         until: when that one is over, by this computer's clock [s].
     """
@@ -39,6 +39,6 @@ class ClockMap:
         """A stamp by this computer's clock, as if its sample had come as quickly as the quickest [s]."""
         return stamp + self.offset
 
-    def late(self, stamp: float, received: float) -> float:
+    def lateness(self, stamp: float, received: float) -> float:
         """By how much later than that it came; far below 0 where the device's clock has jumped ahead [s]."""
         return received - stamp - self.offset

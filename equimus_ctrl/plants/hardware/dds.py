@@ -114,7 +114,7 @@ class _End:
     def write(self, message: Any) -> None:
         """Send to all of them."""
         self.prepare()
-        with contextlib.suppress(DDSException):  # who does not listen any more is told by the others
+        with contextlib.suppress(DDSException):  # a reader that is gone is noticed by the others
             self._writer.write(message)
 
     def close(self) -> None:

@@ -79,11 +79,12 @@ class Guard:
             return "measurements come from another publisher than before, expected one alone"
         if sample.stamp <= seen.device_stamp:
             return replace(seen, ignored=seen.ignored + 1)
-        late = seen.clock.late(sample.stamp, sample.received)
-        if abs(late) > self.safety.clock:
+        lateness = seen.clock.lateness(sample.stamp, sample.received)
+        if abs(lateness) > self.safety.clock:
+            side = "behind" if lateness > 0 else "ahead of"
             return (
-                f"a sample's stamp is {abs(late):.3g} s {'behind' if late > 0 else 'ahead of'} its arrival, expected "
-                f"at most {self.safety.clock:g} s: the device's clock has jumped, or the network was held up"
+                f"a sample's stamp is {abs(lateness):.3g} s {side} its arrival, expected at most "
+                f"{self.safety.clock:g} s: the device's clock has jumped, or the network was held up"
             )
         angles = self.angles(sample)
         if isinstance(angles, str):

@@ -58,14 +58,14 @@ def drives_of(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]
 
 def _commands(base: Any, i: int, name: str, joints: Sequence[Axis], moment: Array) -> Iterator[Drive]:
     own = base.actuator(i).name
-    told = f"{name}: actuator {own or i!r}"
+    named = f"{name}: actuator {own or i!r}"
     if not own:
-        raise ModelError(f"{told} has no name, by which a recording's columns could be identified")
-    _check(base, i, told)
+        raise ModelError(f"{named} has no name, by which a recording's columns could be identified")
+    _check(base, i, named)
     holds = int(base.actuator_history[i, 0]) * float(base.opt.timestep)
     if base.actuator_delay[i] > holds * (1 + 1e-9):
         raise ModelError(
-            f"{told} has a delay of {base.actuator_delay[i]:g} s, and a buffer (nsample) that holds {holds:g} s of "
+            f"{named} has a delay of {base.actuator_delay[i]:g} s, and a buffer (nsample) that holds {holds:g} s of "
             "commands, expected as much as the delay at least"
         )
     dynamics = int(base.actuator_dyntype[i])
@@ -86,7 +86,7 @@ def _commands(base: Any, i: int, name: str, joints: Sequence[Axis], moment: Arra
         yield Drive(label, i, axis.name, servo, unit, (low, high), state, first + n, own)
 
 
-def _check(base: Any, i: int, told: str) -> None:
+def _check(base: Any, i: int, named: str) -> None:
     """Raise ModelError for an actuator that neither engine takes."""
     for array, taken, what in (
         (base.actuator_trntype, _TRANSMISSIONS, "transmission"),
@@ -96,9 +96,9 @@ def _check(base: Any, i: int, told: str) -> None:
     ):
         if int(array[i]) not in {int(kind) for kind in taken}:
             kind = type(taken[0])(int(array[i])).name.partition("_")[2].lower()
-            raise ModelError(f"{told} has the {what} {kind!r}, which neither engine takes; expected {TAKEN}")
+            raise ModelError(f"{named} has the {what} {kind!r}, which neither engine takes; expected {TAKEN}")
     if base.actuator_plugin[i] >= 0:
-        raise ModelError(f"{told} is a plugin, which neither engine takes; expected {TAKEN}")
+        raise ModelError(f"{named} is a plugin, which neither engine takes; expected {TAKEN}")
 
 
 def _kind(base: Any, i: int, axis: Axis, at_joint: bool, given: str) -> tuple[bool, str]:

@@ -25,7 +25,7 @@ def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str
     """
     joints = tuple(c.joint for c in robot.compliances)
     spec = with_rotors_spec(robot.xml, Assets(robot.assets), joints)
-    before = spec.compile()  # tells ids to what has no name
+    before = spec.compile()  # gives ids to what has no name
     turn = 180 / math.pi if spec.compiler.degree else 1.0
     for body in spec.bodies[1:]:
         b = body.id

@@ -232,6 +232,6 @@ def _joint_parameters(base: Any, joints: Sequence[Axis]) -> list[ModelParameter]
         ]
         for key, value, unit, array in rows:
             write = setter("joint", joint.name, array, *((0,) if array == "dof_dampingpoly" else ()))
-            told = SLIDING.get(unit, unit) if joint.slides else unit
-            found.append(ModelParameter(f"{joint.name}.{key}", float(value), told, write))
+            unit_here = SLIDING.get(unit, unit) if joint.slides else unit
+            found.append(ModelParameter(f"{joint.name}.{key}", float(value), unit_here, write))
     return found
