@@ -185,7 +185,7 @@ def test_options_reach_what_they_name(ran: Any, data: Path) -> None:
     assert (
         code == 0
         and re.search(r"maa\.stiffness .* high", err)
-        and "1 of 4 parameters are held by a bound (maa.stiffness)" in " ".join(err.split())
+        and "1 of 4 parameters lie on a bound (maa.stiffness)" in " ".join(err.split())
     )
 
 
