@@ -72,10 +72,6 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
     return lines
 
 
-def _times(size: float) -> str:
-    return f"{number(size)} times"
-
-
 def where(diagnosis: Diagnosis) -> list[str]:
     """Where the refitted model's residuals are."""
     lines = []
