@@ -226,8 +226,8 @@ class FillingFlow(ValveEffect):
     @classmethod
     def sentence(cls, t: Told) -> str:
         return (
-            f"{t.actuation} {t.one_or('rises', 'rise')} no faster than {t['rate']} under a command of 10 kPa, and as its "
-            f"power {t['power']} under others: the flow grows with the command."
+            f"{t.actuation} {t.one_or('rises', 'rise')} no faster than {t['rate']} under a command of 10 kPa, and as "
+            f"its power {t['power']} under others: the flow grows with the command."
         )
 
 
