@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.emulation import emulator as module
-from equimus_ctrl.emulation.emulator import AHEAD, ASTRAY, Emulated, Emulator, EmulatorSettings
+from equimus_ctrl.emulation.emulator import AHEAD, ANGLE_OFFSET, Emulated, Emulator, EmulatorSettings
 from equimus_ctrl.emulation.faults import KINDS, Fault
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import nominal_model
@@ -93,7 +93,7 @@ def test_what_is_measured_is_wrong_while_a_fault_acts(kind: str, emulation: Emul
     assert acts.sum() == 12
     np.testing.assert_allclose(at, right[0], atol=1e-9)
     np.testing.assert_allclose(stamp - right[1], acts * {"clock": AHEAD, "back": -AHEAD}.get(kind, 0.0), atol=1e-9)
-    off = {"nan": math.nan, "jump": ASTRAY}.get(kind, 0.0)
+    off = {"nan": math.nan, "jump": ANGLE_OFFSET}.get(kind, 0.0)
     np.testing.assert_allclose(angles - right[2], np.where(acts[:, None], off, 0.0) * np.ones(2), atol=1e-12)
 
 
