@@ -90,7 +90,7 @@ def test_the_bits_on_stops_depend_neither_on_threads_nor_on_neighbours_nor_on_bl
     for i in range(3):
         alone = runs.part(slice(i, i + 1))
         np.testing.assert_array_equal(simulated(alone, batch(alone, 1))[0], q[i])
-    monkeypatch.setattr(mujoco_batch, "FINE_NUMBERS", 1)
+    monkeypatch.setattr(mujoco_batch, "FINE_VALUES", 1)
     np.testing.assert_array_equal(simulated(runs, batch(runs, 1)), q)
 
 
