@@ -4,6 +4,11 @@ from .controllers.lqr import LqrController as LqrController, LqrSettings as LqrS
 from .controllers.nmpc import NmpcController as NmpcController, NmpcSettings as NmpcSettings
 from .controllers.open_loop import OpenLoopController as OpenLoopController
 from .controllers.pid import PidController as PidController, PidGains as PidGains, PidSettings as PidSettings
+from .controllers.registry import (
+    ControllerEntry as ControllerEntry,
+    ControllerRequest as ControllerRequest,
+    register_controller as register_controller,
+)
 from .controllers.sampling import SamplingController as SamplingController, SamplingSettings as SamplingSettings
 from .effects import (
     AsymmetricLag as AsymmetricLag,
@@ -11,6 +16,7 @@ from .effects import (
     BodyEffect as BodyEffect,
     CoulombFriction as CoulombFriction,
     Creep as Creep,
+    Curve as Curve,
     Cutoff as Cutoff,
     DeadZone as DeadZone,
     Effect as Effect,
@@ -25,13 +31,17 @@ from .effects import (
     PayloadMass as PayloadMass,
     RateLimit as RateLimit,
     Saturation as Saturation,
+    Seen as Seen,
     SensorDelay as SensorDelay,
     SensorEffect as SensorEffect,
     SensorOffset as SensorOffset,
     SensorScale as SensorScale,
     ShapingEffect as ShapingEffect,
+    Share as Share,
+    Size as Size,
     StribeckFriction as StribeckFriction,
     SupplyCoupling as SupplyCoupling,
+    Told as Told,
     TransportDelay as TransportDelay,
     ValveEffect as ValveEffect,
     parameter as parameter,
@@ -73,6 +83,11 @@ from .plants.events import Load as Load, Push as Push
 from .plants.hardware.plant import HardwarePlant as HardwarePlant
 from .plants.hardware.settings import HardwareSettings as HardwareSettings
 from .plants.mujoco_plant import MujocoPlant as MujocoPlant, PlantRates as PlantRates
+from .plants.registry import (
+    PlantEntry as PlantEntry,
+    PlantRequest as PlantRequest,
+    register_plant as register_plant,
+)
 from .plants.replay import ReplayPlant as ReplayPlant
 from .robots.base import Robot as Robot, RobotTraits as RobotTraits
 from .robots.elastic.leg import ideal_leg as ideal_leg, nominal_leg as nominal_leg
@@ -94,6 +109,7 @@ from .scenarios.references import (
     pose_of_foot as pose_of_foot,
     poses_of_foot as poses_of_foot,
 )
+from .scenarios.registry import register_scenario as register_scenario
 from .scenarios.scenario import (
     CommandProfile as CommandProfile,
     Scenario as Scenario,
@@ -117,7 +133,7 @@ from .workflow import (
     diagnose_recordings as diagnose_recordings,
     identify_poses as identify_poses,
     identify_recordings as identify_recordings,
-    load_effects as load_effects,
+    load_plugins as load_plugins,
     load_model as load_model,
     run_scenario as run_scenario,
     save_model as save_model,

@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -115,6 +115,20 @@ def relative(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
+def read_bytes(path: Path) -> bytes:
+    """What a file holds.
+
+    Raises:
+        ConfigError: where it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from None
+
+
 def toml_text(data: Mapping[str, Any], comment: str = "") -> str:
     """TOML text of nested tables, after comment lines."""
     document = tomlkit.document()
@@ -209,8 +223,12 @@ def load_script(path: Path) -> ModuleType:
     return module
 
 
-def load_scenario(name: str) -> tuple[Callable[..., Any], str]:
+def load_scenario(name: str, others: Iterable[str] = ()) -> tuple[Callable[..., Any], str]:
     """The ``build`` function of a scenario script by name or path, and where it was found.
+
+    Args:
+        name: of a script, or a path to one.
+        others: scenarios that are known without a script, for messages.
 
     Raises:
         ConfigError: where there is no such scenario or it has no ``build``.
@@ -218,7 +236,7 @@ def load_scenario(name: str) -> tuple[Callable[..., Any], str]:
     known = names("scenarios", ".py")
     path = Path(name) if name.endswith(".py") else known.get(name)
     if path is None:
-        raise ConfigError(unknown_name("scenario", name, known))
+        raise ConfigError(unknown_name("scenario", name, {*known, *others}))
     module = load_script(path)
     build = getattr(module, "build", None)
     if not callable(build):

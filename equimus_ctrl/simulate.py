@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError
-from equimus_ctrl.types import Array, Controller, Plant, PlantSpec, Reference, Run, Start
+from equimus_ctrl.types import Array, Controller, KnowsTruth, Plant, PlantSpec, Reference, Run, Start
 
 
 def run(
@@ -48,8 +48,8 @@ def run(
     times, solve_time = np.empty(n), np.empty(n)
     position, wanted = np.empty((n, nj)), np.empty((n, nj))
     command, asked, clipped = np.empty((n, na)), np.empty((n, na)), np.zeros((n, na), dtype=bool)
-    # A simulated plant has its true angles as an attribute.
-    truth = np.empty((n, nj)) if isinstance(getattr(type(plant), "position", None), property) else None
+    knowing = plant if isinstance(plant, KnowsTruth) else None
+    truth = np.empty((n, nj)) if knowing is not None else None
     status: list[str] = []
     observation = plant.reset(start, seed)
     before = np.array(observation.command)
@@ -67,8 +67,8 @@ def run(
         asked[k] = checked_command(result[0], spec, observation.time, _name(controller))
         times[k], position[k] = observation.time, observation.position
         status.append(str(getattr(state, "status", "")))
-        if truth is not None:
-            truth[k] = plant.position  # type: ignore[attr-defined]
+        if truth is not None and knowing is not None:
+            truth[k] = knowing.truth
         observation = plant.step(asked[k])
         command[k] = np.clip(asked[k], spec.command_low, spec.command_high)
         clipped[k] = observation.clipped

@@ -205,7 +205,10 @@ class Reference(Protocol):
 
 
 class Plant(Protocol):
-    """Something that takes pressures and gives joint angles: simulated, replayed or real."""
+    """Something that takes pressures and gives joint angles: simulated, replayed or real.
+
+    It may also be a ``KnowsTruth``, an ``Ends`` or a ``CountsInstants``, and is asked for no more than it is.
+    """
 
     @property
     def spec(self) -> PlantSpec:
@@ -222,6 +225,44 @@ class Plant(Protocol):
 
     def close(self) -> None:
         """Let go of files, threads or devices."""
+        ...
+
+
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """What a plant may be able to do beside: tell where its joints truly are, as one that is simulated can."""
+
+    @property
+    def truth(self) -> Array:
+        """(n_joints,) true angles now [rad]; sensors show them late, with noise, or otherwise wrong."""
+        ...
+
+
+@runtime_checkable
+class Ends(Protocol):
+    """The same: come to an end by itself, as a recording does; it is driven no longer than that."""
+
+    @property
+    def duration(self) -> float:
+        """From its reset on [s]."""
+        ...
+
+
+class Counts(Protocol):
+    """What a loop saw of itself."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For people and machines, see ``run --json``."""
+        ...
+
+
+@runtime_checkable
+class CountsInstants(Protocol):
+    """The same: count what became of its control instants, as one that has to keep up with the clock does."""
+
+    @property
+    def counts(self) -> Counts:
+        """Since its reset."""
         ...
 
 

@@ -6,12 +6,11 @@ import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import hypothesis
 import pytest
 
-from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.workflow import plugins
 
 if TYPE_CHECKING:
@@ -95,12 +94,13 @@ def leg_dir(recordings_dir: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def catalogue() -> Iterator[None]:
-    """Effects that a test adds to the catalogue are gone after it."""
-    registered, loaded = dict(REGISTRY), dict(plugins._loaded)
+    """Effects, controllers, plants and scenarios that a test makes known are gone after it."""
+    registries: list[dict[Any, Any]] = [*plugins.KNOWN, plugins._loaded]
+    before = [dict(known) for known in registries]
     yield
-    for known, before in ((REGISTRY, registered), (plugins._loaded, loaded)):
+    for known, held in zip(registries, before, strict=True):
         known.clear()
-        known.update(before)
+        known.update(held)
 
 
 @pytest.fixture(scope="session")

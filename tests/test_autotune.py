@@ -353,7 +353,7 @@ def test_so_are_the_laws_of_a_user_s_own_effects(study: Study, problem: Problem,
     keys = []
     for law in (text, text.replace("* rate * ca.fabs(rate)", "* rate**3"), text):
         (tmp_path / "own.py").write_text(law, encoding="utf-8")
-        workflow.load_effects([tmp_path / "own.py"])
+        workflow.load_plugins([tmp_path / "own.py"])
         effect = eq.effects.make("quadratic_drag", "knee", {"coefficient": 0.1})
         keys.append(tuning.study_key(study, replace(problem, model=eq.Model(eq.nominal_leg(), (effect,)))))
     assert keys[0] == keys[2] != keys[1]

@@ -106,7 +106,7 @@ def test_every_example_can_be_followed(path: tuple[str, ...], line: str) -> None
     assert found.get("plant") is None or found["plant"] in PLANTS
     known = dict(effects.REGISTRY)
     try:
-        eq.load_effects([Path(__file__).resolve().parents[1] / file for file in found.get("effects") or ()])
+        eq.load_plugins([Path(__file__).resolve().parents[1] / file for file in found.get("plugins") or ()])
         for text in found.get("effect") or ():
             assert isinstance(effects.parse(text), eq.Effect)
     finally:

@@ -266,9 +266,9 @@ def test_the_report_is_plain_data_of_the_schema() -> None:
 
 @pytest.mark.slow
 def test_a_users_own_effect_takes_part() -> None:
-    from equimus_ctrl.workflow.plugins import load_effects
+    from equimus_ctrl.workflow.plugins import load_plugins
 
-    load_effects([Path(__file__).parents[1] / "docs" / "examples" / "drag.py"])
+    load_plugins([Path(__file__).parents[1] / "docs" / "examples" / "drag.py"])
     effect = parse("quadratic_drag:knee:coefficient=0.05")
     found = found_in((effect,))
     (finding,) = found.findings

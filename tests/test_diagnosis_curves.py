@@ -21,7 +21,7 @@ from equimus_ctrl.report.diagnosis_figures import summary_figure
 from equimus_ctrl.report.diagnosis_panels import Panel, Scene
 from equimus_ctrl.report.diagnosis_text import sentence
 from equimus_ctrl.types import Array
-from equimus_ctrl.workflow import load_effects
+from equimus_ctrl.workflow import load_plugins
 
 
 def curve(panel: Panel, without: bool = False) -> tuple[Array, Array]:
@@ -61,7 +61,7 @@ def test_a_curve_lies_within_its_band_or_there_is_none(scene: Scene, name: str) 
 
 
 def test_the_curve_of_ones_own_effect_is_its_law(scene: Scene) -> None:
-    load_effects([DRAG])
+    load_plugins([DRAG])
     finding = finding_of(part_of("quadratic_drag", ("knee",), {"coefficient": 0.02}))
     (panel,) = panels(scene, finding)
     rate, torque = curve(panel)

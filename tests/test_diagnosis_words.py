@@ -13,7 +13,7 @@ from equimus_ctrl.effects import REGISTRY, Effect
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.report.diagnosis_text import sentence
 from equimus_ctrl.report.diagnosis_words import coordinate, estimate_text, number, power_of_ten
-from equimus_ctrl.workflow import load_effects
+from equimus_ctrl.workflow import load_plugins
 
 # Numbers
 
@@ -96,7 +96,7 @@ def test_the_sentence_of_an_effect_gives_its_numbers(name: str) -> None:
 
 
 def test_an_effect_of_ones_own_is_told_by_its_summary_and_numbers() -> None:
-    load_effects([DRAG])
+    load_plugins([DRAG])
     drag = finding_of(part_of("quadratic_drag", ("knee",), {"coefficient": 0.02}))
     assert sentence(drag, nominal_model()) == (
         "Drag that grows with the square of the speed, at knee: coefficient (torque at 1 rad/s) 0.0200 N·m·s²/rad² "

@@ -40,7 +40,6 @@ from equimus_ctrl.proof.legs import (
     CORRELATION,
     NOISE,
     SPREAD,
-    catalogue,
     draw,
     leg_draws,
 )
@@ -103,7 +102,7 @@ def test_unknown_kinds_and_negative_numbers_are_refused() -> None:
 @pytest.mark.slow
 def test_every_effect_and_every_kind_turns_up() -> None:
     assert {r.kind for r in many()} == {"none", "single", "pair", "outside"}
-    assert {e.name for r in many() for e in r.effects} == set(catalogue())
+    assert {e.name for r in many() for e in r.effects} == set(sizes.drawn("elastic"))
     assert {e.name for r in many() for e in r.outside} == set(OUTSIDE)
 
 

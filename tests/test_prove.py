@@ -110,7 +110,7 @@ class World:
         monkeypatch.setattr(blind, "report_fingerprint", lambda: self.version)
         monkeypatch.setattr(blind, "baselines_fingerprint", lambda: self.version + "+")
 
-    def make(self, request: Request, cases: Any, workers: int, notify: Any) -> list[Made]:
+    def make(self, request: Request, cases: Any, workers: int, notify: Any, prepare: Any) -> list[Made]:
         made = [Made(case, f"{request.seed}{case}", 0.0) for case in cases]
         for one in made:
             notify(one)

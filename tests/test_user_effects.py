@@ -22,7 +22,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.types import Array, Start
-from equimus_ctrl.workflow import load_effects
+from equimus_ctrl.workflow import load_plugins
 
 DRAG = Path(__file__).resolve().parents[1] / "docs" / "examples" / "drag.py"
 TEXT = DRAG.read_text(encoding="utf-8")
@@ -87,7 +87,7 @@ def test_it_takes_part_in_a_closed_loop(folder: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_the_example_is_the_drag_that_it_says() -> None:
-    load_effects([DRAG])
+    load_plugins([DRAG])
     leg = nominal_leg()
     model = Model(leg, (make("quadratic_drag", "knee", {"coefficient": 0.05}),))
     k, start, pressure = Kinematics(leg), np.array([1.3, 0.9]), np.array([18e3, 9e3])
@@ -148,7 +148,7 @@ class Mirror(SensorEffect):
 
 def test_every_kind_of_effect_works_in_both_engines(folder: Path) -> None:
     Path("others.py").write_text(OTHERS)
-    assert load_effects(["others.py"]) == ("leak", "slow", "heavy", "mirror")
+    assert load_plugins(["others.py"]) == ("leak", "slow", "heavy", "mirror")
     start, times = np.array([1.3, 0.9]), np.arange(60) / 120
     before, after = np.array([12e3, 4e3]), np.array([18e3, 9e3])
     trial = Trial("t", np.zeros(1), after[None], before, 0.0, start, times)
@@ -172,7 +172,7 @@ def test_every_kind_of_effect_works_in_both_engines(folder: Path) -> None:
 # --- what goes wrong ----------------------------------------------------------------------------------------------
 
 WRONG = {
-    "x = 1": "registers no effect; put @register above its class",
+    "x = 1": "registers nothing; put @register above an effect's class, or call register_",
     "1 / 0": "fails when it is loaded: ZeroDivisionError: division by zero",
     "import no_such_module": "fails when it is loaded: ModuleNotFoundError: No module named 'no_such_module'",
     TEXT.replace("quadratic_drag", "creep"): "effect creep: there is one of that name already, in equimus_ctrl.effects",
@@ -227,21 +227,21 @@ def test_every_verb_says_that_a_file_is_not_there(
 def test_a_file_loaded_again_replaces_what_it_registered(folder: Path) -> None:
     path = Path("own.py")
     path.write_text(TEXT)
-    assert load_effects([path, path]) == ("quadratic_drag",)
+    assert load_plugins([path, path]) == ("quadratic_drag",)
     first = REGISTRY["quadratic_drag"]
     path.write_text(TEXT.replace("quadratic_drag", "drag"))
-    assert load_effects([path]) == ("drag",)
+    assert load_plugins([path]) == ("drag",)
     assert "quadratic_drag" not in REGISTRY and "drag" in REGISTRY
     path.write_text("1 / 0")
     with pytest.raises(ConfigError, match="own.py: fails"):
-        load_effects([path])
+        load_plugins([path])
     assert "drag" in REGISTRY
     other = Path("other.py")
     other.write_text(TEXT.replace("quadratic_drag", "drag"))
     with pytest.raises(
         ConfigError, match="other.py: effect drag: there is one of that name already, in equimus_user_own"
     ):
-        load_effects([other])
+        load_plugins([other])
     register(first)
     assert REGISTRY["quadratic_drag"] is first
 

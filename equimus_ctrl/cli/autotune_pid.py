@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, ElasticFile, Figures, Json, people, print_files, print_json
+from equimus_ctrl.cli.common import ElasticFile, Figures, Json, PluginFiles, people, print_files, print_json
 from equimus_ctrl.cli.progress import bars, time_left
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def autotune_pid(
     study: Annotated[Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml by default.")] = None,
     model: ElasticFile = None,
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     scenario: Annotated[
         list[str] | None, typer.Option("--scenario", help="Objective in place of the study's own; may be repeated.")
     ] = None,
@@ -60,7 +60,7 @@ def autotune_pid(
         task = progress.add_task("getting ready", total=None, best="–")
         from equimus_ctrl import workflow
 
-        workflow.load_effects(effects or ())
+        workflow.load_plugins(plugins or ())
         lowest = float("inf")
 
         def begin(total: int) -> None:

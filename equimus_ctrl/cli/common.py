@@ -31,9 +31,14 @@ Recordings = Annotated[
     Path | None,
     typer.Option("--recordings", metavar="DIR", help="Folder with recordings; $EQUIMUS_RECORDINGS by default."),
 ]
-EffectFiles = Annotated[
+PluginFiles = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE.py", help="Python file that registers effects of your own; repeatable."),
+    typer.Option(
+        "--plugin",
+        "--effects",
+        metavar="FILE.py",
+        help="Python file that registers effects, controllers, plants or scenarios of your own; repeatable.",
+    ),
 ]
 Figures = Annotated[bool, typer.Option(help="Draw figures.")]
 

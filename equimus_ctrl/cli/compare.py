@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
-    EffectFiles,
     ElasticFile,
     Figures,
     Json,
+    PluginFiles,
     Recordings,
     key_values,
     people,
@@ -28,7 +28,7 @@ def compare(
         typer.Option(
             "--controller",
             "-c",
-            help="By name or path/to/file.py:Name; repeatable. By default pid, lqr, nmpc, sampling.",
+            help="By name or path/to/file.py:Name; repeatable. By default pid, lqr, nmpc, sampling, those of plugins.",
         ),
     ] = None,
     under: Annotated[
@@ -56,7 +56,7 @@ def compare(
         typer.Option(metavar="NAME=FILE", help="Settings file of a controller (TOML); repeatable."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of noise and perturbed robots.")] = 0,
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     recordings: Recordings = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder for figures and record; results/compare by default.")
@@ -80,7 +80,7 @@ def compare(
     from equimus_ctrl.report.comparison import comparison_figures, comparison_table
 
     console = people()
-    workflow.load_effects(effects or ())
+    workflow.load_plugins(plugins or ())
     folder = output or presets.workspace() / "results" / "compare"
     presets.check_folder(folder)
     default = ["nominal", "noisy", "delayed", "perturbed"]
@@ -89,7 +89,7 @@ def compare(
     with stage_bar(console, "compare", width=36, bar_width=24) as show:
         found = workflow.compare(
             scenarios,
-            controller or workflow.CONTROLLERS,
+            controller or None,
             under or default,
             model=workflow.load_elastic(model),
             corrected=workflow.load_elastic(corrected) if corrected is not None else None,

@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
-    EffectFiles,
     Json,
     ModelFile,
+    PluginFiles,
     check_model_file,
     people,
     print_files,
@@ -35,7 +35,7 @@ def diagnose(
     ] = None,
     *,
     options: DiagnoseOptions,
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     as_json: Json = False,
 ) -> None:
     """Find the physics that a model lacks, from recordings: where, which effect, how large, and how certain.
@@ -64,7 +64,7 @@ def diagnose(
     with stage_bar(console, "getting ready", width=34, bar_width=24) as show, best_so_far(console) as asked:
         from equimus_ctrl import workflow
 
-        workflow.load_effects(effects or ())
+        workflow.load_plugins(plugins or ())
         found = workflow.diagnose_recordings(
             recordings,
             workflow.load_model(model),

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, ElasticFile, Json, people, print_json
+from equimus_ctrl.cli.common import ElasticFile, Json, PluginFiles, people, print_json
 
 HardwareFile = Annotated[
     Path | None,
@@ -39,7 +39,7 @@ def emulate(
         typer.Option("--fault", metavar="KIND:TIME[:DURATION]", help="Something that goes wrong; repeatable."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of noise, losses and jitter.")] = 0,
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     log: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Rewrite this JSON file every second with what was received.")
     ] = None,
@@ -67,7 +67,7 @@ def emulate(
     from equimus_ctrl.models.model import Model
 
     console = people()
-    workflow.load_effects(effects or ())
+    workflow.load_plugins(plugins or ())
     robot = workflow.load_elastic(model)
     if effect:
         robot = Model(robot.morphology, (*robot.effects, *(parse(text) for text in effect)), robot.phase)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from equimus_ctrl.cli.common import (
-    EffectFiles,
     Figures,
     Json,
     ModelFile,
+    PluginFiles,
     check_model_file,
     light_table,
     people,
@@ -52,7 +52,7 @@ def identify(
     figures: Figures = True,
     *,
     options: IdentifyOptions,
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     as_json: Json = False,
 ) -> None:
     """Identify a model's parameters by simulating recordings, with intervals, and validate them on held-out data.
@@ -77,7 +77,7 @@ def identify(
     with stage_bar(console, "getting ready", width=13) as show:
         from equimus_ctrl import workflow
 
-        workflow.load_effects(effects or ())
+        workflow.load_plugins(plugins or ())
 
         def notify(stage: str, share: float, best: float) -> None:
             show(stage, share, "" if best != best else f"best {best:.5f} rad")

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from equimus_ctrl.cli.common import (
-    EffectFiles,
     Json,
     ModelFile,
+    PluginFiles,
     check_model_file,
     people,
     print_engine,
@@ -35,7 +35,7 @@ class Kind(StrEnum):
 
 def list_names(
     kind: Annotated[Kind, typer.Argument(help="What to list.")],
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     model: ModelFile = None,
     write: Annotated[
         Path | None,
@@ -49,17 +49,17 @@ def list_names(
     [bold]Examples[/bold]
     equimus-ctrl list scenarios
     equimus-ctrl list effects --json
-    equimus-ctrl list effects --effects docs/examples/drag.py
+    equimus-ctrl list effects --plugin docs/examples/drag.py
     equimus-ctrl list parameters --model robot.xml --write free.toml
     """  # noqa: D301
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
-    if effects:
-        from equimus_ctrl.workflow import load_effects
+    if plugins:
+        from equimus_ctrl.workflow import load_plugins
 
-        load_effects(effects)
+        load_plugins(plugins)
     for option, given in (("--model", model), ("--write", write)):
         if given is not None and kind is not Kind.parameters:
             raise ConfigError(f"{option} is for list parameters, not for list {kind.value}")
@@ -103,12 +103,19 @@ def _rows(kind: Kind) -> list[dict[str, Any]]:
     if kind is Kind.controllers:
         from equimus_ctrl.controllers.registry import CONTROLLERS
 
-        rows = [{"name": name, "summary": entry.summary} for name, entry in CONTROLLERS.items()]
-        return [*rows, {"name": "path/to/file.py:Name", "summary": "your own, a class or a function"}]
+        rows: list[dict[str, Any]] = [
+            {"name": name, "summary": entry.summary, "settings": entry.settings, "compared": entry.compared}
+            for name, entry in CONTROLLERS.items()
+        ]
+        own = {"summary": "your own, a class or a function", "settings": None, "compared": False}
+        return [*rows, {"name": "path/to/file.py:Name", **own}]
     if kind is Kind.plants:
         from equimus_ctrl.plants.registry import PLANTS
 
-        return [{"name": name, "summary": entry.summary} for name, entry in PLANTS.items()]
+        return [
+            {"name": name, "summary": entry.summary, "real": entry.real, "effects": entry.effects}
+            for name, entry in PLANTS.items()
+        ]
     if kind is Kind.thresholds:
         return _thresholds()
     if kind is Kind.models:
@@ -155,12 +162,8 @@ def _whose(robots: tuple[str, ...]) -> str:
 
 
 def _scenarios() -> list[dict[str, Any]]:
-    from equimus_ctrl import presets
-    from equimus_ctrl.scenarios.scenario import option_defaults
+    from equimus_ctrl.workflow import scenario_entries
 
-    rows = []
-    for name, path in presets.names("scenarios", ".py").items():
-        build, _ = presets.load_scenario(name)
-        summary = (presets.load_script(path).__doc__ or "").strip().partition("\n\n")[0].replace("\n", " ")
-        rows.append({"name": name, "summary": summary, "options": option_defaults(build)})
-    return rows
+    return [
+        {"name": name, "summary": entry.summary, "options": entry.options} for name, entry in scenario_entries().items()
+    ]

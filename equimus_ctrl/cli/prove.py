@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Figures, Json, people, print_engine, print_files, print_json
+from equimus_ctrl.cli.common import Figures, Json, PluginFiles, people, print_engine, print_files, print_json
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, times
 from equimus_ctrl.errors import ConfigError
@@ -42,6 +42,7 @@ def prove(
     ] = None,
     *,
     options: ProveOptions,
+    plugins: PluginFiles = None,
     as_json: Json = False,
 ) -> None:
     """Blind test of the diagnosis: synthetic robots with missing physics, answers scored against the ground truth.
@@ -93,6 +94,7 @@ def prove(
                 folder,
                 options,
                 experiment=experiment,
+                plugins=plugins or (),
                 progress=notify,
                 say=lambda sentence: console.print(sentence, markup=False, soft_wrap=True),
             )

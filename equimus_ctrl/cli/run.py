@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from equimus_ctrl.cli.common import (
-    EffectFiles,
     ElasticFile,
     Figures,
     Json,
+    PluginFiles,
     Recordings,
     key_values,
     people,
@@ -49,7 +49,7 @@ def run(
     settings: Annotated[Path | None, typer.Option(help="The controller's settings file (TOML).")] = None,
     noise: Annotated[float, typer.Option(help="White noise on the measured angles, standard deviation in rad.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     recordings: Recordings = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder for figures and table; results/run/… by default.")
@@ -76,16 +76,17 @@ def run(
     equimus-ctrl run hold --controller controllers/example_custom.py:Spring
     equimus-ctrl run chirp --effect transport_delay:baa:delay=0.1 --record my_recordings
     equimus-ctrl run chirp --plant hardware --arm --record my_recordings
-    equimus-ctrl run chirp --effects docs/examples/drag.py --effect quadratic_drag:knee:coefficient=0.02
+    equimus-ctrl run chirp --plugin docs/examples/drag.py --effect quadratic_drag:knee:coefficient=0.02
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.effects import parse
     from equimus_ctrl.errors import ConfigError, EquimusError
+    from equimus_ctrl.plants.registry import PLANTS
     from equimus_ctrl.recordings import write
     from equimus_ctrl.report.tables import run_table, score_to_dict
 
     console = people()
-    workflow.load_effects(effects or ())
+    workflow.load_plugins(plugins or ())
     if video is not None:
         from equimus_ctrl.report.video import check_suffix
 
@@ -95,9 +96,10 @@ def run(
         if place is not None:
             presets.check_folder(place)
     robot = workflow.load_elastic(model)
-    real = plant == "hardware"
+    real = PLANTS.entry(plant).real
     if not real and (arm or hardware is not None or domain is not None):
-        raise ConfigError("--arm, --hardware and --domain are for --plant hardware alone")
+        known = " or ".join(name for name, entry in PLANTS.items() if entry.real)
+        raise ConfigError(f"--arm, --hardware and --domain are for --plant {known} alone")
     streamed = new_file(record or presets.workspace() / "results" / "hardware", scenario) if real and arm else None
     try:
         with share_bar(console, scenario) as show:

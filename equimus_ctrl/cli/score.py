@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import EffectFiles, Json, ModelFile, people, print_engine, print_json
+from equimus_ctrl.cli.common import Json, ModelFile, PluginFiles, people, print_engine, print_json
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import share_bar
 from equimus_ctrl.options import ScoreOptions
@@ -19,7 +19,7 @@ def score(
     model: ModelFile = None,
     *,
     options: ScoreOptions,
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     as_json: Json = False,
 ) -> None:
     """Predict recordings with a model, each trial from its own measured start, and print the error.
@@ -35,7 +35,7 @@ def score(
     from equimus_ctrl import workflow
 
     console = people()
-    workflow.load_effects(effects or ())
+    workflow.load_plugins(plugins or ())
     with share_bar(console, "score") as show:
         found = workflow.score_recordings(
             recordings,

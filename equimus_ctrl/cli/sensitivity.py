@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
-    EffectFiles,
     Figures,
     Json,
     ModelFile,
+    PluginFiles,
     light_table,
     people,
     print_engine,
@@ -43,7 +43,7 @@ def sensitivity(
     figures: Figures = True,
     *,
     options: SensitivityOptions,
-    effects: EffectFiles = None,
+    plugins: PluginFiles = None,
     as_json: Json = False,
 ) -> None:
     """Change every parameter of a model in turn and show how its errors on recordings change.
@@ -63,7 +63,7 @@ def sensitivity(
     with stage_bar(console, "simulating") as show:
         from equimus_ctrl import workflow
 
-        workflow.load_effects(effects or ())
+        workflow.load_plugins(plugins or ())
         found = workflow.sensitivity_of(
             recordings,
             workflow.load_model(model),

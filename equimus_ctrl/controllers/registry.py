@@ -11,8 +11,27 @@ from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.controllers.pid import PidController, PidSettings
 from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
-from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
+from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.registry import Registry
+from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array, Controller
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerRequest:
+    """What a controller may be made of.
+
+    Attributes:
+        settings: what its settings file holds; None where there is none.
+        commands: time [s] → pressures (na,) [Pa] that the scenario has to play; None where it has none.
+        morphology: of the robot that it will drive; None where that is not known yet.
+        where: the settings' file, for messages.
+    """
+
+    settings: Mapping[str, Any] | None = None
+    commands: Callable[[float], Array] | None = None
+    morphology: Morphology | None = None
+    where: str = "controller"
 
 
 @dataclass(frozen=True)
@@ -21,44 +40,81 @@ class ControllerEntry:
 
     Attributes:
         summary: one line for lists.
-        make: (settings table or None, open-loop commands or None) → controller.
-        settings: the file name of its settings under ``controllers/``, or None.
+        make: makes it; raises ConfigError where its settings are missing or do not fit.
+        settings: the file name of its settings under ``controllers/``; None where it takes none.
+        compared: whether a comparison takes it where nobody says which.
     """
 
     summary: str
-    make: Callable[[Mapping[str, Any] | None, Callable[[float], Array] | None, str], Controller]
+    make: Callable[[ControllerRequest], Controller]
     settings: str | None = None
+    compared: bool = True
 
 
-def _open_loop(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Controller:
-    return OpenLoopController(commands)
+CONTROLLERS: Registry[ControllerEntry] = Registry("controller", ControllerError)
 
 
-def _pid(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Controller:
-    if settings is None:
-        raise ConfigError(f"{where}: the PID has no settings; tune it with: equimus-ctrl autotune-pid")
-    return PidController(PidSettings.from_dict(settings, where))
+def register_controller(name: str, entry: ControllerEntry) -> None:
+    """Make a controller known by a name.
+
+    Raises:
+        ConfigError: where the name is another's or no plain name.
+    """
+    CONTROLLERS.add(name, entry)
 
 
-def _lqr(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Controller:
-    return LqrController(LqrSettings.from_dict(settings or {}, where))
+def _pid(given: ControllerRequest) -> Controller:
+    if given.settings is None:
+        raise ConfigError(f"{given.where}: the PID has no settings; tune it with: equimus-ctrl autotune-pid")
+    settings = PidSettings.from_dict(given.settings, given.where)
+    if given.morphology is not None:
+        try:
+            settings.gain_matrix(settings.channels(given.morphology))
+        except ConfigError as error:
+            raise ConfigError(f"{given.where}: {error}") from None
+    return PidController(settings)
 
 
-def _nmpc(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Controller:
-    return NmpcController(NmpcSettings.from_dict(settings or {}, where))
+register_controller(
+    "open_loop",
+    ControllerEntry(
+        "the scenario's commands, or its reference's static pressures",
+        lambda given: OpenLoopController(given.commands),
+        compared=False,
+    ),
+)
+register_controller(
+    "pid", ControllerEntry("PID on actuator lengths or joint angles with feed-forward", _pid, "pid.toml")
+)
+register_controller(
+    "lqr",
+    ControllerEntry(
+        "LQR along the reference on an observer's state, with integral action",
+        lambda given: LqrController(LqrSettings.from_dict(given.settings or {}, given.where)),
+        "lqr.toml",
+    ),
+)
+register_controller(
+    "nmpc",
+    ControllerEntry(
+        "nonlinear model-predictive control on an observer's state",
+        lambda given: NmpcController(NmpcSettings.from_dict(given.settings or {}, given.where)),
+        "nmpc.toml",
+    ),
+)
+register_controller(
+    "sampling",
+    ControllerEntry(
+        "sampling MPC in MuJoCo: predictive sampling, MPPI or CEM",
+        lambda given: SamplingController(SamplingSettings.from_dict(given.settings or {}, given.where)),
+        "sampling.toml",
+    ),
+)
 
 
-def _sampling(settings: Mapping[str, Any] | None, commands: Any, where: str) -> Controller:
-    return SamplingController(SamplingSettings.from_dict(settings or {}, where))
-
-
-CONTROLLERS: dict[str, ControllerEntry] = {
-    "open_loop": ControllerEntry("the scenario's commands, or its reference's static pressures", _open_loop),
-    "pid": ControllerEntry("PID on actuator lengths or joint angles with feed-forward", _pid, "pid.toml"),
-    "lqr": ControllerEntry("LQR along the reference on an observer's state, with integral action", _lqr, "lqr.toml"),
-    "nmpc": ControllerEntry("nonlinear model-predictive control on an observer's state", _nmpc, "nmpc.toml"),
-    "sampling": ControllerEntry("sampling MPC in MuJoCo: predictive sampling, MPPI or CEM", _sampling, "sampling.toml"),
-}
+def compared_controllers() -> tuple[str, ...]:
+    """Those that a comparison takes where nobody says which."""
+    return tuple(name for name, entry in CONTROLLERS.items() if entry.compared)
 
 
 def make_controller(
@@ -66,6 +122,7 @@ def make_controller(
     settings: Mapping[str, Any] | None = None,
     commands: Callable[[float], Array] | None = None,
     where: str = "controller",
+    morphology: Morphology | None = None,
 ) -> Controller:
     """A controller by name.
 
@@ -74,11 +131,10 @@ def make_controller(
         settings: what its settings file holds.
         commands: time → pressures, for ``open_loop``.
         where: the settings' file, for messages.
+        morphology: of the robot that it will drive, where that is known.
 
     Raises:
         ControllerError: for an unknown name.
         ConfigError: for settings that are missing or wrong.
     """
-    if name not in CONTROLLERS:
-        raise ControllerError(unknown_name("controller", name, CONTROLLERS))
-    return CONTROLLERS[name].make(settings, commands, where)
+    return CONTROLLERS.entry(name).make(ControllerRequest(settings, commands, morphology, where))

@@ -24,7 +24,10 @@ from equimus_ctrl.effects.force import (
     ParallelSpring,
     StribeckFriction,
 )
+from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sensors import Backlash, SensorDelay, SensorEffect, SensorOffset, SensorScale
+from equimus_ctrl.effects.sizes import Share, Size
+from equimus_ctrl.effects.telling import Curve, Told
 from equimus_ctrl.effects.valves import (
     AsymmetricLag,
     Cutoff,
@@ -50,6 +53,7 @@ __all__ = [
     "ConstantForce",
     "CoulombFriction",
     "Creep",
+    "Curve",
     "Cutoff",
     "DeadZone",
     "DriveCompliance",
@@ -69,13 +73,17 @@ __all__ = [
     "QuadraticDamping",
     "RateLimit",
     "Saturation",
+    "Seen",
     "SensorDelay",
     "SensorEffect",
     "SensorOffset",
     "SensorScale",
     "ShapingEffect",
+    "Share",
+    "Size",
     "StribeckFriction",
     "SupplyCoupling",
+    "Told",
     "TorqueSaturation",
     "TransportDelay",
     "ValveEffect",

@@ -60,6 +60,13 @@ class Effect:
 
     location: str
 
+    def __init_subclass__(cls) -> None:
+        # What is made of another effect is another, of which nobody has said how large it is.
+        super().__init_subclass__()
+        for key in ("leg_sizes", "mjcf_sizes"):
+            if key not in vars(cls):
+                setattr(cls, key, ())
+
     def __post_init__(self) -> None:
         for key, meta in self.parameter_info().items():
             value = getattr(self, key)

@@ -180,6 +180,11 @@ class MujocoPlant:
         return self._spec
 
     @property
+    def truth(self) -> Array:
+        """(nj,) true joint angles now [rad], see ``types.KnowsTruth``."""
+        return self.position
+
+    @property
     def position(self) -> Array:
         """(nj,) true joint angles [rad]; for figures and tests, not for controllers."""
         return np.array(self.data.qpos[self._qpos])

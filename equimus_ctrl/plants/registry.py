@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from equimus_ctrl.errors import ConfigError, NotAvailable, unknown_name
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.events import Event
 from equimus_ctrl.plants.hardware.plant import HardwarePlant
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.plants.replay import ReplayPlant
+from equimus_ctrl.registry import Registry
 from equimus_ctrl.types import Plant, Recording
 
 
@@ -41,6 +44,9 @@ class PlantRequest:
     record: Path | None = None
 
 
+Carries = Literal["any", "model", "none"]
+
+
 @dataclass(frozen=True)
 class PlantEntry:
     """A plant known by name.
@@ -48,12 +54,40 @@ class PlantEntry:
     Attributes:
         summary: one line for lists.
         make: makes it.
-        real: whether it is no simulation: nothing repeats to the bit, and time is that of the wall.
+        real: whether it is no simulation: nothing repeats to the bit, and time is that of the wall; it needs
+            ``PlantRequest.hardware`` and sends commands where it is ``armed``.
+        effects: what it can carry: any that somebody attaches, those of the model alone, or none.
+        refusal: what is said where somebody attaches others.
     """
 
     summary: str
     make: Callable[[PlantRequest], Plant]
     real: bool = False
+    effects: Carries = "any"
+    refusal: str = ""
+
+    def check_effects(self, attached: Sequence[Effect], own: Sequence[Effect]) -> None:
+        """Raise ConfigError where it cannot carry these effects.
+
+        Args:
+            attached: for this run.
+            own: of the model.
+        """
+        carried = {"any": True, "model": not attached, "none": not (attached or own)}[self.effects]
+        if not carried:
+            raise ConfigError(self.refusal or f"effects cannot be attached to this plant ({self.summary})")
+
+
+PLANTS: Registry[PlantEntry] = Registry("plant")
+
+
+def register_plant(name: str, entry: PlantEntry) -> None:
+    """Make a plant known by a name.
+
+    Raises:
+        ConfigError: where the name is another's or no plain name.
+    """
+    PLANTS.add(name, entry)
 
 
 def _mujoco(given: PlantRequest) -> Plant:
@@ -76,11 +110,26 @@ def _hardware(given: PlantRequest) -> Plant:
     return HardwarePlant(given.model, given.hardware, armed=given.armed, nominal=given.nominal, record=given.record)
 
 
-PLANTS: dict[str, PlantEntry] = {
-    "mujoco": PlantEntry("the model in MuJoCo, its actuators as 3-2-1 elements", _mujoco),
-    "replay": PlantEntry("the scenario's recording, played back; commands change nothing", _replay),
-    "hardware": PlantEntry("a real robot over ROS 2's wire; commands are sent with --arm only", _hardware, real=True),
-}
+register_plant("mujoco", PlantEntry("the model in MuJoCo, its actuators as 3-2-1 elements", _mujoco))
+register_plant(
+    "replay",
+    PlantEntry(
+        "the scenario's recording, played back; commands change nothing",
+        _replay,
+        effects="none",
+        refusal="the replay plant plays a recording; effects cannot be attached to it",
+    ),
+)
+register_plant(
+    "hardware",
+    PlantEntry(
+        "a real robot over ROS 2's wire; commands are sent with --arm only",
+        _hardware,
+        real=True,
+        effects="model",
+        refusal="effects cannot be attached to a real robot; give what is known of it with --nominal FILE",
+    ),
+)
 
 
 def make_plant(name: str, given: PlantRequest) -> Plant:
@@ -90,6 +139,4 @@ def make_plant(name: str, given: PlantRequest) -> Plant:
         ConfigError: for an unknown name, or what it cannot have.
         NotAvailable: where it needs a recording or a transport that is not there.
     """
-    if name not in PLANTS:
-        raise ConfigError(unknown_name("plant", name, PLANTS))
-    return PLANTS[name].make(given)
+    return PLANTS.entry(name).make(given)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.effects.base import REGISTRY, Effect
+from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.proof.designs import DURATION, TRIALS, design
 from equimus_ctrl.proof.drawing import (
@@ -92,11 +92,6 @@ def leg_draws() -> Draws:
     spread |= {f"{j.name}.damping": SPREAD["damping"] for j in leg.joints}
     noise = [NOISE] * len(leg.joints)
     return Draws(nominal_model(), spread, leg_table(), _choose, _place, noise, CORRELATION)
-
-
-def catalogue() -> list[str]:
-    """Registered effects that are drawn."""
-    return sorted(set(leg_table()) & set(REGISTRY))
 
 
 def _choose(rng: np.random.Generator, names: Sequence[str], count: int) -> list[str]:

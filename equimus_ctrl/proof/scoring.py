@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, Literal
 
+from equimus_ctrl.effects.base import Robots
 from equimus_ctrl.proof.answers import OURS, Case, Method, Places
 from equimus_ctrl.proof.estimates import (
     HeldOut,
@@ -110,6 +111,7 @@ class Score:
         own: the robot's parameters.
         heldout: error taken away.
         effort: of the diagnoses.
+        robots: what kind of robots these are.
     """
 
     cases: tuple[Case, ...]
@@ -118,6 +120,7 @@ class Score:
     own: tuple[ParameterEstimate, ...]
     heldout: tuple[HeldOut, ...]
     effort: Effort
+    robots: Robots = "elastic"
 
     @property
     def ours(self) -> Tally:
@@ -219,6 +222,7 @@ def score(
             tuple(s["cpu_seconds"] for s in spent),
             max(s["peak_memory_byte"] or 0 for s in spent),
         ),
+        robot.traits.catalogue,
     )
 
 

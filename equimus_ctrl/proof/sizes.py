@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from equimus_ctrl.effects.base import REGISTRY, Effect
+from equimus_ctrl.effects.base import REGISTRY, Effect, Robots
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import Size
@@ -19,6 +19,12 @@ Table = Mapping[str, Sequence[Size]]
 def known() -> dict[str, type[Effect]]:
     """Name → class of all effects, of the catalogue and from outside it."""
     return {**REGISTRY, **OUTSIDE}
+
+
+def drawn(robots: Robots, among: Mapping[str, type[Effect]] = REGISTRY) -> list[str]:
+    """Names of the effects that a proof draws for a kind of robots: for all with elastic actuators those of the leg."""
+    sizes = {name: cls.leg_sizes if robots == "elastic" else cls.mjcf_sizes for name, cls in among.items()}
+    return sorted(name for name, own in sizes.items() if own)
 
 
 def leg_table() -> dict[str, tuple[Size, ...]]:

@@ -14,8 +14,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from equimus_ctrl import computer
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -33,6 +34,7 @@ from equimus_ctrl.recordings.sets import read_set
 from equimus_ctrl.types import Array, Recording
 
 SCHEMA = "equimus-ctrl/proof-truth/1"
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -199,8 +201,26 @@ def _check_same(request: Request, truth: dict[str, Any]) -> None:
             )
 
 
+Prepare = Callable[[], object]
+"""What a fresh process has to do before its work."""
+
+
+def prepared(work: Callable[..., T], prepare: Prepare | None) -> Callable[..., T]:
+    """Work that is prepared first; both can be pickled, and so can what is returned."""
+    return work if prepare is None else partial(_after, prepare, work)
+
+
+def _after(prepare: Prepare, work: Callable[..., T], *task: Any) -> T:
+    prepare()
+    return work(*task)
+
+
 def make_cases(
-    request: Request, cases: Iterable[int], workers: int = 1, notify: Callable[[Made], None] = lambda made: None
+    request: Request,
+    cases: Iterable[int],
+    workers: int = 1,
+    notify: Callable[[Made], None] = lambda made: None,
+    prepare: Prepare | None = None,
 ) -> list[Made]:
     """Make cases that are not there yet, in processes of their own where there are several workers.
 
@@ -209,6 +229,7 @@ def make_cases(
         cases: their numbers.
         workers: processes; 1 makes them in this one.
         notify: told of each case as it is done; those are kept, whatever ends the work.
+        prepare: done before each case, so that a process of its own knows what this one does; it can be pickled.
 
     Returns:
         All of them by number.
@@ -219,7 +240,7 @@ def make_cases(
     tasks = [(request, case) for case in cases]
     made = []
     with computer.workers(workers, len(tasks)) as pool:
-        for _, done in pool.each(make_case, tasks):
+        for _, done in pool.each(prepared(make_case, prepare), tasks):
             notify(done)
             made.append(done)
     return sorted(made, key=lambda m: m.case)

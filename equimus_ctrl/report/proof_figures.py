@@ -15,10 +15,10 @@ from matplotlib.ticker import MaxNLocator
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.proof.answers import BINS, EDGES, OURS, STRONG
 from equimus_ctrl.proof.estimates import ParameterEstimate
-from equimus_ctrl.proof.legs import catalogue
 from equimus_ctrl.proof.outside import OUTSIDE
 from equimus_ctrl.proof.scoring import COVERAGE, LEAST_HELD_OUT, MOST_FALSE_ALARMS, Score
 from equimus_ctrl.proof.shares import Share
+from equimus_ctrl.proof.sizes import drawn
 from equimus_ctrl.proof.tally import CONSISTENT, FAILED, NOTHING, UNEXPLAINED, Table, confusion
 from equimus_ctrl.report import style
 from equimus_ctrl.report.proof_tables import METHODS
@@ -48,9 +48,11 @@ def save_proof_figures(score: Score, folder: Path) -> list[Path]:
 def confusion_figure(score: Score) -> Figure:
     """Truths against names, those that are strong alone; colours are shares of a row."""
     found = confusion(score.cases)
-    effects, beyond = catalogue(), sorted(OUTSIDE)
+    effects, beyond = drawn(score.robots), drawn(score.robots, OUTSIDE)
     rows = [*effects, *beyond, NOTHING]
-    columns = [*effects, UNEXPLAINED, CONSISTENT]
+    # An effect of a user's may be found though it is not drawn.
+    others = {name for row in found.values() for name in row} - {*effects, UNEXPLAINED, CONSISTENT, FAILED}
+    columns = [*effects, *sorted(others), UNEXPLAINED, CONSISTENT]
     if any(FAILED in row for row in found.values()):
         columns.append(FAILED)
     counts = np.array([[found.get(row, {}).get(column, 0.0) for column in columns] for row in rows])

@@ -2,7 +2,7 @@
 
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged
 from equimus_ctrl.scenarios.comparison import Comparison, Condition
-from equimus_ctrl.workflow.compare import CONTROLLERS, compare
+from equimus_ctrl.workflow.compare import compare
 from equimus_ctrl.workflow.diagnose import diagnose_recordings
 from equimus_ctrl.workflow.hardware import check_hardware, import_bag, load_hardware, measure_delay, with_valve_delays
 from equimus_ctrl.workflow.identify import (
@@ -14,7 +14,7 @@ from equimus_ctrl.workflow.identify import (
 )
 from equimus_ctrl.workflow.mjcf import FreeParameterFile, load_mjcf, offer, parameter_rows, read_free
 from equimus_ctrl.workflow.models import load_elastic, load_model, renamed, save_model
-from equimus_ctrl.workflow.plugins import load_effects
+from equimus_ctrl.workflow.plugins import load_plugins
 from equimus_ctrl.workflow.prove import Proof, put_to_proof
 from equimus_ctrl.workflow.runs import (
     ScenarioRun,
@@ -23,12 +23,12 @@ from equimus_ctrl.workflow.runs import (
     load_scenario,
     recordings_of,
     run_scenario,
+    scenario_entries,
     tune_pid,
 )
 from equimus_ctrl.workflow.scores import RecordingsScore, TrialScore, gather, score_recordings
 
 __all__ = [
-    "CONTROLLERS",
     "Comparison",
     "Condition",
     "FreeParameterFile",
@@ -50,11 +50,11 @@ __all__ = [
     "identify_recordings",
     "import_bag",
     "load_controller",
-    "load_effects",
     "load_elastic",
     "load_hardware",
     "load_mjcf",
     "load_model",
+    "load_plugins",
     "load_scenario",
     "measure_delay",
     "offer",
@@ -65,6 +65,7 @@ __all__ = [
     "renamed",
     "run_scenario",
     "save_model",
+    "scenario_entries",
     "score_recordings",
     "sensitivity_of",
     "simulator_of",

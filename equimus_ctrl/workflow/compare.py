@@ -11,6 +11,7 @@ import numpy as np
 
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.horizon import FALLBACKS
+from equimus_ctrl.controllers.registry import compared_controllers
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.valves import ValveEffect
@@ -32,7 +33,6 @@ LAG, DELAY = 0.1, 0.1
 """Time constant of the lag and dead time of the delayed valves [s]."""
 SPREAD = EnsembleSettings(stiffness=0.15, area=0.15, damping=0.4, rest_length=0.02, mass=0.15)
 """Relative perturbation of the parameters of perturbed robots, at most."""
-CONTROLLERS = ("pid", "lqr", "nmpc", "sampling")
 
 
 CONDITIONS = {
@@ -95,7 +95,7 @@ def _delayed(model: Model) -> Model:
 
 def compare(
     scenarios: Sequence[str | Scenario],
-    controllers: Sequence[str | Controller | Callable[..., Any]] = CONTROLLERS,
+    controllers: Sequence[str | Controller | Callable[..., Any]] | None = None,
     under: Sequence[str | Condition] = ("nominal", "noisy", "delayed", "perturbed"),
     *,
     model: Model | None = None,
@@ -114,7 +114,7 @@ def compare(
 
     Args:
         scenarios: names, paths or scenarios.
-        controllers: names, ``path.py:Name``, controllers, classes or functions.
+        controllers: names, ``path.py:Name``, controllers, classes or functions; all that are made for it by default.
         under: names of ``CONDITIONS``, or conditions.
         model: the robot as it is known; the nominal leg by default.
         corrected: the augmented model of a diagnosis.
@@ -129,6 +129,7 @@ def compare(
         EquimusError: for anything that is wrong before the first run begins; what fails in a run stands in its entry.
     """
     model = model or nominal_model()
+    controllers = compared_controllers() if controllers is None else controllers
     if seed < 0:
         raise ConfigError(f"seed is {seed}, expected at least 0")
     if not scenarios or not controllers or not under:

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,8 +21,9 @@ from equimus_ctrl.proof.drawing import Kind
 from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import seal_of_all
-from equimus_ctrl.proof.store import Request, make_cases, open_truth
+from equimus_ctrl.proof.store import Prepare, Request, make_cases, open_truth, prepared
 from equimus_ctrl.recordings.folders import read_text
+from equimus_ctrl.workflow.plugins import load_plugins, plugins_digest
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how many cases are done, and how many there are."""
@@ -70,6 +72,7 @@ def put_to_proof(
     options: ProveOptions | None = None,
     *,
     experiment: Experiment | None = None,
+    plugins: Sequence[Path] = (),
     progress: Progress = lambda stage, done, total: None,
     say: Say = lambda sentence: None,
     **changes: Any,
@@ -80,6 +83,7 @@ def put_to_proof(
         folder: for everything that is made.
         options: see ``ProveOptions``.
         experiment: an MJCF robot and what is done with it, in the place of legs and of trials that are drawn.
+        plugins: files that register effects, see ``load_plugins``: what has sizes is concealed too, and looked for.
         progress: see ``Progress``.
         say: see ``Say``; the seal of all seals is said before the first diagnosis begins.
         **changes: of the options, one by one.
@@ -94,7 +98,9 @@ def put_to_proof(
     cases, workers = options.cases, worker_count(options.workers)
     baselines = experiment is None if options.baselines is None else options.baselines
     presets.check_folder(folder)
-    _claim(request)
+    load_plugins(plugins)
+    _claim(request, plugins)
+    prepare = partial(load_plugins, [path.resolve() for path in plugins]) if plugins else None
     done = 0
 
     def count_made(made: object) -> None:
@@ -103,12 +109,12 @@ def put_to_proof(
         progress(STAGES[0], done, cases)
 
     progress(STAGES[0], 0, cases)
-    seals = [made.seal for made in make_cases(request, range(cases), workers, count_made)]
+    seals = [made.seal for made in make_cases(request, range(cases), workers, count_made, prepare)]
     whole = seal_of_all(seals)
     lines = "".join(f"{one}  case_{case:04d}\n" for case, one in enumerate(seals))
     presets.write_text(folder / "seals.txt", f"{whole}  all\n{lines}")
     say(f"{cases} ground truths are sealed; SHA-256 of the seals: {whole}")
-    notes = _diagnose(request, seals, workers, baselines, progress, say)
+    notes = _diagnose(request, seals, workers, baselines, prepare, progress, say)
     progress(STAGES[2], 0, cases)
     truths = []
     for case in range(cases):
@@ -132,7 +138,7 @@ def _request(folder: Path, options: ProveOptions, experiment: Experiment | None)
     return Request.of_mjcf(folder, options.seed, kind, experiment)
 
 
-def _claim(request: Request) -> None:
+def _claim(request: Request, plugins: Sequence[Path]) -> None:
     """Note in the folder what it is for, or raise ConfigError where it is for something else."""
     path = request.root / "request.json"
     wanted: dict[str, Any] = {
@@ -144,11 +150,15 @@ def _claim(request: Request) -> None:
         "robot": request.model.name,
     }
     wanted |= request.source.hashes()
+    digest = plugins_digest(plugins)
+    wanted |= {} if digest is None else {"plugins_sha256": digest}
     text = read_text(path)
     if text is None:
         presets.write_text(path, presets.json_text(wanted))
         return
     found = _parsed(text)
+    if found.get("plugins_sha256") != digest:
+        raise ConfigError(f"{request.root}: holds a proof with other plugins; choose another folder")
     for key, value in wanted.items():
         if found.get(key, value) != value:
             if key in HASHED:
@@ -183,7 +193,13 @@ class _Current:
 
 
 def _diagnose(
-    request: Request, seals: Sequence[str], workers: int, baselines: bool, progress: Progress, say: Say
+    request: Request,
+    seals: Sequence[str],
+    workers: int,
+    baselines: bool,
+    prepare: Prepare | None,
+    progress: Progress,
+    say: Say,
 ) -> list[str]:
     current, cases = _Current(seals), range(len(seals))
     tasks: list[tuple[Path, Model, Path | None, Path | None, str]] = []
@@ -205,7 +221,7 @@ def _diagnose(
         say(f"{len(seals) - len(tasks)} of {len(seals)} cases were diagnosed before")
     finished, ended = len(seals) - len(tasks), dict[str, str]()
     progress(STAGES[1], finished, len(seals))
-    for index, how in each_apart(blind.answer, tasks, workers):
+    for index, how in each_apart(prepared(blind.answer, prepare), tasks, workers):
         finished += 1
         if how is not None:
             ended[tasks[index][0].name] = how

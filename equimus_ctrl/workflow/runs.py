@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,21 +10,19 @@ from typing import Any
 
 from equimus_ctrl import presets
 from equimus_ctrl.controllers.custom import as_controller
-from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.plants.hardware.plant import HardwarePlant, LoopCounts
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
-from equimus_ctrl.plants.registry import PlantRequest, make_plant
-from equimus_ctrl.plants.replay import ReplayPlant
+from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
 from equimus_ctrl.recordings import locate, read_set
 from equimus_ctrl.robots.elastic.morphology import Morphology
-from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario
+from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_paragraph
+from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Controller, Plant, Recording, Run
+from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -42,6 +41,27 @@ def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording
     return find
 
 
+def scenario_entries() -> dict[str, ScenarioEntry]:
+    """Name → entry of all scenarios that are known: scripts under ``scenarios/``, and what plugins registered."""
+    scripts = {name: _script(name) for name in presets.names("scenarios", ".py")}
+    return {**scripts, **SCENARIOS}
+
+
+def scenario_entry(name: str) -> ScenarioEntry:
+    """What is known by a name, or the script at a path.
+
+    Raises:
+        ConfigError: where there is no such scenario.
+    """
+    return SCENARIOS[name] if name in SCENARIOS else _script(name)
+
+
+def _script(name: str) -> ScenarioEntry:
+    build, where = presets.load_scenario(name, SCENARIOS)
+    module = inspect.getmodule(build)
+    return ScenarioEntry("" if module is None else first_paragraph(module), build, where)
+
+
 def load_scenario(
     name: str,
     morphology: Morphology,
@@ -54,7 +74,7 @@ def load_scenario(
     """A scenario by name or path, built for a robot.
 
     Args:
-        name: of a script under ``scenarios/``, or a path to one.
+        name: see ``scenario_entry``.
         morphology: the nominal robot.
         phase: base fixed or foot pinned.
         options: the script's options as text.
@@ -64,10 +84,9 @@ def load_scenario(
     Raises:
         ConfigError: where there is no such scenario, or an option does not fit.
     """
-    build, where = presets.load_scenario(name)
     find = recordings_of(recordings) if search else (lambda kind: ())
     context = ScenarioContext(morphology, phase, find, locate.missing_hint())
-    return build_scenario(build, context, options, where)
+    return scenario_entry(name).scenario(context, options)
 
 
 def load_controller(
@@ -84,26 +103,16 @@ def load_controller(
     Raises:
         ControllerError, ConfigError: where there is no such controller or its settings are wrong.
     """
-    entry = CONTROLLERS.get(name)
-    own = entry is None and ".py" in name
-    if entry is None and not own:
-        raise ControllerError(unknown_name("controller", name, CONTROLLERS))
-    if settings is not None and (own or (entry is not None and entry.settings is None)):
+    own = name not in CONTROLLERS and ".py" in name
+    takes = None if own else CONTROLLERS.entry(name).settings
+    if settings is not None and takes is None:
         raise ConfigError(f"controller {name} takes no settings file, but {settings} was given")
     if own:
         return as_controller(presets.load_object(name), name)
-    path = settings
-    if path is None and entry is not None and entry.settings is not None:
-        path = presets.find("controllers", entry.settings)
+    path = presets.find("controllers", takes) if settings is None and takes is not None else settings
     table = presets.read_toml(path) if path is not None else None
     commands = scenario.commands.at if scenario.commands is not None else None
-    controller = make_controller(name, table, commands, str(path or name))
-    if isinstance(controller, PidController) and morphology is not None:
-        try:
-            controller.settings.gain_matrix(controller.settings.channels(morphology))
-        except ConfigError as error:
-            raise ConfigError(f"{path}: {error}") from None
-    return controller
+    return make_controller(name, table, commands, str(path or name), morphology)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +126,7 @@ class ScenarioRun:
         score: how well.
         model: what was simulated.
         plant: name of the plant.
-        loop: what the loop saw of itself, on a real robot.
+        loop: what the loop saw of itself, of plants that count that.
     """
 
     scenario: Scenario
@@ -126,7 +135,7 @@ class ScenarioRun:
     score: Score
     model: Model
     plant: str
-    loop: LoopCounts | None = None
+    loop: Counts | None = None
 
 
 def run_scenario(
@@ -174,10 +183,8 @@ def run_scenario(
     known = nominal or model
     if seed < 0:
         raise ConfigError(f"seed is {seed}, expected at least 0")
-    if plant == "replay" and (effects or model.effects):
-        raise ConfigError("the replay plant plays a recording; effects cannot be attached to it")
-    if plant == "hardware" and effects:
-        raise ConfigError("effects cannot be attached to a real robot; give what is known of it with --nominal FILE")
+    if isinstance(plant, str):
+        PLANTS.entry(plant).check_effects(effects, model.effects)
     if effects:
         model = Model(model.morphology, (*model.effects, *effects), model.phase)
     if isinstance(scenario, str):
@@ -195,13 +202,13 @@ def run_scenario(
     else:
         plant_name, machine = type(plant).__name__, plant
     duration = scenario.duration
-    if isinstance(machine, ReplayPlant):
+    if isinstance(machine, Ends):
         duration = min(duration, machine.duration)
     try:
         outcome = run(machine, driven, scenario.reference, duration, start=scenario.start, seed=seed, progress=progress)
     finally:
         machine.close()
-    counts = machine.counts if isinstance(machine, HardwarePlant) else None
+    counts = machine.counts if isinstance(machine, CountsInstants) else None
     return ScenarioRun(scenario, label, outcome, score_run(outcome, scenario), model, plant_name, counts)
 
 
