@@ -138,7 +138,7 @@ def test_defaults_that_other_modules_have_too_are_the_same() -> None:
         (DiagnoseOptions, {"until": float("nan")}, "the end of what is fitted is nan s, expected a finite time"),
         (DiagnoseOptions, {"threads": 0}, "threads is 0, expected at least 1"),
         (DiagnoseOptions, {"mots": 2}, "there is no option 'mots'; did you mean 'most'"),
-        (IdentifyOptions, {"folds": -1}, "the cross-check has -1 folds, expected 0 or more"),
+        (IdentifyOptions, {"folds": -1}, "the cross-validation has -1 folds, expected 0 or more"),
         (IdentifyOptions, {"threads": -2}, "threads is -2, expected at least 1"),
         (ScoreOptions, {"rate": 0.0}, "the rate of the grid is 0 Hz, expected more than 0 and at most 100000"),
         (SensitivityOptions, {"threads": 0}, "threads is 0, expected at least 1"),
