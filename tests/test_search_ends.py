@@ -13,6 +13,7 @@ import pytest
 from equimus_ctrl.diagnosis import confirmation, stages
 from equimus_ctrl.diagnosis.alternatives import in_place, instead, less, listed, simplified
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
+from equimus_ctrl.diagnosis.findings import _smallest
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, SearchSettings, Tried
 from equimus_ctrl.diagnosis.policy import Thresholds
@@ -192,3 +193,20 @@ def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_
     )
     found, _ = Moves(data, []).refit(Tried(), fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),))
     assert found.deviance == 10.0 and begun == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("threshold", [5.0, 18.7, 900.0])
+def test_the_smallest_that_would_show_is_where_the_gain_reaches_the_threshold(threshold: float) -> None:
+    """What grows from nothing gains as the square of its size, whichever guess is the nearest."""
+    sizes, slope = np.array([0.01, 0.04, 0.3]), 120.0
+    screened: Any = SimpleNamespace(
+        candidate=POOL[RUB], tried=[{"friction": size} for size in sizes], strength=(slope * sizes) ** 2
+    )
+    assert _smallest(screened, threshold) == pytest.approx(np.sqrt(threshold) / slope)
+
+
+def test_of_what_grows_from_nowhere_the_weakest_guess_that_shows_is_told() -> None:
+    tried = [{"level": level} for level in (1e4, 2e4, 3e4)]
+    screened: Any = SimpleNamespace(candidate=POOL[FULL], tried=tried, strength=np.array([90.0, 30.0, 4.0]))
+    assert _smallest(screened, 18.7) == 2e4
+    assert np.isnan(_smallest(screened, 100.0))
