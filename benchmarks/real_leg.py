@@ -83,7 +83,7 @@ def tell(found: Diagnosis, rows: dict[str, dict[str, list[float]]]) -> None:
             print("    or", ", ".join(map(str, finding.equivalent)))
     for left in found.unexplained:
         print(f"  unexplained at {left.location}: goes with {left.depends_on or 'nothing that was looked for'}")
-    for named in found.doubtful:
+    for named in found.rejected:
         print(f"  doubtful: {named}")
     for kind, states in rows.items():
         for joint, name in enumerate(found.joints):

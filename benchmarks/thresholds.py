@@ -66,7 +66,7 @@ def answered(model: Model, folder: Path, limits: Thresholds) -> dict[str, Any]:
         "cpu_seconds": time.process_time() - processor,
         "peak_memory_byte": None,
     }
-    kept = ("verdict", "findings", "unexplained", "doubtful", "parameters", "rmse_rad", "trials", "noise_rad")
+    kept = ("verdict", "findings", "unexplained", "rejected", "parameters", "rmse_rad", "trials", "noise_rad")
     return {**{key: said[key] for key in kept if key in said}, "proof": spent}
 
 

@@ -11,7 +11,7 @@ from effect_cases import PLAUSIBLE
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.localization import excess_of
+from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.results import (
     Detectable,
     Diagnosis,
@@ -96,9 +96,9 @@ def diagnosed() -> Diagnosis:
     data = Data(free_parameters(nominal), list(train), simulator)
     weights = white_noise([np.full((9, 2), NOISE)])
     starts = [s.start for s in train]
-    base = data.rough((), [(data.free.start, starts)], weights, 4)
+    base = data.coarse_fit((), [(data.free.start, starts)], weights, 4)
     begin = (np.append(data.free.start, TRUE), starts)
-    best = data.rough((part,), [begin], weights, 3)
+    best = data.coarse_fit((part,), [begin], weights, 3)
     models = {"nominal": nominal, "refitted": base.fit.model, "corrected": best.fit.model}
     train_residuals = {
         "nominal": tuple(residuals_of(nominal, train, simulator)),
@@ -158,18 +158,18 @@ def assembled(
         ),
         findings=(found,),
         unexplained=(left,),
-        doubtful=(Named("creep", ("maa",)),),
+        rejected=(Named("creep", ("maa",)),),
         ranking=tuple(ranking),
         detectable=(),
         experiment=Experiment("hold", {"p1": 12.0, "p2": 2.5}, (found.named, other), 6.2),
-        excess={s: float(excess_of(r.train, noise).mean()) for s, r in residuals.items()},
+        excess_variance={s: float(excess_variances(r.train, noise).mean()) for s, r in residuals.items()},
         notes=("maa.damping ended at a bound & more.",),
         seconds=21.3,
     )
 
 
 def explained(d: Diagnosis) -> Diagnosis:
-    return replace(d, verdict="explained", unexplained=(), doubtful=(), notes=())
+    return replace(d, verdict="explained", unexplained=(), rejected=(), notes=())
 
 
 def unexplained(d: Diagnosis) -> Diagnosis:
@@ -188,7 +188,7 @@ def consistent(d: Diagnosis) -> Diagnosis:
         verdict="consistent",
         findings=(),
         unexplained=(),
-        doubtful=(),
+        rejected=(),
         experiment=None,
         notes=(),
         detectable=smallest,

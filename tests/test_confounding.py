@@ -12,7 +12,7 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis_moves import Tried
 from equimus_ctrl.diagnosis.residual_force import followed
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.unexplained import Remainder, remainder
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.base import Effect, parse
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import reduced_simulator
@@ -24,7 +24,7 @@ from equimus_ctrl.proof.outside import CrossSpring, Leak, PressureGrowth
 
 def left(
     effects: tuple[Effect, ...], outside: tuple[Effect, ...], named: dict[str, dict[str, float]]
-) -> tuple[tuple[str, ...], Remainder]:
+) -> tuple[tuple[str, ...], ResidualAnalysis]:
     """Labels of what is fitted to a concealed leg, and what remains."""
     drawn = draw(20, 4, kind="none", trials=6, duration=6.0)
     ground_truth = replace(drawn, effects=effects, outside=outside)
@@ -37,7 +37,7 @@ def left(
     best, tried = search.refit(Tried(), base, tuple(Part(pool[label], values) for label, values in named.items()))
     parts = best.hypothesis
     without = [search.refit(tried, best, parts[:k] + parts[k + 1 :])[0] for k in range(len(parts))]
-    return tuple(part.candidate.label for part in parts), remainder(data, base, best, without)
+    return tuple(part.candidate.label for part in parts), residual_analysis(data, base, best, without)
 
 
 @pytest.mark.slow
@@ -52,7 +52,7 @@ def left(
 )
 def test_the_name_of_a_shadow_is_superfluous(outside: Effect, label: str, values: dict[str, float]) -> None:
     labels, rest = left((), (outside,), {label: values})
-    assert labels == (label,) and rest.superfluous == (0,)
+    assert labels == (label,) and rest.redundant == (0,)
 
 
 LEAK = (Leak("maa", share=0.05),)
@@ -81,7 +81,7 @@ def test_a_true_name_is_not(text: str, values: tuple[float, ...], outside: tuple
     label = f"{effect.name}:{effect.location}"
     labels, rest = left((effect,), outside, {label: dict(zip(effect.parameters(), values, strict=True))})
     assert labels == (label,)
-    assert rest.superfluous == ()
+    assert rest.redundant == ()
     assert bool(rest.unexplained) == bool(outside)
 
 

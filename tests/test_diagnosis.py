@@ -20,7 +20,7 @@ from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
 from equimus_ctrl.diagnosis.localization import where_off
 from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.unexplained import Remainder
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, parse
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.rest import rest_pose
@@ -109,7 +109,7 @@ def test_one_effect_is_named_sized_and_confirmed_by_trials_left_out(text: str) -
         assert estimate.value == pytest.approx(value, rel=0.1)
         assert estimate.low < estimate.value < estimate.high
     evidence = finding.evidence
-    assert evidence.gain > evidence.threshold and evidence.validation_gain > 0 and evidence.log10_chance < -3
+    assert evidence.gain > evidence.threshold and evidence.validation_gain > 0 and evidence.log10_p_value < -3
     assert evidence.share > 0.9 and evidence.validation_share > 0.8
     assert np.all(found.rmse("corrected", "validation") < 1.2e-3)
     assert found.corrected.effects[0].name == effect.name
@@ -137,23 +137,23 @@ def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: py
     assert found.unexplained[0].location == "knee"
     assert found.unexplained[0].depends_on == "pos.knee"
     left = found.unexplained[0]
-    assert left.unit == "N·m" and len(left.x) == len(left.push) == len(left.band) > 10
+    assert left.unit == "N·m" and len(left.x) == len(left.force) == len(left.band) > 10
     inside = (left.x > np.quantile(left.x, 0.2)) & (left.x < np.quantile(left.x, 0.8))
     true = 0.03 * np.sin(2 * np.pi * left.x / 0.3)
-    assert np.corrcoef(left.push[inside], true[inside])[0, 1] > 0.8
+    assert np.corrcoef(left.force[inside], true[inside])[0, 1] > 0.8
 
 
 @pytest.mark.slow
 def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     ends: list[list[str]] = []
 
-    def refusing(data: Data, base: Fitted, best: Fitted, without: object) -> Remainder:
+    def refusing(data: Data, base: Fitted, best: Fitted, without: object) -> ResidualAnalysis:
         labels = [part.candidate.label for part in best.hypothesis]
         ends.append(labels)
         own = "dead_zone:baa"
-        return Remainder((), tuple(k for k, label in enumerate(labels) if label != own) if own in labels else ())
+        return ResidualAnalysis((), tuple(k for k, label in enumerate(labels) if label != own) if own in labels else ())
 
-    monkeypatch.setattr("equimus_ctrl.diagnosis.stages.remainder", refusing)
+    monkeypatch.setattr("equimus_ctrl.diagnosis.stages.residual_analysis", refusing)
     model = nominal_model()
     effects = (parse("dead_zone:baa:threshold=2000"), parse("coulomb_friction:knee:friction=0.01"))
     parts = split(model, recordings(effects), validation=["trial_3"])
@@ -162,7 +162,7 @@ def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.Mo
     # What stands in for the friction the next time is withdrawn as well, and nothing looked for in its place.
     assert set(ends[1]) == {"dead_zone:baa", "stribeck_friction:knee"} and ends[2:] == [["dead_zone:baa"]]
     assert [str(f.named) for f in found.findings] == ["dead_zone at baa"]
-    assert [str(named) for named in found.doubtful] == ["coulomb_friction at knee", "stribeck_friction at knee"]
+    assert [str(named) for named in found.rejected] == ["coulomb_friction at knee", "stribeck_friction at knee"]
 
 
 def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_unexplained() -> None:
@@ -231,11 +231,11 @@ def test_an_effect_is_named_where_it_shows_and_nowhere_else(largest: float, plac
     (part,) = found.best.hypothesis
     assert part.candidate.locations == places
     assert part.values["level"] == pytest.approx(14e3, rel=1e-2)
-    others = {rival.label for rival in found.rivals[0]}
+    others = {alternative.label for alternative in found.alternatives[0]}
     assert ("saturation:maa+baa" in others) == (places == ("maa",))
     # Where no more parts are looked for, what else could be there is all the same.
-    still = search.go_on(replace(found, rivals=((),)), further=False)
-    assert still.best.label == found.best.label and still.rivals[0]
+    still = search.go_on(replace(found, alternatives=((),)), further=False)
+    assert still.best.label == found.best.label and still.alternatives[0]
 
 
 @pytest.mark.slow

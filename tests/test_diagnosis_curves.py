@@ -227,9 +227,9 @@ def test_something_left_over_is_a_curve_with_a_band(diagnosis: Diagnosis, scene:
     assert panel is not None and panel.band is not None and panel.data is not None
     x, y = curve(panel)
     np.testing.assert_allclose(x, np.degrees(left.x))
-    np.testing.assert_allclose(y, left.push)
+    np.testing.assert_allclose(y, left.force)
     np.testing.assert_allclose(panel.band[2] - y, left.band)
-    assert unexplained_panel(scene, replace(left, axis="", x=np.empty(0), push=np.empty(0), band=np.empty(0))) is None
+    assert unexplained_panel(scene, replace(left, axis="", x=np.empty(0), force=np.empty(0), band=np.empty(0))) is None
 
 
 @pytest.mark.parametrize("axis", ["vel.knee", "cmd.maa", "cmd.maa−cmd.baa", "len.baa", "time", "rate.maa"])

@@ -38,7 +38,7 @@ def fitted(commands: list[Array], guess: float) -> tuple[Data, Fitted]:
     part = Part(Candidate(Cutoff, ("maa",), ({"least": guess},)), {"least": guess})
     begin = np.append(free.start, guess), [s.start for s in data.segments]
     still = white_noise([NOISE * np.random.default_rng(0).normal(size=s.measured.shape) for s in data.segments])
-    return data, data.settle(data.rough((part,), [begin], still, 10))
+    return data, data.converge(data.coarse_fit((part,), [begin], still, 10))
 
 
 def test_a_threshold_that_no_slope_leads_to_is_found_by_looking_around() -> None:
@@ -47,7 +47,7 @@ def test_a_threshold_that_no_slope_leads_to_is_found_by_looking_around() -> None
         for f in (0.4, 0.7)
     ]
     data, found = fitted(sweeps, 4.6e3)
-    (place,) = data.jumps(found.hypothesis)
+    (place,) = data.discontinuous(found.hypothesis)
     assert found.hypothesis[0].values["least"] == found.fit.theta[place]
     low, high = data.span(found, place)
     assert low <= LEAST <= high and high - low < 0.05 * LEAST
@@ -63,6 +63,6 @@ def test_between_two_sizes_of_commands_every_threshold_is_as_good() -> None:
         for order in (slice(None), slice(None, None, -1))
     ]
     data, found = fitted(steps, 5e3)
-    low, high = data.span(found, *data.jumps(found.hypothesis))
+    low, high = data.span(found, *data.discontinuous(found.hypothesis))
     # Looked at from outside: the first factor beyond either size.
     assert 2.5e3 < low <= 4e3 and 8e3 <= high < 12e3

@@ -236,7 +236,7 @@ def test_a_curve_is_the_function_without_its_factor() -> None:
 def test_a_path_follows_the_length_until_it_slips() -> None:
     g = group("baa", "path.baa")
     assert not g.axes
-    for columns, m in zip(g.pushes["actuator", 1], moved(), strict=True):
+    for columns, m in zip(g.forces["actuator", 1], moved(), strict=True):
         way = np.diff(m.between.length[:, 1])
         change = np.diff(columns, axis=0)
         assert not columns[0].any() and np.abs(columns).max() <= 1.0
@@ -252,7 +252,7 @@ def test_a_path_follows_the_length_until_it_slips() -> None:
 
 def test_a_memory_is_a_spring_that_relaxes() -> None:
     g = group("baa", "past.baa")
-    for columns, m in zip(g.pushes["actuator", 1], moved(), strict=True):
+    for columns, m in zip(g.forces["actuator", 1], moved(), strict=True):
         length, time = m.between.length[:, 1], m.between.time
         for column, constant in zip(columns.T, MEMORIES, strict=True):
             relaxed = np.concatenate([[0.0], np.cumsum(np.diff(time) * (column[1:] + column[:-1]) / 2)]) / constant

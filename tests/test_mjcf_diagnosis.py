@@ -300,10 +300,10 @@ def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the
         own.fitted(label)
     best = own.fitted("coulomb_friction:hinge", "sensor_offset:hinge")
     found = own.end(best)
-    assert not found.rivals[1]
-    rivals, _ = in_place(own.search, found, 1, lambda t: 30.0)
-    assert [r.label for r in rivals] == ["coulomb_friction:hinge gravity_tilt:base"]
-    assert alike(own.search, rivals[0], own.search.score(best))
+    assert not found.alternatives[1]
+    alternatives, _ = in_place(own.search, found, 1, lambda t: 30.0)
+    assert [r.label for r in alternatives] == ["coulomb_friction:hinge gravity_tilt:base"]
+    assert alike(own.search, alternatives[0], own.search.score(best))
 
 
 def test_another_hypothesis_takes_the_place_of_one_that_trials_left_out_refuse() -> None:

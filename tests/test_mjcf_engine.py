@@ -300,8 +300,8 @@ def test_the_answer_to_a_push_is_the_difference_of_two_simulations(effects: tupl
     for k, trial in enumerate(trials):
         for joint, column in (("shoulder", 0), ("reach", 2)):
             either = [Model(RIG, (*effects, ConstantForce(joint, sign * h))) for sign in (1, -1)]
-            more, less = simulate_mjcf(either, [trial], threads=1)[0].position
-            slope = (more - less) / (2 * h)
+            more, without_parts = simulate_mjcf(either, [trial], threads=1)[0].position
+            slope = (more - without_parts) / (2 * h)
             # One side alone is off by the curvature: a thousandth of a push, on an answer of some tenths.
             np.testing.assert_allclose(found[k][:, :, column], slope, rtol=0, atol=2e-3 * np.abs(slope).max())
             assert np.abs(slope).max() > 1e-3

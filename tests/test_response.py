@@ -64,9 +64,9 @@ def course(phase: Phase, rate: float = 120.0) -> Trial:
     return trial(FREE, rate) if phase == "swing" else trial(STANDING, rate, 1.0, np.array([1.3, 0.9]))
 
 
-def difference(less: Model, more: Model, given: Trial, size: float) -> Array:
+def difference(without_parts: Model, more: Model, given: Trial, size: float) -> Array:
     """(m, nj) by how much the measured angles change for each unit between two models."""
-    both = simulate([less, more], [given], check=False)[0].position
+    both = simulate([without_parts, more], [given], check=False)[0].position
     return (both[1] - both[0]) / size
 
 

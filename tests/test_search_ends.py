@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.diagnosis import confirmation, stages
-from equimus_ctrl.diagnosis.alternatives import in_place, instead, less, listed, simplified
+from equimus_ctrl.diagnosis.alternatives import in_place, listed, replacement, simplified, without_parts
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.findings import _smallest
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, SearchSettings, Tried
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, Searched, SearchSettings, Tried
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.effects import REGISTRY
@@ -62,7 +62,7 @@ class OnPaper(Search):
     def __init__(self, known: Known, settings: SearchSettings | None = None) -> None:
         free = SimpleNamespace(free=[], model=object())
         data: Any = SimpleNamespace(
-            n=1000, free=free, limits=Thresholds(), strong=lambda f: False, excessive=lambda f: False, settle=lambda f: f,
+            n=1000, free=free, limits=Thresholds(), strong=lambda f: False, far_above_noise=lambda f: False, converge=lambda f: f,
             base=lambda: known(),
         )  # fmt: skip
         super().__init__(data, list(POOL.values()), settings or SearchSettings())
@@ -102,8 +102,10 @@ def ended(known: Known, *labels: str) -> Searched:
     """An end with these parts; rivals are those with another in a part's place."""
     rest = [[other for other in labels if other != label] for label in labels]
     own = OnPaper(known)
-    rivals = tuple(tuple(own.challenge(Tried(), known(*r), label)[0]) for r, label in zip(rest, labels, strict=True))
-    return Searched(known(), known(*labels), tuple(known(*r) for r in rest), rivals)
+    alternatives = tuple(
+        tuple(own.challenge(Tried(), known(*r), label)[0]) for r, label in zip(rest, labels, strict=True)
+    )
+    return Searched(known(), known(*labels), tuple(known(*r) for r in rest), alternatives)
 
 
 def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none() -> None:
@@ -118,22 +120,22 @@ def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none
     end = Found(known).run(known())
     assert end.best.labels == {STICK}
     assert [w.labels for w in end.without] == [frozenset()]
-    assert [r.labels for r in end.rivals[0]] == [{RUB}]
+    assert [r.labels for r in end.alternatives[0]] == [{RUB}]
 
 
 def test_what_is_left_of_two_parts_has_rivals_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known({(): 5000.0, (DEAD,): 1500.0, (FULL,): 1502.0, (OFF,): 4000.0, (DEAD, OFF): 1000.0,
                    (FULL, OFF): 1003.0})  # fmt: skip
     search, found = OnPaper(known), ended(known, DEAD, OFF)
-    assert [r.labels for r in found.rivals[0]] == [{FULL, OFF}]
-    kept = less(search, found, [1])
-    assert kept.best.labels == {DEAD} and kept.rivals == ((),)
-    assert {r.label for r in listed(search, kept).rivals[0]} == {OFF, FULL}
+    assert [r.labels for r in found.alternatives[0]] == [{FULL, OFF}]
+    kept = without_parts(search, found, [1])
+    assert kept.best.labels == {DEAD} and kept.alternatives == ((),)
+    assert {r.label for r in listed(search, kept).alternatives[0]} == {OFF, FULL}
     # Held out refuses the offset beside the dead zone and this alone, and bears out a saturation in its place.
     dead, nothing = frozenset({DEAD}), frozenset[str]()
     end = confirmation.confirmed(search, found, judged(monkeypatch, [(dead, dead | {OFF}), (nothing, dead)]))
     assert end.best.labels == {FULL}
-    assert len(end.best.hypothesis) == len(end.without) == len(end.rivals) == 1
+    assert len(end.best.hypothesis) == len(end.without) == len(end.alternatives) == 1
 
 
 def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,7 +143,7 @@ def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pyt
     split = judged(monkeypatch, [(frozenset(), frozenset({RUB}))])
     search = OnPaper(known, SearchSettings(many_minima=True))
     begun = ended(known, RUB, OFF)
-    alone = less(search, replace(begun, tried=begun.tried.having(*known.fits.values())), [1])
+    alone = without_parts(search, replace(begun, tried=begun.tried.having(*known.fits.values())), [1])
     assert not confirmation.confirmed(search, alone.rejecting([OFF]), split).best.hypothesis
     assert confirmation.confirmed(search, alone, split).best.labels == {RUB, OFF}
 
@@ -149,7 +151,7 @@ def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pyt
 def test_a_withdrawn_name_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
     search = OnPaper(known, SearchSettings(many_minima=True))
-    found = replace(ended(known, STICK), rivals=((),), tried=Tried(tuple(known.fits.values())))
+    found = replace(ended(known, STICK), alternatives=((),), tried=Tried(tuple(known.fits.values())))
     assert simplified(search, found).best.labels == {RUB}
     assert {r.label for r in in_place(search, found, 0, lambda t: 50.0)[0]} == {OFF}
     found = found.rejecting([RUB, OFF])
@@ -161,7 +163,7 @@ def test_parts_are_known_by_what_they_are_and_where() -> None:
     again = Part(replace(POOL[DEAD]), VALUES["dead_zone"])
     known = fitted(0.0, DEAD, FULL)
     without = replace(fitted(0.0), hypothesis=(again,))
-    other = instead(known, without)
+    other = replacement(known, without)
     assert other is not None and other.candidate.label == FULL
 
 
@@ -174,14 +176,14 @@ def test_what_diverges_over_whole_trials_is_not_what_short_windows_tell(monkeypa
 
     monkeypatch.setattr(stages, "replace", lambda data, **changed: data)
     monkeypatch.setattr(stages, "Search", lambda *a: OnPaper(known))
-    search.data.rough, search.data.segments = diverged, ()  # type: ignore[attr-defined, method-assign, misc]
-    assert stages._from_near(search, found, judged(monkeypatch, []), found.base) == (search, found)
+    search.data.coarse_fit, search.data.segments = diverged, ()  # type: ignore[attr-defined, method-assign, misc]
+    assert stages._from_short(search, found, judged(monkeypatch, []), found.base) == (search, found)
 
 
 def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_came_with() -> None:
     begun: list[float] = []
 
-    def rough(hypothesis: object, begin: Any, *rest: object) -> Fitted:
+    def coarse_fit(hypothesis: object, begin: Any, *rest: object) -> Fitted:
         begun.append(float(begin[0][0][0]))
         if begun[-1] < 1.0:
             raise SimulationDiverged("diverges")
@@ -189,9 +191,14 @@ def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_
 
     model = nominal_model()
     data: Any = SimpleNamespace(
-        free=SimpleNamespace(free=[None], start=np.ones(1), model=model), rough=rough, settle=lambda f: f, segments=()
+        free=SimpleNamespace(free=[None], start=np.ones(1), model=model),
+        coarse_fit=coarse_fit,
+        converge=lambda f: f,
+        segments=(),
     )
-    found, _ = Moves(data, []).refit(Tried(), fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),))
+    found, _ = HypothesisMoves(data, []).refit(
+        Tried(), fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),)
+    )
     assert found.deviance == 10.0 and begun == [0.0, 1.0]
 
 

@@ -1,1 +1,1 @@
-"""What a model leaves out of a robot: where, what, how much."""
+"""Missing physics of a model: where, which effect, how large."""

@@ -7,27 +7,27 @@ from dataclasses import replace
 
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, Tried
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, Searched, Tried
 from equimus_ctrl.diagnosis.policy import Thresholds
 
 Kind = tuple[str, tuple[str, ...]]
 """What a part is: its law, or what it shares with those that exclude it, and where."""
 CONTESTS, CONTENDERS = 2, 2
-"""How often the best so many of each part's rivals are fitted beside the other parts."""
+"""How often, and how many of each part's best alternatives are fitted beside the other parts."""
 
 
-def contested(search: Moves, found: Searched) -> Searched:
-    """The nearest rivals of each of several parts fitted beside the others where these are now; the best of all.
+def contested(search: HypothesisMoves, found: Searched) -> Searched:
+    """The closest alternatives of each part, refitted beside the others from their present values; the best of all.
 
-    Without the part the others went elsewhere, and a rival that is fitted beside them from there may end in a
-    local minimum of its own. Where fits have many, rivals are looked at more widely, see ``in_place``.
+    Without the part the others converged elsewhere. An alternative that is fitted from there may end in another local
+    minimum. Where fits have many local minima, more alternatives are tried, see ``in_place``.
     """
     if len(found.best.hypothesis) < 2 or search.settings.many_minima:
         return found
     for _ in range(CONTESTS):
         found = _with_contenders(search, found, found)
         size = len(found.best.hypothesis)
-        same_size = [r for own in found.rivals for r in own if len(r.hypothesis) <= size]
+        same_size = [r for own in found.alternatives for r in own if len(r.hypothesis) <= size]
         top = min(same_size, key=search.score, default=found.best)
         if search.score(top) >= search.score(found.best) - 1.0:
             break
@@ -35,35 +35,35 @@ def contested(search: Moves, found: Searched) -> Searched:
     return found
 
 
-def _with_contenders(search: Moves, to: Searched, rivalled: Searched) -> Searched:
-    """A search's hypothesis with the nearest rivals of each part refitted from where its other parts are.
+def _with_contenders(search: HypothesisMoves, to: Searched, contested: Searched) -> Searched:
+    """A search's hypothesis with the closest alternatives of each part, refitted beside its other parts.
 
     Args:
         search: that found it.
-        to: the search; its rivals are these, beside those it has.
-        rivalled: the search whose parts' rivals are taken.
+        to: the search, which gets these alternatives beside its own.
+        contested: the search whose parts' alternatives are taken.
     """
-    tried, rivals = to.tried, []
-    for k, own in enumerate(rivalled.rivals):
-        more, tried = _beside_others(search, tried, to.best, k, rivalled.without[k], own)
-        rivals.append((*to.rivals[k], *more))
-    return replace(to, rivals=tuple(rivals), tried=tried)
+    tried, alternatives = to.tried, []
+    for k, own in enumerate(contested.alternatives):
+        more, tried = _beside_others(search, tried, to.best, k, contested.without[k], own)
+        alternatives.append((*to.alternatives[k], *more))
+    return replace(to, alternatives=tuple(alternatives), tried=tried)
 
 
 def _beside_others(
-    search: Moves, tried: Tried, best: Fitted, k: int, without: Fitted, rivals: Sequence[Fitted]
+    search: HypothesisMoves, tried: Tried, best: Fitted, k: int, without: Fitted, alternatives: Sequence[Fitted]
 ) -> tuple[list[Fitted], Tried]:
-    """The nearest rivals of a part, refitted from where a hypothesis' other parts are.
+    """The closest alternatives of a part, refitted from the values of a hypothesis' other parts.
 
     Args:
         search: that found it.
         tried: so far.
         best: the hypothesis.
         k: the part's place.
-        without: what the rivals were added to.
-        rivals: with another in the part's place.
+        without: the hypothesis that the alternatives were added to.
+        alternatives: with another in the part's place.
     """
-    others = (instead(rival, without) for rival in sorted(rivals, key=search.score))
+    others = (replacement(alternative, without) for alternative in sorted(alternatives, key=search.score))
     room = best.n_parameters - sum(p.candidate.n_parameters for j, p in enumerate(best.hypothesis) if j != k)
     nearest = [other for other in others if other is not None and other.candidate.n_parameters <= room]
     fits = [(*best.hypothesis[:k], other, *best.hypothesis[k + 1 :]) for other in nearest[:CONTENDERS]]
@@ -71,7 +71,7 @@ def _beside_others(
 
 
 def _all_refitted(
-    search: Moves, tried: Tried, best: Fitted, hypotheses: Iterable[tuple[Part, ...]]
+    search: HypothesisMoves, tried: Tried, best: Fitted, hypotheses: Iterable[tuple[Part, ...]]
 ) -> tuple[list[Fitted], Tried]:
     """Those of some hypotheses that can be fitted from where one is."""
     found: list[Fitted] = []
@@ -82,22 +82,22 @@ def _all_refitted(
 
 
 def in_place(
-    search: Moves, found: Searched, k: int, margin: Callable[[Thresholds], float]
+    search: HypothesisMoves, found: Searched, k: int, margin: Callable[[Thresholds], float]
 ) -> tuple[list[Fitted], Tried]:
     """Hypotheses with another in a part's place.
 
-    Where fits may end in one of many valleys, what fitted about as well in the part's place beside any other parts
-    is fitted beside those of the end too, from where they are.
+    Where fits have many local minima, alternatives that fitted about as well beside other parts are fitted beside the
+    final ones too, from their present values.
 
     Args:
         search: that ended.
         found: the end.
         k: place of the part.
-        margin: what the score of one that fits about as well may lack.
+        margin: largest difference of score that counts as fitting about as well.
     """
-    rivals = list(found.rivals[k])
+    alternatives = list(found.alternatives[k])
     if not search.settings.many_minima:
-        return rivals, found.tried
+        return alternatives, found.tried
     parts = found.best.hypothesis
     own, rest = _kind(parts[k]), {_kind(part) for j, part in enumerate(parts) if j != k}
     score = search.score(found.best)
@@ -106,9 +106,9 @@ def in_place(
         return search.data.limits.decides(lambda t: away < margin(t))
 
     others: dict[Kind, Part] = {}
-    for rival in rivals:
-        left = [part for part in rival.hypothesis if _kind(part) not in rest]
-        if len(left) == 1 and within(search.score(rival) - score):
+    for alternative in alternatives:
+        left = [part for part in alternative.hypothesis if _kind(part) not in rest]
+        if len(left) == 1 and within(search.score(alternative) - score):
             others[_kind(left[0])] = left[0]
     met = [
         known
@@ -123,10 +123,12 @@ def in_place(
     allowed = [other for other in others.values() if found.tried.allows([other.candidate.label])]
     hypotheses = [(*parts[:k], *parts[k + 1 :], other) for other in allowed]
     more, tried = _all_refitted(search, found.tried, found.best, hypotheses)
-    return [*rivals, *more], tried
+    return [*alternatives, *more], tried
 
 
-def _beside_the_same(search: Moves, fits: Sequence[Fitted]) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
+def _beside_the_same(
+    search: HypothesisMoves, fits: Sequence[Fitted]
+) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
     """For kinds of parts that were fitted together what else was fitted beside them, its best score and itself."""
     found: dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]] = {}
     for fitted in sorted(fits, key=search.score):
@@ -137,23 +139,23 @@ def _beside_the_same(search: Moves, fits: Sequence[Fitted]) -> dict[tuple[Kind, 
     return found
 
 
-def listed(search: Moves, found: Searched) -> Searched:
-    """The end with others in the places of those parts for which none are known, after others were withdrawn.
+def listed(search: HypothesisMoves, found: Searched) -> Searched:
+    """The end, with alternatives of those parts that have none after others were rejected.
 
-    Where fits have many local minima they are found among all that was fitted, see ``in_place``.
+    Where fits have many local minima they are found among all hypotheses fitted, see ``in_place``.
     """
     if search.settings.many_minima:
         return found
-    tried, rivals = found.tried, list(found.rivals)
+    tried, alternatives = found.tried, list(found.alternatives)
     for k, (part, without) in enumerate(zip(found.best.hypothesis, found.without, strict=True)):
-        if not rivals[k]:
+        if not alternatives[k]:
             own, tried = search.challenge(tried, without, part.candidate.label)
-            rivals[k] = tuple(own)
-    return replace(found, rivals=tuple(rivals), tried=tried)
+            alternatives[k] = tuple(own)
+    return replace(found, alternatives=tuple(alternatives), tried=tried)
 
 
-def narrowed(search: Moves, found: Searched) -> Searched:
-    """Effects in the fewest places that fit as well (not distinguishable); the one of more places is a rival then.
+def narrowed(search: HypothesisMoves, found: Searched) -> Searched:
+    """The effect at the fewest places that is not distinguishable; the one at more places becomes an alternative.
 
     Not where fits have many local minima: deviances scatter by more than that.
     """
@@ -166,7 +168,7 @@ def narrowed(search: Moves, found: Searched) -> Searched:
             return found
 
 
-def _in_fewer_places(search: Moves, found: Searched, score: float) -> tuple[Searched, bool]:
+def _in_fewer_places(search: HypothesisMoves, found: Searched, score: float) -> tuple[Searched, bool]:
     """A search with one of its effects in one place less, if one fits as well, and whether one does."""
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
@@ -183,21 +185,22 @@ def _in_fewer_places(search: Moves, found: Searched, score: float) -> tuple[Sear
         if least is None or not alike(search, least, score) or not search.accepts(found.without[k], least):
             continue
         moved = _with_contenders(search, search.moved(found, least), found)
-        rivals = [*moved.rivals[:k], (found.best, *found.rivals[k]), *moved.rivals[k + 1 :]]
-        return replace(moved, rivals=tuple(rivals)), True
+        alternatives = [*moved.alternatives[:k], (found.best, *found.alternatives[k]), *moved.alternatives[k + 1 :]]
+        return replace(moved, alternatives=tuple(alternatives)), True
     return found, False
 
 
-def alike(search: Moves, fitted: Fitted, score: float) -> bool:
+def alike(search: HypothesisMoves, fitted: Fitted, score: float) -> bool:
     """Whether a hypothesis is not distinguishable from one with a score, or better."""
     more = search.score(fitted) - score
     return search.data.limits.decides(lambda t: more < t.indistinguishable)
 
 
-def simplified(search: Moves, found: Searched) -> Searched:
-    """The simplest of effects that exclude each other in a place, unless a richer one is needed.
+def simplified(search: HypothesisMoves, found: Searched) -> Searched:
+    """The simplest of effects that exclude each other at a place, unless a richer one is needed.
 
-    Such as dry friction without what it is more at rest: searches with many kinks rank them by chance.
+    Such as Coulomb friction in the place of Stribeck friction. Where the cost has many kinks, searches rank such pairs
+    at random.
     """
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
@@ -217,7 +220,7 @@ def simplified(search: Moves, found: Searched) -> Searched:
     return found
 
 
-def less(search: Moves, found: Searched, places: Sequence[int]) -> Searched:
+def without_parts(search: HypothesisMoves, found: Searched, places: Sequence[int]) -> Searched:
     """The search's end without some parts, and without those that are accepted no more then."""
     while places:
         kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)
@@ -228,10 +231,10 @@ def less(search: Moves, found: Searched, places: Sequence[int]) -> Searched:
     return found
 
 
-def instead(rival: Fitted, without: Fitted) -> Part | None:
+def replacement(alternative: Fitted, without: Fitted) -> Part | None:
     """The one part that a hypothesis has beside those of another; None where that is not one."""
     rest = without.labels
-    more = [part for part in rival.hypothesis if part.candidate.label not in rest]
+    more = [part for part in alternative.hypothesis if part.candidate.label not in rest]
     return more[0] if len(more) == 1 else None
 
 

@@ -1,4 +1,4 @@
-"""What could have been left out: every known effect at every place, with sizes to begin from."""
+"""Candidates: every known effect at every place, with initial sizes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from equimus_ctrl.types import Array
 SLOPE_SAMPLES = 4
 """Half the number of samples over which a speed is read off measured angles."""
 FEW = 400
-"""So many poses tell what lengths an actuator covers."""
+"""So many poses decide what lengths an actuator covers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Candidate:
 
     @property
     def n_parameters(self) -> int:
-        """How many numbers it adds."""
+        """How many parameters it adds."""
         return len(self.effect.parameter_info())
 
     def attached(self, values: Mapping[str, float]) -> tuple[Effect, ...]:
@@ -88,7 +88,7 @@ def uncertain(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     fix: Sequence[str] = (),
 ) -> FreeParameters:
-    """The numbers of a model that may be wrong, see ``free_parameters``; damping as near as is known."""
+    """The parameters to estimate, see ``free_parameters``; bounds of damping are narrow where it is known well."""
     chosen = free_parameters(model, names, bounds, fix)
     if (within := model.robot.traits.damping_known_within) is None:
         return chosen
@@ -110,7 +110,7 @@ def model_of(model: Model, hypothesis: Sequence[Part]) -> Model:
 
 
 def with_part(model: Model, hypothesis: Hypothesis, part: Part) -> Hypothesis:
-    """The hypothesis with one more part, less those that it excludes."""
+    """The hypothesis with one more part, without those that it excludes."""
     kept: Hypothesis = (*hypothesis, part)
     while True:
         try:

@@ -1,4 +1,4 @@
-"""What trials left out say of a hypothesis: whether they improve by as much as can be expected of them."""
+"""Confirmation on held-out trials: whether they improve by as much as the fitted trials let expect."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from equimus_ctrl.diagnosis.alternatives import alike, listed
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import Searched
-from equimus_ctrl.diagnosis.localization import excess_of
+from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.identification.noise import Noise, log_likelihood, whiten
 from equimus_ctrl.identification.residuals import residuals_of
@@ -20,13 +20,13 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 OTHERS = 3
-"""So many hypotheses are tried in the place of one that is not borne out."""
+"""So many hypotheses are tried in the place of one that is not confirmed."""
 
 
 def confirmed(search: Search, found: Searched, split: Split) -> Searched:
-    """The hypothesis less the parts that do not improve what was held out.
+    """The hypothesis without the parts that held-out trials do not confirm.
 
-    Where another part fits as well in such a part's place and does improve it, that one is believed instead.
+    Where an alternative fits as well in such a part's place and is confirmed, it is accepted.
     """
     if not split.validation:
         return found
@@ -42,26 +42,26 @@ def confirmed(search: Search, found: Searched, split: Split) -> Searched:
                 return found
         if len(found.best.hypothesis) == 1:
             found = listed(search, found)
-            if (other := _rival(search, judge, found)) is not None:
+            if (other := _confirmed_alternative(search, judge, found)) is not None:
                 return other
         found = search.moved(found, found.without[place])
     return found
 
 
-def _rival(search: Search, judge: Judge, found: Searched) -> Searched | None:
+def _confirmed_alternative(search: Search, judge: Judge, found: Searched) -> Searched | None:
     """The end with another part in the only one's place, that fits as well and that what was held out bears out."""
     score = search.score(found.best)
-    for rival in sorted((r for r in found.rivals[0] if alike(search, r, score)), key=search.score):
-        if _confirms(search, _carried_over(search, judge, found.without[0], rival)):
-            others = (found.best, *(r for r in found.rivals[0] if r is not rival))
-            return replace(found, best=rival, rivals=(others,))
+    for alternative in sorted((r for r in found.alternatives[0] if alike(search, r, score)), key=search.score):
+        if _confirms(search, _carried_over(search, judge, found.without[0], alternative)):
+            others = (found.best, *(r for r in found.alternatives[0] if r is not alternative))
+            return replace(found, best=alternative, alternatives=(others,))
     return None
 
 
 def _another(search: Search, found: Searched, place: int, split: Split) -> tuple[Searched, bool]:
     """The best hypothesis that fits better than the one less a part, all of whose parts are confirmed; whether one is.
 
-    One part of a kind too many may be all that trials left out refuse: a friction of two sizes that has taken an
+    Validation trials may reject one part too many of a kind alone: an asymmetric friction that took an
     offset's place, say.
     """
     known = {found.best.labels}
@@ -74,7 +74,7 @@ def _another(search: Search, found: Searched, place: int, split: Split) -> tuple
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue
         known.add(fitted.labels)
-        moved = search.moved(found, search.data.settle(fitted))
+        moved = search.moved(found, search.data.converge(fitted))
         found = replace(found, tried=moved.tried)
         judge = Judge(search.data, split, moved)
         if all(
@@ -86,18 +86,18 @@ def _another(search: Search, found: Searched, place: int, split: Split) -> tuple
 
 
 def _carried_over(search: Search, judge: Judge, simple: Fitted, rich: Fitted) -> float:
-    """See ``Judge.carried_over``; where trials are not alike over what those held out could show, if that is less.
+    """See ``Judge.carried_over``; where trials differ, relative to what the held-out ones can show, if that is less.
 
-    Such recordings are what somebody has: a drive's limit may never be reached in some. What they
-    cannot show at all is believed where it is plain in what was fitted.
+    In some recordings a drive's limit is never reached, say. An effect that held-out trials cannot show at all is
+    accepted where its gain on the fitted trials is large.
     """
     ratio = judge.carried_over(simple, rich)
     limits = search.data.limits
     if _confirms(search, ratio) or search.data.free.model.robot.traits.trials_alike:
         return ratio
-    apart = judge.apart(simple, rich)
-    if limits.decides(lambda t: apart >= t.uninformative):
-        return max(ratio, judge.gain(simple, rich) / apart)
+    distance = judge.distance(simple, rich)
+    if limits.decides(lambda t: distance >= t.uninformative):
+        return max(ratio, judge.gain(simple, rich) / distance)
     gain, more = simple.deviance - rich.deviance, max(rich.n_parameters - simple.n_parameters, 1)
     evident = limits.decides(lambda t: gain > t.evident * search.threshold(more, t))
     return math.inf if evident else ratio
@@ -127,7 +127,7 @@ class Judge:
         return self._known[model]
 
     def nominal(self) -> list[Array]:
-        """For each segment fitted, of the model as it came."""
+        """For each segment fitted, of the nominal model."""
         return residuals_of(self.data.free.model, self.split.train, self.data.simulator)
 
     def gain(self, simple: Fitted, rich: Fitted) -> float:
@@ -143,7 +143,7 @@ class Judge:
         share = sum(s.measured.size for s in self.split.validation) / self.data.n
         return self.gain(simple, rich) / max((simple.deviance - rich.deviance) * share, 1e-300)
 
-    def apart(self, simple: Fitted, rich: Fitted) -> float:
+    def distance(self, simple: Fitted, rich: Fitted) -> float:
         """χ² by which two models differ on what was held out: what the better one would gain there if it were true."""
         before, after = (self.left(f.fit.model) for f in (simple, rich))
         times = [s.trial.sample_times for s in self.split.validation]
@@ -151,8 +151,8 @@ class Judge:
         return sum(float((w**2).sum()) for w in moved)
 
     def share(self, simple: Sequence[Array], rich: Sequence[Array], base: Sequence[Array]) -> float:
-        """Of the excess error of ``base`` that ``rich`` has less than ``simple``."""
+        """Share of the excess residual variance of ``base`` by which ``rich`` has less than ``simple``."""
         if not simple:
             return math.nan
-        before, after, whole = (float(excess_of(r, self.noise).mean()) for r in (simple, rich, base))
+        before, after, whole = (float(excess_variances(r, self.noise).mean()) for r in (simple, rich, base))
         return float(np.clip((before - after) / whole, -1.0, 1.0)) if whole > 0 else 0.0

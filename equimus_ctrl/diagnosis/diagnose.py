@@ -35,15 +35,15 @@ def diagnose(
     progress: Progress = lambda stage, share, best: None,
     asked: Asked = never,
 ) -> Diagnosis:
-    """Find what a model leaves out of recordings.
+    """Find the physics that a model lacks, from recordings.
 
     Args:
-        free: the model, and what may be wrong about its numbers.
-        split: trials to fit and trials to judge by.
+        free: the model and its parameters to estimate.
+        split: trials to fit and trials to validate on.
         settings: how it goes.
         simulator: the engine, with no coarser or finer one beside it; see ``engines.choice.engine_for`` for the
             default.
-        designs: experiments to choose from where something cannot be told apart.
+        designs: experiments to choose from where effects are not distinguishable.
         progress: see ``Progress``.
         asked: whether its best so far is to be given now; asked after each step of a fit.
 
@@ -95,8 +95,8 @@ def diagnose(
 
 def _worked_out(question: Question) -> stages.State:
     """What is known before held-out trials are asked whether anything is left."""
-    state, near = stages.refit(question)
-    state = stages.search(state, near)
+    state, short = stages.refit(question)
+    state = stages.search(state, short)
     for stage in (stages.confirmation, stages.unexplained, stages.discretization):
         state = stages.or_ended(stage, state)
     return state

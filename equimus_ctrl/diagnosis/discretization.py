@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from equimus_ctrl.diagnosis.alternatives import less
+from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.unexplained import Remainder, remainder
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.projection import Nuisance
@@ -18,12 +18,12 @@ from equimus_ctrl.identification.weighing import weigh
 
 
 def without_step_error(
-    search: Search, found: Searched, rest: Remainder, threads: int | None
-) -> tuple[Search, Searched, Remainder, str] | None:
-    """The search's end without the error of the physics step, where less is missing then, and a sentence of it.
+    search: Search, found: Searched, rest: ResidualAnalysis, threads: int | None
+) -> tuple[Search, Searched, ResidualAnalysis, str] | None:
+    """The search's end without the discretisation error, where less physics is missing then, and a sentence on it.
 
-    A robot's own step belongs to the simulation that is being corrected; but what its error leaves is no physics.
-    Nothing is done where the engine's step has no error that counts.
+    A robot's own step belongs to the simulation that is being corrected, but residuals of its error are no physics.
+    Nothing is done where the engine's discretisation error does not count.
     """
     engine, best = search.data.simulator.engine, found.best
     if (own_step := engine.discretisation) is None or not (best.hypothesis or rest.unexplained):
@@ -40,25 +40,25 @@ def without_step_error(
     def may_be_the_steps(left: float, own_error: float) -> bool:
         return limits.decides(lambda t: left - left_by_best < t.step_explains * own_error)
 
-    doubted = [k for k, of in enumerate(others) if may_be_the_steps(*of)]
-    if not doubted and limits.decides(lambda t: error < t.step_matters * n):
+    uncertain_parts = [k for k, of in enumerate(others) if may_be_the_steps(*of)]
+    if not uncertain_parts and limits.decides(lambda t: error < t.step_matters * n):
         return None
     own = replace(data, fine=data.simulator)
-    exact_best = own.settle_finely(best)
-    needless = [k for k in doubted if not search.accepts(own.settle_finely(found.without[k]), exact_best)]
+    exact_best = own.converge_finely(best)
+    needless = [k for k in uncertain_parts if not search.accepts(own.converge_finely(found.without[k]), exact_best)]
     if not needless and not rest.unexplained:
         return None
     other = Search(data, search.pool, search.settings, otherwise=found.tried.fitted)
-    base = own.settle_finely(found.base)
-    # Rivals were fitted with the XML's step, so their likelihoods are not to be compared with what follows.
+    base = own.converge_finely(found.base)
+    # Alternatives were fitted with the XML's step, so their likelihoods are not comparable with what follows.
     anew = Tried(first=found.tried.first, rejected=found.tried.rejected)
-    start = replace(found, base=base, rivals=tuple(() for _ in best.hypothesis), tried=anew)
+    start = replace(found, base=base, alternatives=tuple(() for _ in best.hypothesis), tried=anew)
     exact = other.moved(start, exact_best if best.hypothesis else base)
-    exact = less(other, exact, needless[:1])
+    exact = without_parts(other, exact, needless[:1])
     saved = max(best.n_parameters - exact.best.n_parameters, 1)
     if exact.best.deviance - best.deviance > search.threshold(saved):
         return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
-    left = remainder(data, base, exact.best, exact.without)
+    left = residual_analysis(data, base, exact.best, exact.without)
     if not needless and left.unexplained:
         return None
     return (
@@ -89,7 +89,7 @@ def step_counted(data: Data, found: Searched, threads: int | None) -> Searched:
 
 
 def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> tuple[float, float]:
-    """χ² that a hypothesis leaves, and χ² of what a finer step changes and no other numbers or starts would undo."""
+    """χ² that a hypothesis leaves, and that of a finer step's change orthogonal to parameters and initial states."""
     moved = changes_between(data.simulator, finer, fitted.fit, data.segments)
     weighing = weigh(data.times, fitted.fit, noise)
     column = weighing.columns(data.times, moved)[:, 0]

@@ -1,4 +1,4 @@
-"""Which experiment would tell apart what recordings could not."""
+"""Experiment design: which experiment would distinguish what recordings could not."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ Designs = Callable[[], Sequence[Design]]
 def separating(data: Data, found: Searched, findings: Sequence[Finding], designs: Designs) -> Experiment | None:
     """The design in which the strongest finding that has an equivalent differs most from it.
 
-    The distance is that of the two predictions after the second model's free parameters have been moved such that it is
-    least, to first order; None where nothing is equivalent.
+    The distance is that of the two predictions after the second model's free parameters are refitted to the first, to
+    first order; None where nothing is equivalent.
     """
     pair = _pair(found, findings)
     if pair is None:
@@ -65,10 +65,10 @@ def _pair(found: Searched, findings: Sequence[Finding]) -> tuple[Fitted, Fitted,
     for finding in findings:
         for other in finding.equivalent:
             label = f"{other.effect}:{'+'.join(other.locations)}"
-            for rivals in found.rivals:
-                for rival in rivals:
-                    if any(part.candidate.label == label for part in rival.hypothesis):
-                        return found.best, rival, (finding.named, other)
+            for alternatives in found.alternatives:
+                for alternative in alternatives:
+                    if any(part.candidate.label == label for part in alternative.hypothesis):
+                        return found.best, alternative, (finding.named, other)
     return None
 
 

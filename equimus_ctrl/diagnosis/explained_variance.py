@@ -1,4 +1,4 @@
-"""How much of what is left over some columns explain, beyond nuisances, and on trials that were left out."""
+"""How much of residuals some columns explain beside nuisance parameters, on fitted and on held-out trials."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 
 CUT = 1e-6
-"""Directions of columns with less than this share of the strongest, nuisances not yet taken off, are none."""
+"""Directions of columns below this share of the strongest, before projecting out nuisances, count as none."""
 RIDGE = 1e-5
 """Default price of the columns' coefficients, see ``explained``."""
 
@@ -54,12 +54,12 @@ def explained(
         min ‖r − Q b − C c‖² + ridge·s²·‖D c‖²,    D the norms of the columns, s the largest singular value of C D⁻¹
 
     Held out, c is fitted without a fold's rows, but b with them. The nuisances are few and the same for all columns;
-    were they fitted anew, too, those that a fold tells best, such as its trials' starts, would be extrapolated, and
-    their errors would drown what the columns do. Having seen the fold they leave less to gain there, never more.
+    were they refitted too, those that the fold itself determines, such as its trials' initial states, would be
+    extrapolated, and their errors would mask the columns. As they have seen the fold, the gain there is conservative.
 
     Args:
         residual: (n,) white, of the same variance throughout.
-        nuisance: with the orthonormal basis Q of what the nuisances can do.
+        nuisance: with the orthonormal basis Q of the nuisances' Jacobian.
         columns: (n, k) C.
         ridge: see above; 0 for none.
         folds: each the rows that are held out together, those of some trials.

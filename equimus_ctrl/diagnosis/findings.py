@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from equimus_ctrl.diagnosis.alternatives import in_place, instead
+from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.confirmation import Judge
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
@@ -19,7 +19,7 @@ from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import Detectable, Estimate, Evidence, Finding, Named, Ranked, Verdict
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.unexplained import Remainder
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import Model
 
@@ -35,13 +35,13 @@ IN_WORDS = {
 Finely = Callable[[Fitted], Fitted]
 
 
-def verdict(findings: Sequence[Finding], rest: Remainder, decided: bool) -> Verdict:
+def verdict(findings: Sequence[Finding], rest: ResidualAnalysis, decided: bool) -> Verdict:
     """In one word.
 
     Args:
         findings: effects named.
         rest: what they leave.
-        decided: whether all that decides what is named and what is left was carried out.
+        decided: whether everything that decides findings and unexplained residuals was carried out.
     """
     if not decided:
         return "unfinished"
@@ -62,7 +62,7 @@ def equivalents(search: Search, found: Searched, left: bool, finely: Finely) -> 
         search: that ended there.
         found: its end.
         left: whether something stays unexplained beside them.
-        finely: fits with steps whose errors tell less apart.
+        finely: fits with a smaller discretisation error.
     """
     alike = []
     for k in range(len(found.without)):
@@ -78,7 +78,7 @@ def findings(search: Search, found: Searched, judge: Judge, alike: Sequence[tupl
     Args:
         search: that ended there.
         found: its end.
-        judge: of what was held out.
+        judge: of held-out trials.
         alike: see ``equivalents``; empty where nobody looked.
     """
     parts = enumerate(found.best.hypothesis)
@@ -94,18 +94,18 @@ def findings(search: Search, found: Searched, judge: Judge, alike: Sequence[tupl
 def _evidence(search: Search, found: Searched, judge: Judge, k: int) -> Evidence:
     best, without = found.best, found.without[k]
     gain, count = without.deviance - best.deviance, best.hypothesis[k].candidate.n_parameters
-    chance = (_log_chance(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
+    log10_p_value = (_log_p_value(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
     return Evidence(
         gain,
         search.threshold(count),
-        min(chance, 0.0),
+        min(log10_p_value, 0.0),
         judge.gain(without, best),
         judge.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
         judge.share(*(judge.left(f.fit.model) for f in (without, best, found.base))),
     )
 
 
-def _log_chance(gain: float, count: int) -> float:
+def _log_p_value(gain: float, count: int) -> float:
     """Ln P(χ²(count) > gain), by its asymptote where it is too small to be computed."""
     exact = float(chi2.logsf(gain, count))
     if math.isfinite(exact):
@@ -120,7 +120,7 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
         free = best.fit.parameters.free[first + i]
         value, width = float(best.fit.theta[first + i]), float(best.fit.uncertainty.half_width[first + i])
         low, high = value - width, value + width
-        if first + i in data.jumps(best.hypothesis):
+        if first + i in data.discontinuous(best.hypothesis):
             low, high = data.span(best, first + i)
         low = max(low, free.low) if math.isfinite(low) else -math.inf
         high = min(high, free.high) if math.isfinite(high) else math.inf
@@ -129,9 +129,10 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
 
 
 def _equivalent(search: Search, found: Searched, k: int, left: bool, finely: Finely) -> tuple[tuple[Named, ...], Tried]:
-    """What could stand in the part's place as well; not what takes more numbers, which can imitate anything simpler.
+    """Alternatives that fit as well; none with more parameters, which reproduces anything simpler.
 
-    What is near is looked at with fine steps: where commands jump, the errors of longer ones can tell alike from alike.
+    Close ones are compared with short steps: where commands jump, discretisation errors can separate equivalent
+    effects.
     """
     limits, gain = search.data.limits, found.without[k].deviance - found.best.deviance
 
@@ -139,22 +140,26 @@ def _equivalent(search: Search, found: Searched, k: int, left: bool, finely: Fin
         alike = max(t.indistinguishable, t.indistinguishable_share * gain) if left else t.indistinguishable
         return max(alike + search.scatter(t), t.simulation_error * search.data.n)
 
-    def near(t: Thresholds) -> float:
+    def within_scatter(t: Thresholds) -> float:
         return margin(t) + t.step_scatter
 
-    def within(rival: Fitted, best: Fitted, most: Callable[[Thresholds], float]) -> bool:
-        more = search.score(rival) - search.score(best)
+    def within(alternative: Fitted, best: Fitted, most: Callable[[Thresholds], float]) -> bool:
+        more = search.score(alternative) - search.score(best)
         return limits.decides(lambda t: more < most(t))
 
     own = found.best.hypothesis[k].candidate.label
     others: dict[str, Named] = {}
-    rivals, tried = in_place(search, found, k, near)
-    for rival in sorted(rivals, key=search.score):
-        other = instead(rival, found.without[k])
-        if rival.n_parameters > found.best.n_parameters or other is None or not within(rival, found.best, near):
+    alternatives, tried = in_place(search, found, k, within_scatter)
+    for alternative in sorted(alternatives, key=search.score):
+        other = replacement(alternative, found.without[k])
+        if (
+            alternative.n_parameters > found.best.n_parameters
+            or other is None
+            or not within(alternative, found.best, within_scatter)
+        ):
             continue
         label = other.candidate.label
-        if label != own and label not in others and within(finely(rival), finely(found.best), margin):
+        if label != own and label not in others and within(finely(alternative), finely(found.best), margin):
             others[label] = named_part(other)
     return tuple(others.values()), tried
 
@@ -185,14 +190,14 @@ def detectable(search: Search, found: Searched) -> tuple[Detectable, ...]:
         size = _smallest(s, search.threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))
         unit = s.candidate.effect.parameter_info()[key]["unit"]
-        told = place_unit(search.data.free.model, unit, s.candidate.locations[0])
+        unit_there = place_unit(search.data.free.model, unit, s.candidate.locations[0])
         named = Named(s.candidate.effect.name, s.candidate.locations)
-        smallest.append(Detectable(named, key, size, told))
+        smallest.append(Detectable(named, key, size, unit_there))
     return tuple(smallest)
 
 
 def _smallest(screened: Screened, threshold: float) -> float:
-    """The first parameter at which the change alone would be believed, from the guess that is nearest to that."""
+    """The value of the first parameter at which the change alone would be accepted, from the closest guess."""
     key, nothing = next(iter(screened.candidate.effect.parameter_info())), screened.candidate.effect.grows_from()
     values = np.array([guess[key] for guess in screened.tried])
     strength = np.maximum(screened.strength, 1e-300)
@@ -223,8 +228,7 @@ def notes(found: Searched, split: Split, excluded: Sequence[str], not_done: Sequ
     held = [f.name for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
     if held:
         said.append(
-            f"{', '.join(held)} ended at a bound: what the model leaves out may have gone there, or the bounds are too "
-            "narrow."
+            f"{', '.join(held)} ended at a bound: they may compensate missing physics, or the bounds are too narrow."
         )
     if not fit.converged:
         said.append("The last fit was stopped before it had converged.")

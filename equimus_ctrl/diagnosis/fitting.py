@@ -31,30 +31,29 @@ from equimus_ctrl.types import Array
 
 ROUNDS = 4
 """How often noise and parameters are estimated in turn, at most."""
-TURNS, LOOKS, WIDTH, NARROWER, LEVELS = 3, (15, 47), 0.4, 5.0, 4
-"""Around a parameter that acts in steps so many values are looked at, in a first look or a later one, so far to
-either side in its logarithm, then around the best of them nearer by a factor, and so on; and all again from where the
-fit goes from there."""
-APART = 1e-5 * 3.0 ** np.arange(11)
-"""Logarithms of factors by which such a parameter is moved to see where it fits no more."""
+TURNS, GRID_SIZES, WIDTH, NARROWER, LEVELS = 3, (15, 47), 0.4, 5.0, 4
+"""Grid scan of a discontinuous parameter: numbers of values in a quick fit and in a full one, half width of the grid in
+its logarithm, and the factor by which grids around the best value shrink. It is repeated from where the fit goes."""
+FACTORS = 1e-5 * 3.0 ** np.arange(11)
+"""Logarithms of factors at which the profile likelihood of such a parameter is evaluated."""
 WORSE = 3.84
-"""Gain of 2 log L at which it does not, with a chance of 5 %."""
+"""Fall of 2 log L at the ends of a 95 % interval."""
 NO_STEP = FitSettings(1e-5, 0)
-FROM_NEAR = FitSettings(1e-6, 60)
-"""Of a search that begins where short windows led, along a narrow and curved way to its minimum."""
-SETTLED = 0.5
-"""Gain of 2 log L at which they are taken to have settled."""
+FROM_SHORT = FitSettings(1e-6, 60)
+"""Of a search that begins at the fit to short shooting intervals, towards an ill-conditioned minimum."""
+CONVERGED_GAIN = 0.5
+"""Gain of 2 log L below which a fit counts as converged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A hypothesis with everything that is free at its best.
+    """A fitted hypothesis.
 
     Attributes:
-        hypothesis: with the values found.
+        hypothesis: with the estimates.
         fit: of all parameters.
         noise: that its residuals have.
-        deviance: −2 log likelihood under that noise, constants left out.
+        deviance: −2 log likelihood under that noise, without constant terms.
     """
 
     hypothesis: Hypothesis
@@ -65,7 +64,7 @@ class Fitted:
     @property
     def label(self) -> str:
         """The parts' labels."""
-        return " ".join(part.candidate.label for part in self.hypothesis) or "nothing left out"
+        return " ".join(part.candidate.label for part in self.hypothesis) or "no missing physics"
 
     @property
     def labels(self) -> frozenset[str]:
@@ -74,7 +73,7 @@ class Fitted:
 
     @property
     def n_parameters(self) -> int:
-        """Numbers of the effects alone."""
+        """Number of parameters of the effects alone."""
         return sum(part.candidate.n_parameters for part in self.hypothesis)
 
     @property
@@ -88,15 +87,15 @@ class Data:
     """What hypotheses are fitted to.
 
     Attributes:
-        free: what is free in the model without any of them.
+        free: the parameters to estimate without any effect.
         segments: what was measured.
         simulator: the engine.
         coarse: a faster one for what need not be exact, whose predictions are compared with its own alone; the same
             by default.
-        fine: a slower one whose errors tell hypotheses less apart; the same by default.
+        fine: a slower one with a smaller discretisation error; the same by default.
         policy: how they are fitted and searched.
         budget: after each step of a fit it is asked whether to go on.
-        limits: the numbers that decide.
+        limits: the thresholds.
     """
 
     free: FreeParameters
@@ -118,20 +117,20 @@ class Data:
         """How many angles were measured."""
         return sum(s.measured.size for s in self.segments)
 
-    def rough(
+    def coarse_fit(
         self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, steps: int, tolerance: float = 1e-4
     ) -> Fitted:
         """A few steps of a search under a noise that is given; the deviance is of the noise that is left."""
         settings = FitSettings(tolerance * (10 if self.policy.coarse_derivatives else 1), steps)
-        found = self._fit(hypothesis, begin, noise, settings, first_look=True)
+        found = self._fit(hypothesis, begin, noise, settings, quick=True)
         return self._judged(hypothesis, found)
 
-    def settle(self, fitted: Fitted, noise: Noise | None = None) -> Fitted:
-        """Noise and parameters in turn until neither changes the likelihood.
+    def converge(self, fitted: Fitted, noise: Noise | None = None) -> Fitted:
+        """Estimate noise and parameters in turn until the likelihood has converged.
 
         Args:
             fitted: where it begins.
-            noise: of the first turn; what is left by ``fitted`` by default.
+            noise: of the first iteration; by default estimated from the residuals of ``fitted``.
         """
         best = fitted
         for _ in range(ROUNDS):
@@ -141,16 +140,16 @@ class Data:
             gain, noise = best.deviance - after.deviance, None
             if gain > 0:
                 best = after
-            if gain < SETTLED:
+            if gain < CONVERGED_GAIN:
                 break
         return best
 
-    def settle_finely(self, fitted: Fitted) -> Fitted:
+    def converge_finely(self, fitted: Fitted) -> Fitted:
         """The same with the fine engine, from where it is."""
         if self.fine is None:
             return fitted
         own = replace(self, simulator=self.fine, coarse=None, fine=None)
-        return own.settle(
+        return own.converge(
             own._judged(fitted.hypothesis, own._fit(fitted.hypothesis, [fitted.begin], fitted.noise, NO_STEP))
         )
 
@@ -160,20 +159,20 @@ class Data:
         begin: Sequence[Begin],
         noise: Noise,
         settings: FitSettings,
-        first_look: bool = False,
+        quick: bool = False,
         earlier: Fit | None = None,
     ) -> Fit:
         self.budget.check()
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
-        coarse = self.coarse if self.policy.coarse_derivatives and first_look else None
+        coarse = self.coarse if self.policy.coarse_derivatives and quick else None
         found = fit(
             parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside,
             coarse=coarse, earlier=earlier, notify=self._after_step,
         )  # fmt: skip
-        jumps = self.jumps(hypothesis)
-        for _ in range((1 if first_look else TURNS) if jumps else 0):
-            after = self._looked_around(jumps, found, noise, LOOKS[not first_look])
+        discontinuous = self.discontinuous(hypothesis)
+        for _ in range((1 if quick else TURNS) if discontinuous else 0):
+            after = self._grid_scan(discontinuous, found, noise, GRID_SIZES[not quick])
             if np.array_equal(after, found.theta):
                 break
             again = fit(
@@ -188,24 +187,24 @@ class Data:
     def _after_step(self, evaluations: int, rmse: float) -> None:
         self.budget.check()
 
-    def jumps(self, hypothesis: Hypothesis) -> list[int]:
+    def discontinuous(self, hypothesis: Hypothesis) -> list[int]:
         """Where parameters that act in steps stand among all that are free."""
-        keys = [(part.candidate.effect.jumps, key) for part in hypothesis for key in part.values]
-        return [len(self.free.free) + k for k, (jumps, key) in enumerate(keys) if key in jumps]
+        keys = [(part.candidate.effect.discontinuous, key) for part in hypothesis for key in part.values]
+        return [len(self.free.free) + k for k, (discontinuous, key) in enumerate(keys) if key in discontinuous]
 
     def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
         """Between what a parameter that acts in steps fits nearly as well, from outside; ±inf where there is no end."""
         found, value = [], fitted.fit.theta[place]
         for side in (-1.0, 1.0):
-            values = value * np.exp(side * APART)
+            values = value * np.exp(side * FACTORS)
             costs = self._profile(fitted.fit, fitted.noise, place, np.append(value, values))
             beyond = values[np.flatnonzero(costs[1:] > costs[0] + WORSE)]
             found.append(float(beyond[0]) if len(beyond) else math.inf * side)
         return found[0], found[1]
 
-    def _looked_around(self, jumps: Sequence[int], found: Fit, noise: Noise, looks: int) -> Array:
+    def _grid_scan(self, discontinuous: Sequence[int], found: Fit, noise: Noise, looks: int) -> Array:
         theta = found.theta.copy()
-        for place in jumps:
+        for place in discontinuous:
             width = WIDTH
             for _ in range(LEVELS):
                 values = theta[place] * np.exp(np.append(0.0, np.linspace(-width, width, looks)))
@@ -214,7 +213,7 @@ class Data:
         return np.clip(theta, found.parameters.low, found.parameters.high)
 
     def _profile(self, found: Fit, noise: Noise, place: int, values: Array) -> Array:
-        """(k,) sums of squares with one parameter at other values and all others moved along, these to first order."""
+        """(k,) profile of the sum of squares over one parameter, all others refitted to first order."""
         self.budget.check()
         own = found.parameters
         inside = np.clip(values, own.low[place], own.high[place])
@@ -224,8 +223,8 @@ class Data:
         changes = [np.moveaxis(p.position[1:] - p.position[0], 0, -1) for p in predicted]
         weighing = weigh(self.times, found, noise)
         left = weighing.residual[:, None] - weighing.columns(self.times, changes)
-        moves = np.delete(weighing.slopes, place, axis=1)
-        left = Nuisance.of(moves).without(left)
+        remaining = np.delete(weighing.slopes, place, axis=1)
+        left = Nuisance.of(remaining).without(left)
         return np.where(np.isfinite(left).all(axis=0), (left**2).sum(axis=0), np.inf)
 
     def _judged(self, hypothesis: Hypothesis, found: Fit) -> Fitted:
@@ -245,25 +244,25 @@ class Data:
         again = self._fit((), [(point.theta, point.starts)], white_noise(point.residuals), FitSettings(1e-4, 20))
         if not np.all(np.isfinite(np.concatenate(again.residuals))):
             raise SimulationDiverged(f"{self.free.model.name}: the refitted model diverges")
-        return self.settle(self._judged((), again))
+        return self.converge(self._judged((), again))
 
-    def base_from(self, near: Fitted, found: Fitted) -> Fitted:
-        """The model without any hypothesis, refitted from where short windows led, if that fits better.
+    def base_from(self, short: Fitted, found: Fitted) -> Fitted:
+        """The model without any effect, refitted from the fit to short shooting intervals, if that fits better.
 
         Args:
-            near: the same fitted to windows so short that errors do not grow in them; starts then follow what was
-                measured ever farther.
+            short: the same fitted to shooting intervals so short that errors do not grow in them. Initial states are
+                then carried on along the measurements.
             found: the fit so far.
         """
-        starts, _ = followed(near.fit.model, self.segments, self.simulator)
+        starts, _ = followed(short.fit.model, self.segments, self.simulator)
         try:
-            other = self.settle(self._judged((), self._fit((), [(near.fit.theta, starts)], near.noise, FROM_NEAR)))
-        except SimulationDiverged:  # so short windows led nowhere
+            other = self.converge(self._judged((), self._fit((), [(short.fit.theta, starts)], short.noise, FROM_SHORT)))
+        except SimulationDiverged:  # so the fit to short intervals is of no use
             return found
         return min(found, other, key=lambda f: f.deviance)
 
     def as_it_came(self) -> Fitted:
-        """The model without any hypothesis and with the numbers it has."""
+        """The model without any effect, with its present parameters."""
         start = [s.start for s in self.segments]
         found = self._fit((), [(self.free.start, start)], self._first_noise(), FitSettings(1e-3, 0))
         return self._judged((), found)
@@ -272,9 +271,9 @@ class Data:
         """Whether residuals are so much larger than the noise that derivatives say little of what would remove them."""
         return self._beyond(fitted, lambda t: t.refit_strong)
 
-    def excessive(self, fitted: Fitted) -> bool:
+    def far_above_noise(self, fitted: Fitted) -> bool:
         """Whether more is left than noise that has no colour."""
-        return self._beyond(fitted, lambda t: t.refit_excess)
+        return self._beyond(fitted, lambda t: t.refit_far_above_noise)
 
     def _beyond(self, fitted: Fitted, times: Callable[[Thresholds], float]) -> bool:
         rough = noise_of_differences([s.measured for s in self.segments])

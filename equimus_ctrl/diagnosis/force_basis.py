@@ -1,8 +1,8 @@
-"""Torques and forces that no effect of the catalogue makes, as sums of basis functions: what they may depend on.
+"""Basis functions of unstructured residual forces, and the coordinates that these may depend on.
 
-A group is one place, what the push there depends on, and the basis functions of that dependence, evaluated along a
-model's own motions. The functions are cubic B-splines unless said otherwise, with more knots where the motions are more
-often. What a group can do that other groups or the model's own parameters can do as well is not taken out of it.
+A group is one place, the coordinates that the force there depends on, and the basis functions of that dependence,
+evaluated along a model's own motions. The functions are cubic B-splines unless said otherwise, with more knots where
+the motions are more often. Groups are not orthogonal to each other, nor to the model's own parameters.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Axis:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """One place and what an unmodelled push there depends on.
+    """One place and what an unstructured force there depends on.
 
     Attributes:
         location: the joint or actuator, or several joined by ``+``.
@@ -86,7 +86,7 @@ class Group:
         factor: what the functions are multiplied by, "" for nothing.
         axes: of the functions, one for a curve, two for a surface (the first one's functions vary slowest), none where
             they are no functions of a coordinate.
-        pushes: for each place (kind, index) and each trial (m − 1, k) torque [N·m] or force [N], constant between
+        forces: for each place (kind, index) and each trial (m − 1, k) torque [N·m] or force [N], constant between
             samples.
         kind: the group's key in its table.
     """
@@ -96,24 +96,24 @@ class Group:
     depends_on: str
     factor: str
     axes: tuple[Axis, ...]
-    pushes: Mapping[tuple[str, int], tuple[Array, ...]]
+    forces: Mapping[tuple[str, int], tuple[Array, ...]]
     kind: str = ""
 
     @property
     def size(self) -> int:
         """Number of functions."""
-        return int(next(iter(self.pushes.values()))[0].shape[1])
+        return int(next(iter(self.forces.values()))[0].shape[1])
 
     def torques(self, motions: Sequence[Motion]) -> list[Array]:
         """For each trial (m − 1, nj, k) the joint torques of the functions [N·m]."""
         nj = motions[0].position.shape[1]
         found = [np.zeros((len(m.between.time), nj, self.size)) for m in motions]
-        for (kind, index), columns in self.pushes.items():
-            for out, motion, push in zip(found, motions, columns, strict=True):
+        for (kind, index), columns in self.forces.items():
+            for out, motion, force in zip(found, motions, columns, strict=True):
                 if kind == "joint":
-                    out[:, index] += push
+                    out[:, index] += force
                 else:
-                    out += along_actuator(motion, index, push)
+                    out += along_actuator(motion, index, force)
         return found
 
     def curve(self, coefficients: Array, *x: Array) -> Array:
@@ -204,8 +204,8 @@ class Scene:
         kind, index = place
         names = {"joint": self.joints, "actuator": self.actuators}[kind]
         joints = (names[index],) if kind == "joint" else self.acts_on(index)
-        told = "·".join([*coordinates, *([factor] if factor else [])])
-        return Group(names[index], joints, told, factor, tuple(a for a, _ in axes), {place: tuple(columns)})
+        name = "·".join([*coordinates, *([factor] if factor else [])])
+        return Group(names[index], joints, name, factor, tuple(a for a, _ in axes), {place: tuple(columns)})
 
 
 Maker = Callable[[Scene, int], Iterator[Group]]
@@ -245,11 +245,11 @@ def _shared_energy(s: Scene, j: int) -> Iterator[Group]:
     for other in range(j + 1, len(s.joints)):
         names = s.joints[j], s.joints[other]
         (one, first), (two, second) = (s.axis(f"pos.{name}", SURFACE) for name in names)
-        pushes = {
+        forces = {
             ("joint", j): tuple(-_product(one.slopes(a), two.basis(b)) for a, b in zip(first, second, strict=True)),
             ("joint", other): tuple(-_product(one.basis(a), two.slopes(b)) for a, b in zip(first, second, strict=True)),
         }
-        yield Group("+".join(names), names, f"{one.name}·{two.name}", "", (one, two), pushes)
+        yield Group("+".join(names), names, f"{one.name}·{two.name}", "", (one, two), forces)
 
 
 def _angle_damping(s: Scene, j: int) -> Iterator[Group]:
@@ -310,13 +310,13 @@ def _exchange(s: Scene, a: int) -> Iterator[Group]:
         axis = Axis.over(f"{'−'.join(f'cmd.{name}' for name in names)}", "Pa", differences)
         columns = [axis.basis(x) for x in differences]
         areas = [s.model.morphology.actuators[i].area for i in (a, other)]
-        pushes = {
+        forces = {
             ("actuator", a): tuple(-areas[0] * c for c in columns),
             ("actuator", other): tuple(areas[1] * c for c in columns),
         }
         reached = {*s.acts_on(a), *s.acts_on(other)}
         joints = tuple(name for name in s.joints if name in reached)
-        yield Group("+".join(names), joints, axis.name, "", (axis,), pushes)
+        yield Group("+".join(names), joints, axis.name, "", (axis,), forces)
 
 
 def _pressure_length(s: Scene, a: int) -> Iterator[Group]:

@@ -26,14 +26,14 @@ LAST = 0.25
 LEAST_DURATION, LEAST_SAMPLES = 1.0, 60
 """Of a trial to be of use [s] and in samples."""
 LENGTHS = (8.0, 4.0, 2.0, 1.0, 0.5)
-"""Of windows that are tried [s]."""
-NEAR, MOSTLY = 0.5, 0.8
-"""So near to what was measured, in units of the usual trial's standard deviation, a model is to stay in this share of
-the windows: farther away, fits end in the nearest of many valleys."""
+"""Lengths of shooting intervals that are tried [s]."""
+CLOSE_TO_MEASURED, MOSTLY = 0.5, 0.8
+"""A model's error, in units of the usual trial's standard deviation, is to stay below the first in the second's share
+of the intervals. Where it does not, fits end in one of many local minima."""
 LOOKED_AT = 30
-"""So many windows of a length tell whether a model stays near."""
+"""So many intervals of a length decide."""
 ONCE = 1.5
-"""Times what a joint takes to cross its way: what one small change does there tells what a larger one would do."""
+"""Length of short intervals in times that a joint takes to cross its range: errors stay linear in changes there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Split:
         train: fitted.
         validation: not fitted; effects are confirmed or rejected by them.
         test: not seen by any fit or choice, for the error that is reported; empty where there are too few trials.
-        near: what is fitted, in windows so short that errors do not grow in them; nothing where that is no difference.
+        short_segments: the fitted trials in intervals so short that errors do not grow in them; none if alike.
         other: the same trials with others of them held out, for where those show what the rest does not; None where
             somebody said which judge, or there are too few.
     """
@@ -52,19 +52,19 @@ class Split:
     train: tuple[Segment, ...]
     validation: tuple[Segment, ...]
     test: tuple[Segment, ...] = ()
-    near: tuple[Segment, ...] = ()
+    short_segments: tuple[Segment, ...] = ()
     other: Split | None = None
 
 
 def check(model: Model, recordings: Sequence[Recording]) -> None:
-    """Raise ConfigError where recordings cannot tell what a model leaves out."""
+    """Raise ConfigError where recordings cannot be diagnosed."""
     if not recordings:
         raise ConfigError("no recording was given to diagnose")
     names = (*model.robot.actuator_names, *model.robot.joint_names)
     traits = model.robot.traits
     for r in recordings:
         if not (np.all(np.isfinite(r.position)) and np.all(np.isfinite(r.command)) and np.all(np.isfinite(r.time))):
-            raise ConfigError(f"{r.name}: holds numbers that are not finite; leave out the rows where nothing was seen")
+            raise ConfigError(f"{r.name}: holds numbers that are not finite; remove the rows without measurements")
         duration = float(r.time[-1] - r.time[0])
         if duration < LEAST_DURATION or len(r.time) < LEAST_SAMPLES:
             raise ConfigError(
@@ -118,7 +118,7 @@ def split(
         test: patterns of names of trials; by default the later half of every fourth, where these are two or more.
         until: of every trial only what comes before this time is fitted, and the rest is for validation too [s].
         window: (from, to) of each trial that counts at all [s].
-        shoot: length of the windows that trials are cut into [s]; by default whole trials, or where nothing holds the
+        shoot: length of multiple-shooting intervals [s]; by default whole trials, or where nothing holds the
             robot in place see ``window_length``.
         simulator: that follows it there.
 
@@ -179,16 +179,16 @@ def _matching(names: Sequence[str], patterns: Sequence[str], purpose: str) -> se
 def _parted(
     model: Model,
     recordings: Sequence[Recording],
-    apart: tuple[Collection[int], Collection[int]],
+    sets: tuple[Collection[int], Collection[int]],
     until: float | None,
     window: tuple[float, float] | None,
     shoot: float | None,
 ) -> Split:
-    """Recordings parted by the numbers of those for validation and of those for the test."""
+    """Recordings split by the indices of those for validation and of those for the test."""
     train: list[Segment] = []
     validation: list[Segment] = []
     test: list[Segment] = []
-    judging, unseen = apart
+    judging, unseen = sets
     fitted: list[tuple[int, tuple[float, float]]] = []
     for k, r in enumerate(recordings):
         low, high = window or (float(r.time[0]), float(r.time[-1]))
@@ -204,11 +204,11 @@ def _parted(
             validation += _cut(model, r, k, (float(np.nextafter(edge, high)), high), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
-    near: list[Segment] = []
+    short_segments: list[Segment] = []
     add_up = not model.robot.traits.held_in_place
     if add_up and (short := _motion_length(model, train)) < (shoot or math.inf):
-        near = [s for k, span in fitted for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
-    return Split(tuple(train), tuple(validation), tuple(test), tuple(near))
+        short_segments = [s for k, span in fitted for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
+    return Split(tuple(train), tuple(validation), tuple(test), tuple(short_segments))
 
 
 def check_settings(free: FreeParameters, parts: Split) -> None:
@@ -229,7 +229,7 @@ def _cut(
 
 
 def _motion_length(model: Model, segments: Sequence[Segment]) -> float:
-    """The longest windows in which the quickest joint crosses hardly more than its way once [s]."""
+    """The longest intervals in which the fastest joint crosses its range hardly more than once [s]."""
     seen = seen_places(model, segments)
     time = min(seen[joint].span / seen[joint].speed for joint in model.robot.joint_names)
     return next((length for length in LENGTHS if length <= ONCE * time), LENGTHS[-1])
@@ -241,10 +241,10 @@ def window_length(
     window: tuple[float, float] | None = None,
     simulator: Simulator | None = None,
 ) -> float | None:
-    """The longest windows over which a model, as it came, stays near to what was measured [s].
+    """The longest shooting intervals over which the nominal model's predictions stay close to the measurements [s].
 
-    Whole trials where it does, which tell most; where nothing holds a joint in place, small errors grow and windows are
-    short. None for whole trials.
+    None for whole trials, which are the most informative. Where nothing holds a joint in place, errors grow along a
+    trial and intervals are short.
 
     Args:
         model: that is judged.
@@ -253,7 +253,7 @@ def window_length(
         simulator: that follows it.
 
     Raises:
-        SimulationDiverged: where the model diverges in all windows, however short.
+        SimulationDiverged: where the model diverges in all intervals, however short.
     """
     follow, sound = simulator or simulator_for(model, [r.position for r in recordings]), False
     spread = np.median([r.position.std(axis=0) for r in recordings], axis=0)
@@ -266,11 +266,11 @@ def window_length(
             residuals = residuals_of(model, [segments[k] for k in chosen], follow, improved)
             errors = np.array([np.sqrt((r**2).mean(axis=0)) for r in residuals])
             sound = sound or bool(np.any(errors < DIVERGED / 2))
-            if np.mean(np.all(errors < NEAR * spread, axis=1)) >= MOSTLY:
+            if np.mean(np.all(errors < CLOSE_TO_MEASURED * spread, axis=1)) >= MOSTLY:
                 return length
     if not sound:
         raise SimulationDiverged(
-            f"{model.name}: the model diverges on the recorded commands, even over windows of {LENGTHS[-1]:g} s; check "
-            "the signs and units of the commands, masses, inertias and the physics step"
+            f"{model.name}: the model diverges on the recorded commands, even over intervals of {LENGTHS[-1]:g} s; "
+            "check the signs and units of the commands, masses, inertias and the physics step"
         )
     return LENGTHS[-1]

@@ -1,4 +1,4 @@
-"""Steps from one set of effects to another: with one more, with one less, with another in the place of one."""
+"""Moves from one hypothesis to another: add an effect, remove one, exchange one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part, model_of
-from equimus_ctrl.diagnosis.fitting import SETTLED, Data, Fitted
+from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.screening import Screened, screen
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -27,8 +27,8 @@ class Tried:
         fitted: all hypotheses fitted, to whatever end.
         first: what every candidate would do to the refitted model, alone.
         rejected: labels of candidates that are not to be part of a hypothesis any more.
-        extended: for a hypothesis' labels, and that of a candidate left out or "", the fit that was extended and those
-            with one more part.
+        extended: for a hypothesis' labels, and that of a candidate to replace or "", the fit that was extended and
+            those with one more part.
     """
 
     fitted: tuple[Fitted, ...] = ()
@@ -52,48 +52,50 @@ class Searched:
     Attributes:
         base: the model without any effect, refitted.
         best: the hypothesis accepted.
-        without: for each of its parts the best fit that does without it.
-        rivals: for each of its parts the hypotheses with another in its place that were fitted to the end.
+        without: for each of its parts the best fit without it.
+        alternatives: for each of its parts the converged hypotheses with another in its place.
         tried: all that was tried on the way.
     """
 
     base: Fitted
     best: Fitted
     without: tuple[Fitted, ...] = ()
-    rivals: tuple[tuple[Fitted, ...], ...] = ()
+    alternatives: tuple[tuple[Fitted, ...], ...] = ()
     tried: Tried = field(default_factory=Tried)
 
     def rejecting(self, labels: Iterable[str]) -> Searched:
         """The same, some candidates to be no part of it any more."""
         tried = replace(self.tried, rejected=self.tried.rejected | set(labels))
         return replace(
-            self, rivals=tuple(tuple(r for r in own if tried.allows(r.labels)) for own in self.rivals), tried=tried
+            self,
+            alternatives=tuple(tuple(r for r in own if tried.allows(r.labels)) for own in self.alternatives),
+            tried=tried,
         )
 
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
-NEAR, CLOSE = 0.5, 50.0
+WITHIN, CLOSE = 0.5, 50.0
 """Share of the best gain of deviance, and deviance, that a hypothesis may lack to be fitted to the end."""
-ROUGH, LONG = 5, 15
-"""Steps of a first look, and of a search for the few that are best by then."""
-INSTEAD = 3
+COARSE_STEPS, LONG = 5, 15
+"""Iterations of a coarse fit, and of a fit of the few that are best by then."""
+FEW_ALTERNATIVES = 3
 """Candidates fitted, for each way to weigh the residuals, to take the place of a part."""
-MOVES = 8
+MOST_ROUNDS = 8
 """How often parts are exchanged at most."""
 
 
 @dataclass(frozen=True, eq=False)
-class Moves:
-    """What a search over sets of candidates can do.
+class HypothesisMoves:
+    """The moves of a search over hypotheses (sets of candidates).
 
     Attributes:
         data: what was measured.
         pool: the candidates.
         settings: how it goes.
         notify: see ``Notify``.
-        elsewhere: hypotheses with these candidates that were fitted to other windows of the same trials, to begin from.
-        otherwise: those that were fitted to the same trials with another engine, which tell what may fit as well.
+        elsewhere: hypotheses with these candidates that were fitted to other intervals of the same trials, as starts.
+        otherwise: those that were fitted to the same trials with another engine, as further alternatives.
     """
 
     data: Data
@@ -108,53 +110,53 @@ class Moves:
         return [c for c in self.pool if tried.allows([c.label])]
 
     def score(self, fitted: Fitted) -> float:
-        """Deviance and what the hypothesis' numbers cost (Schwarz, 1978)."""
+        """Bayesian information criterion: deviance and a cost of each parameter (Schwarz, 1978)."""
         return fitted.deviance + fitted.n_parameters * float(np.log(self.data.n))
 
     def accepts(self, simple: Fitted, rich: Fitted) -> bool:
-        """Whether the richer hypothesis gains more than chance and other simulations' errors would."""
+        """Whether the gain of the richer hypothesis exceeds the acceptance threshold on −2Δln L."""
         more, gain = max(rich.n_parameters - simple.n_parameters, 1), simple.deviance - rich.deviance
         return self.data.limits.decides(lambda t: gain > self.threshold(more, t))
 
     def threshold(self, parameters: int, limits: Thresholds | None = None) -> float:
         """Least gain of deviance for an effect with so many parameters, by the data's limits or others."""
         t = limits or self.data.limits
-        chance = float(chi2.isf(t.significance / max(len(self.pool), 1), parameters))
-        return max(chance, t.simulation_error * self.data.n) + self.scatter(t)
+        by_chance = float(chi2.isf(t.significance / max(len(self.pool), 1), parameters))
+        return max(by_chance, t.simulation_error * self.data.n) + self.scatter(t)
 
     def scatter(self, limits: Thresholds) -> float:
         """By how much deviances differ with where fits end."""
         return limits.minima_scatter if self.settings.many_minima else 0.0
 
-    def challenge(self, tried: Tried, fitted: Fitted, instead_of: str = "") -> tuple[list[Fitted], Tried]:
-        """Hypotheses with one more part, the most promising ones fitted to the end.
+    def challenge(self, tried: Tried, fitted: Fitted, replacing: str = "") -> tuple[list[Fitted], Tried]:
+        """Hypotheses with one more part, the most promising ones fitted until converged.
 
         Args:
             tried: so far.
             fitted: what they add to.
-            instead_of: label of a candidate that is left out, for what others could do in its place.
+            replacing: label of a candidate that is not tried, to find others in its place.
         """
-        for left_out in ("", instead_of):
-            known = tried.extended.get((fitted.labels, left_out))
-            if known and known[0].deviance <= fitted.deviance + SETTLED:
-                return [o for o in known[1] if instead_of not in o.labels and tried.allows(o.labels)], tried
-        options, tried = self.extensions(tried, fitted, instead_of)
-        entry = {(fitted.labels, instead_of): (fitted, tuple(options))}
+        for replaced in ("", replacing):
+            known = tried.extended.get((fitted.labels, replaced))
+            if known and known[0].deviance <= fitted.deviance + CONVERGED_GAIN:
+                return [o for o in known[1] if replacing not in o.labels and tried.allows(o.labels)], tried
+        options, tried = self.extensions(tried, fitted, replacing)
+        entry = {(fitted.labels, replacing): (fitted, tuple(options))}
         return options, replace(tried, extended={**tried.extended, **entry})
 
     def extensions(
-        self, tried: Tried, fitted: Fitted, left_out: str = "", known: Sequence[str] | None = None
+        self, tried: Tried, fitted: Fitted, replaced: str = "", known: Sequence[str] | None = None
     ) -> tuple[list[Fitted], Tried]:
         """Hypotheses with one more part: the promising ones, or with some that are known all others.
 
         Args:
             tried: so far.
             fitted: what they add to.
-            left_out: label of a candidate that is left out.
+            replaced: label of a candidate that is not tried.
             known: labels of those that are known; None where only promising ones are to be fitted.
         """
-        pool = [c for c in self.left(tried) if c.label not in {left_out, *(known or ())}]
-        most = min(self.settings.tried, INSTEAD) if left_out else self.settings.tried
+        pool = [c for c in self.left(tried) if c.label not in {replaced, *(known or ())}]
+        most = min(self.settings.tried, FEW_ALTERNATIVES) if replaced else self.settings.tried
         most = most if known is None else len(pool)
         weights = white_noise(fitted.fit.residuals)
         screened = screen(self.data, fitted, pool)
@@ -163,17 +165,18 @@ class Moves:
         first = []
         for hypothesis, begin in self._promising(tried, fitted, pool, screened, most, known is not None):
             try:
-                first.append(self.data.rough(hypothesis, begin, weights, ROUGH))
+                first.append(self.data.coarse_fit(hypothesis, begin, weights, COARSE_STEPS))
             except SimulationDiverged:  # so it cannot be what happened
                 continue
         first.sort(key=self.score)
         ends = []
         for k, option in enumerate(first):
-            # Only what comes near the best is worth going on with.
-            near = first[0].deviance + NEAR * max(fitted.deviance - first[0].deviance, 0.0) + CLOSE
-            if k < self.settings.kept and option.deviance <= near:
-                longer = self.data.rough(option.hypothesis, [option.begin], white_noise(option.fit.residuals), LONG)
-                option = self.data.settle(min(option, longer, key=lambda f: f.deviance))
+            # Only what is close to the best is continued.
+            close = first[0].deviance + WITHIN * max(fitted.deviance - first[0].deviance, 0.0) + CLOSE
+            if k < self.settings.kept and option.deviance <= close:
+                weights = white_noise(option.fit.residuals)
+                longer = self.data.coarse_fit(option.hypothesis, [option.begin], weights, LONG)
+                option = self.data.converge(min(option, longer, key=lambda f: f.deviance))
             ends.append(option)
         return ends, tried.having(*ends)
 
@@ -190,7 +193,7 @@ class Moves:
         base = len(self.data.free.free)
         lists = [sorted(screened, key=_by_gain(way)) for way in range(2)]
         if not fitted.hypothesis and self.data.strong(fitted):
-            # What is missing may have led the refitted model far astray.
+            # The missing physics may have biased the refitted model far.
             lists.append(sorted(screen(self.data, self.given, pool), key=lambda s: -s.gains[0]))
         chosen: dict[str, tuple[tuple[Part, ...], list[Begin]]] = {}
         for ranked in lists:
@@ -228,11 +231,11 @@ class Moves:
 
     @cached_property
     def given(self) -> Fitted:
-        """The model as it came."""
+        """The nominal model."""
         return self.data.as_it_came()
 
     def _splits(self, tried: Tried, fitted: Fitted) -> list[tuple[tuple[Part, ...], Begin]]:
-        """For each part that acts alike in several places the same with numbers of their own."""
+        """For each part that acts alike at several places, the same with separate parameters."""
         found: list[tuple[tuple[Part, ...], Begin]] = []
         base = len(self.data.free.free)
         for k, part in enumerate(fitted.hypothesis):
@@ -251,26 +254,28 @@ class Moves:
     def exchanged(self, found: Searched) -> Searched:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
         best, tried = found.best, found.tried
-        for _ in range(MOVES):
+        for _ in range(MOST_ROUNDS):
             moved = False
             withouts: list[Fitted] = []
-            all_rivals: list[tuple[Fitted, ...]] = []
+            all_alternatives: list[tuple[Fitted, ...]] = []
             for k, part in enumerate(best.hypothesis):
                 self.notify(f"without {part.candidate.label}", best.label)
                 without, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
                 if not self.accepts(without, best):
                     best, moved = without, True
                     break
-                rivals, tried = self.challenge(tried, without, part.candidate.label)
+                alternatives, tried = self.challenge(tried, without, part.candidate.label)
                 withouts.append(without)
-                all_rivals.append(tuple(rivals))
-                same_size = [r for r in rivals if len(r.hypothesis) <= len(best.hypothesis)]
+                all_alternatives.append(tuple(alternatives))
+                same_size = [r for r in alternatives if len(r.hypothesis) <= len(best.hypothesis)]
                 better = [r for r in same_size if self.score(r) < self.score(best) - 1.0]
                 if better:
                     best, moved = min(better, key=self.score), True
                     break
             if not moved or not best.hypothesis:
-                return replace(found, best=best, without=tuple(withouts), rivals=tuple(all_rivals), tried=tried)
+                return replace(
+                    found, best=best, without=tuple(withouts), alternatives=tuple(all_alternatives), tried=tried
+                )
         return self.moved(replace(found, tried=tried), best)
 
     def refitted(self, tried: Tried, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[list[Fitted], Tried]:
@@ -288,8 +293,8 @@ class Moves:
         for k in range(len(parts)):
             without, tried = self.refit(tried, best, parts[:k] + parts[k + 1 :])
             withouts.append(without)
-        # What others were fitted beside is not what stays, so rivals are looked for anew, see ``alternatives.listed``.
-        return replace(found, best=best, without=tuple(withouts), rivals=tuple(() for _ in parts), tried=tried)
+        # The alternatives were fitted beside other parts, so they are found anew, see ``alternatives.listed``.
+        return replace(found, best=best, without=tuple(withouts), alternatives=tuple(() for _ in parts), tried=tried)
 
     def refit(self, tried: Tried, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[Fitted, Tried]:
         """A part of a fitted hypothesis, fitted to the end from there.
@@ -302,11 +307,11 @@ class Moves:
         model_of(self.data.free.model, hypothesis)
         weights = white_noise(fitted.fit.residuals)
         try:
-            found = self.data.rough(hypothesis, [(theta, fitted.fit.starts)], weights, LONG)
+            found = self.data.coarse_fit(hypothesis, [(theta, fitted.fit.starts)], weights, LONG)
         except SimulationDiverged:
             plain: Array = np.concatenate([self.data.free.start, values])
-            found = self.data.rough(hypothesis, [(plain, [s.start for s in self.data.segments])], weights, LONG)
-        found = self.data.settle(found)
+            found = self.data.coarse_fit(hypothesis, [(plain, [s.start for s in self.data.segments])], weights, LONG)
+        found = self.data.converge(found)
         return found, tried.having(found)
 
 

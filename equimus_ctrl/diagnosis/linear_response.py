@@ -1,15 +1,15 @@
-"""How measured angles answer to small torques that a model does not have, to first order along its motion.
+"""How measured angles respond to small unmodelled torques, to first order along the model's motion.
 
 With δx = (δq, δv, δz) about the motion and a small joint torque τ,
 
     d/dt δx = A(t) δx + B(t) τ,    δy(t) = scale · δq(t − delay)
 
-A and B are those of the middle of each interval between samples, where the torque is constant; over the interval the
-solution is a matrix exponential, so that stiff joint stops do no harm. A stop is pressed or not as the motion says; in
-the interval where it is hit, its damper's push, which jumps from nothing to c·|v| at the stop's angle, counts as the
-spring that gives the same impulse, c·δq. Dry friction of a sliding place is constant; over an interval with a turn the
-slope of its sign is the secant through the interval's ends; a place that sticks is all but locked by damping. Play in a
-sensor is left out.
+A and B are those of the midpoint of each interval between samples. The torque is constant over an interval, and the
+solution is a matrix exponential, so that stiff joint stops do no harm. Whether a stop is pressed follows from the
+motion. In the interval where it is hit, its damper's force steps from 0 to c·|v| at the stop's angle; it counts as the
+spring that gives the same impulse, c·δq. Dry friction of a sliding place is constant. Over an interval with a reversal
+the slope of its sign is the secant through the interval's ends. A place that sticks is nearly locked by damping. Play
+in a sensor is neglected.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LOCK = 1e6
 SPEED = 30.0
 """A velocity about as large as an angle of 1 rad in the motions of legs [rad/s]."""
 SMALL = 1e-6
-"""A pose is moved by this to see how deep a limit is [rad or m]."""
+"""Step of the finite difference of a limit's depth [rad or m]."""
 LARGEST, TERMS = 0.5, 10
 """Largest row sum of a matrix for the series, and its terms: the rest is below 1e-11."""
 
@@ -86,22 +86,22 @@ class Linearised:
 
     def _path(self, trial: int, torque: Array) -> Array:
         """(m, nj, k) under torques (m − 1, nj, k)."""
-        transition, late = self.transitions[trial], bool(self.delay.any())
+        transition, delayed = self.transitions[trial], bool(self.delay.any())
         nj, nx, k = len(self.scale), transition.shape[1], torque.shape[2]
-        shown = np.concatenate([self.joints, self.coordinates + self.joints]) if late else self.joints
+        shown = np.concatenate([self.joints, self.coordinates + self.joints]) if delayed else self.joints
         path = np.empty((len(transition) + 1, len(shown), k))
         path[0] = 0.0
         given, reached = np.empty((nx + nj, k)), np.zeros((nx, k))
-        for step, push, out in zip(transition, torque, path[1:], strict=True):
-            given[:nx], given[nx:] = reached, push
+        for step, force, out in zip(transition, torque, path[1:], strict=True):
+            given[:nx], given[nx:] = reached, force
             np.matmul(step, given, out=reached)
             out[:] = reached[shown]
-        if late:
-            path = self._late(self.motions[trial].time, path)
+        if delayed:
+            path = self._sensor_delayed(self.motions[trial].time, path)
         path *= self.scale[:, None]
         return path
 
-    def _late(self, time: Array, path: Array) -> Array:
+    def _sensor_delayed(self, time: Array, path: Array) -> Array:
         """(m, nj, k) angles as old as the sensors show them, of a path (m, 2 nj, k) of angles and velocities."""
         nj = len(self.scale)
         seen = np.empty((len(path), nj, path.shape[2]))
@@ -268,16 +268,16 @@ def _count_blow(
         moved[1][:, j] -= SMALL
         ends = [field.limits(field.states(m, states.v[k]))[0][:, limit] for m in moved]
         row[:, j] = -(ends[0] - ends[1]) / (2 * SMALL)
-    # There and then the limit is not yet pressed in: its push is that of its damper alone.
+    # At that instant the limit is not yet pressed in: its force is that of its damper alone.
     q = q + row * (depth[k] / (row**2).sum(axis=1))[:, None]
     pressed = states.pressed[k].copy()
-    pushed = field.at(States(q, states.v[k], states.z[k], states.pressure[k], pressed, states.side[k]))
+    exerted = field.at(States(q, states.v[k], states.z[k], states.pressure[k], pressed, states.side[k]))
     pressed[:, limit] = 0.0
     before = field.at(States(q, states.v[k], states.z[k], states.pressure[k], pressed, states.side[k]))
     rate = (row * states.v[k]).sum(axis=1)
     usable = rate < 0
     nv = q.shape[1]
-    jump = (pushed - before)[:, :nv]
+    jump = (exerted - before)[:, :nv]
     own = np.zeros((len(k), nv, nv))
     np.divide(jump[:, :, None] * row[:, None], (rate * lasts[k])[:, None, None], out=own, where=usable[:, None, None])
     slopes[k, :nv, :nv] += own

@@ -1,4 +1,4 @@
-"""Where a model is off: by joint, by phase of a trial, by region of angles, speeds and commands."""
+"""Localization of residuals: by joint, by phase of a trial, by region of angles, speeds and commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ JUST = 0.5
 STILL = 0.05
 """Share of a joint's usual speed below which it is at rest."""
 LEAST_SAMPLES = 0.03
-"""A phase or region with less than this share of the samples is not told."""
+"""A phase or region with less than this share of the samples is not reported."""
 REGIONS = 3
 SLOPE = 4
 """Half the number of samples over which speeds are read off."""
@@ -42,24 +42,24 @@ class Class:
     chosen: tuple[NDArray[np.bool_], ...]
 
 
-def excess_of(residuals: Sequence[Array], noise: Noise) -> Array:
-    """(nj,) mean squared residual in excess of the noise, over the noise's variance, at least 0."""
+def excess_variances(residuals: Sequence[Array], noise: Noise) -> Array:
+    """(nj,) excess residual variance: mean squared residual over the noise's variance, minus 1, at least 0."""
     sigma = np.array([own.sigma for own in noise])
     return np.asarray(np.maximum((np.concatenate(residuals) ** 2).mean(axis=0) / sigma**2 - 1.0, 0.0))
 
 
 def where_off(model: Model, segments: Sequence[Segment], residuals: Sequence[Array], noise: Noise) -> tuple[Where, ...]:
-    """Joints by their share of the excess error, each with the phase and the region where it is densest.
+    """Joints by their share of the excess residual variance, each with the phase and the region where it is densest.
 
     Args:
-        model: as it came, for names and units.
+        model: the nominal model, for names and units.
         segments: what was measured.
         residuals: of the refitted model, for each segment (m, nj) [rad].
         noise: of the joints.
     """
     joints = model.robot.joint_names
     sigma = np.array([own.sigma for own in noise])
-    per_joint = excess_of(residuals, noise)
+    per_joint = excess_variances(residuals, noise)
     whole = float(per_joint.sum())
     found = []
     for j in np.argsort(-per_joint):
@@ -72,12 +72,12 @@ def where_off(model: Model, segments: Sequence[Segment], residuals: Sequence[Arr
 
 
 def _densest(classes: Sequence[Class], squares: Sequence[Array]) -> str:
-    """The class with most of the error for its size, told with both shares."""
+    """The class with the highest density of the squared residuals, with both shares."""
     everything = np.concatenate(squares)
     total = float(everything.sum())
     if total <= 0:
         return "nowhere in particular"
-    best, told = 0.0, "nowhere in particular"
+    best, label = 0.0, "nowhere in particular"
     for c in classes:
         chosen = np.concatenate(c.chosen)
         samples = float(chosen.mean())
@@ -87,8 +87,8 @@ def _densest(classes: Sequence[Class], squares: Sequence[Array]) -> str:
         density = part * np.log(max(part / samples, 1.0)) if part > 0 else 0.0
         if density > best and part / samples > 1.2:
             best = density
-            told = f"{c.text} ({min(part, 1.0):.0%} of the excess error in {samples:.0%} of the samples)"
-    return told
+            label = f"{c.text} ({min(part, 1.0):.0%} of the excess residual variance in {samples:.0%} of the samples)"
+    return label
 
 
 def speeds(segment: Segment) -> Array:
@@ -171,6 +171,6 @@ def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
         edges = np.quantile(np.concatenate(values), np.linspace(0, 1, REGIONS + 1))
         for low, high in itertools.pairwise(edges):
             if high > low:
-                told = f"{text} of {low * shown.factor:.3g} to {high * shown.factor:.3g} {shown.unit}".rstrip()
-                found.append(Class(told, tuple((v >= low) & (v <= high) for v in values)))
+                label = f"{text} of {low * shown.factor:.3g} to {high * shown.factor:.3g} {shown.unit}".rstrip()
+                found.append(Class(label, tuple((v >= low) & (v <= high) for v in values)))
     return found

@@ -1,4 +1,4 @@
-"""How a diagnosis fits and searches, and every number that decides a verdict: its meaning, its unit and its origin."""
+"""How a diagnosis fits and searches, and each threshold that decides a verdict: meaning, unit and origin."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Origin:
 
     Attributes:
         basis: what kind of reason there is.
-        why: the reason, with its source or the script that tells again.
+        why: the reason, with its source or the script that reproduces it.
     """
 
     basis: Basis
@@ -56,7 +56,7 @@ def _decides(value: float, unit: str, meaning: str, basis: Basis, why: str) -> A
 
 @dataclass(frozen=True)
 class Thresholds:
-    """The numbers that decide what is named and what is left.
+    """The thresholds that decide findings and unexplained residuals.
 
     Each is a field with its unit, meaning and origin; ``listed`` gives them all. Decisions are asked of ``decides``.
     """
@@ -64,7 +64,7 @@ class Thresholds:
     significance: float = _decides(
         1e-3,
         "",
-        "chance of accepting any effect where none is missing, over all candidates",
+        "probability of accepting any effect where none is missing, over all candidates (false alarm)",
         "theory",
         "likelihood-ratio test, Wilks (1938), with Bonferroni's correction for the number of candidates",
     )
@@ -100,7 +100,7 @@ class Thresholds:
     step_scatter: float = _decides(
         60.0,
         DEVIANCE,
-        "rivals within so much more are simulated again with finer steps before they are compared",
+        "alternatives within so much more are simulated again with finer steps before they are compared",
         "calibration",
         PROOFS,
     )
@@ -116,7 +116,7 @@ class Thresholds:
     uninformative: float = _decides(
         16.0,
         "χ²",
-        "validation trials on which two models differ by less tell nothing of either",
+        "validation trials on which two models differ by less do not decide between them",
         "theory",
         "the gain of the true one, 16 in the mean, is then two of its standard deviations, 2·√16, above nothing",
     )
@@ -130,9 +130,9 @@ class Thresholds:
     residual_gain: float = _decides(
         40.0,
         "χ²",
-        "least fall of χ² on trials left out in turn for a residual force",
+        "least fall of χ² in cross-validation for a residual force",
         "theory",
-        "with 8 spline coefficients and some 40 forces, χ² of chance exceeds 37 with probability 1e-3 (Bonferroni)",
+        "with 8 spline coefficients and some 40 forces, χ² exceeds 37 on noise with probability 1e-3 (Bonferroni)",
     )
     residual_share: float = _decides(
         2.5e-3,
@@ -144,14 +144,14 @@ class Thresholds:
     residual_price: float = _decides(
         2.0,
         "χ² a coefficient",
-        "what a residual force has to explain more than an effect, for each coefficient, to stand in for it",
+        "what a residual force has to explain more than an effect, for each coefficient, to replace it",
         "theory",
         "Akaike (1974)",
     )
     trace: float = _decides(
         0.01,
         "",
-        "what remains is not told below this share of all that the effects and it explain",
+        "a residual force is not reported below this share of all that the effects and it explain",
         "calibration",
         PROOFS,
     )
@@ -186,14 +186,14 @@ class Thresholds:
     linear_share: float = _decides(
         0.3,
         "",
-        "a linear model that tells less of what χ² rises without an effect concludes nothing of it",
+        "a linear model that reproduces less of the rise of χ² without an effect does not decide on it",
         "calibration",
         PROOFS,
     )
     far_off: float = _decides(
         3.0,
         "noise variances",
-        "excess residual variance of a joint from which on something is left, whatever it goes with",
+        "excess residual variance of a joint from which on it is unexplained, whatever it depends on",
         "convention",
         "a normalised RMSE of 2",
     )
@@ -225,7 +225,7 @@ class Thresholds:
         "theory",
         "two standard deviations of the change",
     )
-    refit_excess: float = _decides(
+    refit_far_above_noise: float = _decides(
         1.5,
         "noise",
         "from this RMSE on more is left than noise: other local minima are looked for",
@@ -235,7 +235,7 @@ class Thresholds:
     refit_strong: float = _decides(
         4.0,
         "noise",
-        "from this RMSE on derivatives at the refitted model tell little: the nominal one is looked at too",
+        "from this RMSE on derivatives at the refitted model predict little: the nominal one is screened at too",
         "calibration",
         PROOFS,
     )
@@ -247,7 +247,7 @@ class Thresholds:
         PROOFS,
     )
     watch: Callable[[Callable[[Thresholds], bool], bool], None] | None = field(default=None, compare=False, repr=False)
-    """Told of every decision and how it fell, for whoever varies the numbers."""
+    """Called with every decision and its outcome, to vary the thresholds."""
 
     @classmethod
     def listed(cls) -> Iterator[Threshold]:
@@ -257,7 +257,7 @@ class Thresholds:
                 yield Threshold(own.name, own.default, **own.metadata)  # type: ignore[arg-type]
 
     def decides(self, condition: Callable[[Thresholds], bool]) -> bool:
-        """Whether a condition on these numbers holds."""
+        """Whether a condition on these thresholds holds."""
         holds = bool(condition(self))
         if self.watch is not None:
             self.watch(condition, holds)
@@ -274,13 +274,13 @@ class SearchSettings:
 
     Attributes:
         most_parts: largest number of effects in a hypothesis.
-        tried: candidates fitted at each stage, for each way to weigh the residuals.
-        kept: of them, how many are fitted to the end.
-        patience: how many effects in a row may explain far less than a residual force, for what they do together: of
-            two that are missing each may.
-        many_minima: fits may end in many local minima, for errors grow along a trial: what a small change does tells
-            little of what a fit will find. So all candidates are tried where the promising ones do not lead on and much
-            is left, and rivals of a part are found among all that was fitted, not by small differences of deviance.
+        tried: candidates fitted at each step, for each weighting of the residuals.
+        kept: of them, how many are fitted until converged.
+        patience: how many effects in a row may explain far less than a residual force: of two missing effects each
+            alone may.
+        many_minima: whether fits have many local minima because errors grow along a trial. First-order gains then
+            predict little. So all candidates are tried where the promising ones are not accepted and residuals are
+            large, and a part's alternatives are taken from all hypotheses fitted.
     """
 
     most_parts: int = 3
@@ -292,13 +292,13 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class SearchPolicy:
-    """What a diagnosis does beside the settings that somebody chose.
+    """What a diagnosis does beside the user's settings.
 
     Attributes:
-        coarse_derivatives: first looks take derivatives from the coarser engine and end where little is gained, for a
+        coarse_derivatives: quick fits take derivatives from the coarser engine and end at small gains, for a
             simulation is costly.
-        rescaled_guesses: guesses that change far more than is left are tried in the right size too: along a trial
-            errors add up, so what one so large does says little of what a smaller one would do.
+        rescaled_guesses: guesses whose change far exceeds the residuals are tried rescaled too. Errors add up along a
+            trial, so a large change predicts little of a smaller one.
         many_minima: see ``SearchSettings``.
     """
 

@@ -1,4 +1,4 @@
-"""What no hypothesis explains: flexible pushes along the motion, and whether they make a named effect superfluous."""
+"""Unstructured residual forces: generalised forces along the motion that explain residuals without an effect."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ SLOWEST, FASTEST = 0.2, 4.0
 """Frequencies of a disturbance in time that are looked for [Hz]."""
 FOLDS = 3
 BOUND = 1e9
-"""Larger answers [rad] than any push of size 1 has tell of an instability alone."""
+"""Responses [rad] above this, to a force of size 1, are those of an instability."""
 
 
 @dataclass(frozen=True, eq=False)
-class Flexible:
-    """A flexible push and what it explains.
+class ForceCandidate:
+    """An unstructured residual force and what it explains.
 
     Attributes:
         group: where, and what it depends on.
@@ -43,15 +43,15 @@ class Flexible:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A fitted hypothesis to first order, with all flexible pushes, as one noise weighs them.
+    """A fitted hypothesis to first order, with all candidate residual forces, whitened by one noise.
 
     Attributes:
         fitted: the hypothesis.
         weighing: residual and derivatives.
-        groups: the pushes.
-        columns: for each the weighed changes (N, k) of what is measured.
+        groups: the residual forces.
+        columns: for each the whitened changes (N, k) of the measurements.
         folds: rows of trials that are held out together.
-        noise: that weighs.
+        noise: by which they are whitened.
         motions: of the fitted model, trial by trial.
     """
 
@@ -83,24 +83,24 @@ def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> Linear
     longest = max(m.time[-1] - m.time[0] for m in motions)
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
-    pushes = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
+    forces = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
     with np.errstate(over="ignore", invalid="ignore"):
-        answers = [followed(trials) for trials in responses(linearised, pushes)]
+        answers = [followed(trials) for trials in responses(linearised, forces)]
     columns = [weighing.columns(data.times, trials) for trials in answers]
     edges = np.cumsum([0, *[s.measured.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
-    return Linear(fitted, weighing, pushes, columns, folds if len(slices) > 1 else [], noise, motions)
+    return Linear(fitted, weighing, forces, columns, folds if len(slices) > 1 else [], noise, motions)
 
 
 def followed(answers: Sequence[Array]) -> list[Array]:
-    """For each trial (m, nj, k) answers to pushes, 0 for those that grew without bound along an unstable motion."""
-    told = np.all([(np.abs(a) < BOUND).all(axis=(0, 1)) for a in answers], axis=0)
-    return [np.where(told, a, 0.0) for a in answers]
+    """For each trial (m, nj, k) responses to forces, 0 for those that grew without bound along an unstable motion."""
+    bounded = np.all([(np.abs(a) < BOUND).all(axis=(0, 1)) for a in answers], axis=0)
+    return [np.where(bounded, a, 0.0) for a in answers]
 
 
-def flexible(at: Linear, extra: Array | None = None) -> list[Flexible]:
-    """What every flexible push explains beside the free parameters, the best on trials left out first.
+def force_candidates(at: Linear, extra: Array | None = None) -> list[ForceCandidate]:
+    """What every candidate force explains beside the free parameters, the best on held-out trials first.
 
     Args:
         at: the linear model.
@@ -109,12 +109,12 @@ def flexible(at: Linear, extra: Array | None = None) -> list[Flexible]:
     slopes = at.weighing.slopes if extra is None else np.column_stack([at.weighing.slopes, extra])
     beside = Nuisance.of(slopes)
     found = [
-        Flexible(group, explained(at.weighing.residual, beside, columns, folds=at.folds))
+        ForceCandidate(group, explained(at.weighing.residual, beside, columns, folds=at.folds))
         for group, columns in zip(at.groups, at.columns, strict=True)
     ]
     return sorted(found, key=lambda f: -f.found.held_out)
 
 
 def judged(found: Explained, at: Linear) -> float:
-    """What is explained of trials left out in turn; of a single trial, less what so many numbers gain by chance."""
+    """Gain in cross-validation; of a single trial, the gain minus that expected of so many parameters on noise."""
     return found.held_out if at.folds else found.gain - 3.0 * found.rank

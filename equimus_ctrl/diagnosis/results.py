@@ -21,7 +21,7 @@ Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", 
 PARTS: tuple[Literal["train"], Literal["validation"], Literal["test"]] = ("train", "validation", "test")
 """Of the trials: fitted, by which effects were confirmed or rejected, and not touched before the report."""
 STATES = ("nominal", "refitted", "corrected")
-"""The model as it came, all its parameters refitted, and with what was found."""
+"""The nominal model, the refitted (re-identified) model, and the augmented model with the effects found."""
 
 
 @dataclass(frozen=True)
@@ -69,20 +69,20 @@ class Named:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Why a finding is believed.
+    """The evidence for a finding.
 
     Attributes:
         gain: by how much −2 log likelihood of the trials fitted falls with it, all other parameters free without it.
-        threshold: the least gain that would have been believed.
-        log10_chance: log₁₀ of the chance of such a gain where nothing is left out, all candidates counted.
+        threshold: acceptance threshold of the gain.
+        log10_p_value: log₁₀ of the p-value: of such a gain where no physics is missing, corrected for all candidates.
         validation_gain: the same fall on validation trials, the noise being the same.
-        share: of the mean squared error in excess of the noise that it takes away, on the trials fitted.
+        share: of the excess residual variance that it explains, on the trials fitted.
         validation_share: the same on validation trials.
     """
 
     gain: float
     threshold: float
-    log10_chance: float
+    log10_p_value: float
     validation_gain: float
     share: float
     validation_share: float
@@ -94,13 +94,13 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """A piece of physics that the model leaves out.
+    """A piece of missing physics.
 
     Attributes:
         part: the effect, its places and values.
         parameters: with intervals.
         evidence: for it.
-        equivalent: what these recordings cannot tell apart from it.
+        equivalent: effects that these recordings do not distinguish from it.
     """
 
     part: Part
@@ -125,11 +125,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Where:
-    """A place where the refitted model is off.
+    """A place of the refitted model's residuals.
 
     Attributes:
         location: joint.
-        share: of the mean squared error in excess of the noise, over all joints.
+        share: of the excess residual variance, over all joints.
         when: in what phase of a trial it is largest.
         region: in what region of angles, speeds or commands.
     """
@@ -146,24 +146,24 @@ class Where:
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
-    """Something real that no effect explains.
+    """A significant residual that no effect explains.
 
     Attributes:
         location: joint at which it acts.
-        share: of all that flexible pushes explain of what the corrected model leaves.
-        depends_on: coordinates that the push depends on, such as ``pos.hip``; "" for an error far above the noise that
-            no push explains: then ``gain`` is its excess over the noise's variance.
-        places: actuators or joints at which the push acts.
-        gain: by how much χ² falls on trials left out in turn.
+        share: of all that residual forces explain of the augmented model's residuals.
+        depends_on: coordinates that the force depends on, such as ``pos.hip``; "" for residuals far above the noise
+            that no force explains: then ``gain`` is their excess residual variance.
+        places: actuators or joints at which the force acts.
+        gain: by how much χ² falls in cross-validation.
         threshold: the least fall that counts.
-        unit: of the push.
+        unit: of the force.
         axis: the coordinate of the curve, "" where there is none.
         axis_unit: its unit.
         x: (n,) the coordinate.
-        push: (n,) the push there.
+        force: (n,) the generalised force there.
         band: (n,) half width of its 95 % interval.
-        on_validation: whether it is an error far above the noise on validation trials alone, whatever numbers the
-            effects have.
+        on_validation: whether these are residuals far above the noise on validation trials alone, whatever the
+            parameters of the effects.
     """
 
     location: str
@@ -176,14 +176,14 @@ class Unexplained:
     axis: str
     axis_unit: str
     x: Array
-    push: Array
+    force: Array
     band: Array
     on_validation: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
-        curve = {"coordinate": self.axis, "unit": self.axis_unit, "push_unit": self.unit} | {
-            key: [float(v) for v in getattr(self, key)] for key in ("x", "push", "band")
+        curve = {"coordinate": self.axis, "unit": self.axis_unit, "force_unit": self.unit} | {
+            key: [float(v) for v in getattr(self, key)] for key in ("x", "force", "band")
         }
         return {
             "location": self.location,
@@ -199,13 +199,13 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate and what it would do to the refitted model, alone.
+    """A candidate and its gain as the only effect added to the refitted model.
 
     Attributes:
         named: what and where.
         screened: fall of χ² expected to first order.
         fitted: fall of −2 log likelihood when fitted, None where it was not worth a fit.
-        threshold: the least fall that would be believed of it.
+        threshold: acceptance threshold of its fall.
     """
 
     named: Named
@@ -221,11 +221,11 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Detectable:
-    """The smallest size of an effect that would have shown.
+    """The smallest detectable size of an effect.
 
     Attributes:
         named: what and where.
-        parameter: whose size it is, the others being middling.
+        parameter: whose size it is, the others at median values.
         size: SI.
         unit: SI.
     """
@@ -242,12 +242,12 @@ class Detectable:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to record in order to tell apart what could not be.
+    """What to record in order to distinguish two effects.
 
     Attributes:
         scenario: name of a scenario of ``equimus-ctrl run``, with settings.
         settings: of the scenario.
-        separates: the two that it tells apart.
+        separates: the two that it distinguishes.
         distance: root mean square distance between their predictions, refitted to one another, over the noise.
     """
 
@@ -302,29 +302,29 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a model leaves out of a robot.
+    """The missing physics of a model of a robot.
 
     Attributes:
         verdict: in one word.
-        model: as it came.
+        model: the nominal model.
         refitted: without any effect, its parameters fitted.
-        corrected: with what was found.
+        corrected: the augmented model, with the effects found.
         base: the fit of the refitted model.
-        best: the fit of the corrected one.
+        best: the fit of the augmented one.
         train: segments fitted.
         validation: segments that were not fitted, and by which effects were confirmed or rejected.
         test: segments that took no part in any fit or choice.
         residuals: of each of ``STATES``.
-        where: the refitted model is off, worst first.
+        where: the refitted model's residuals are, largest first.
         findings: strongest first.
         unexplained: what none of them explains, strongest first.
-        doubtful: effects that fit best but not well enough to be named, see ``unexplained``.
+        rejected: effects that fit best but no better than a residual force, see ``unexplained``.
         ranking: all candidates, alone, best first.
-        detectable: smallest effects that would have shown; only where nothing was found.
-        experiment: that would tell apart what could not be.
-        excess: for each state of STATES, mean squared error in excess of the noise over the noise's variance, on the
-            trials fitted.
-        notes: what else a person ought to know.
+        detectable: smallest detectable sizes of effects; only where nothing was found.
+        experiment: that would distinguish effects that these recordings do not.
+        excess_variance: for each state of STATES the excess residual variance on the trials fitted: mean squared
+            residual over the noise's variance, minus 1.
+        notes: warnings, as sentences.
         seconds: how long it took.
         decisions: of the stages, in order.
         not_done: stages that it was ended before or in, by its budget or by whoever asked for its best so far.
@@ -343,11 +343,11 @@ class Diagnosis:
     where: tuple[Where, ...]
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...]
-    doubtful: tuple[Named, ...]
+    rejected: tuple[Named, ...]
     ranking: tuple[Ranked, ...]
     detectable: tuple[Detectable, ...]
     experiment: Experiment | None
-    excess: Mapping[str, float]
+    excess_variance: Mapping[str, float]
     notes: tuple[str, ...]
     seconds: float
     decisions: tuple[Decision, ...] = ()
@@ -380,13 +380,13 @@ class Diagnosis:
             "where": [place.to_dict() for place in self.where],
             "findings": [finding.to_dict() for finding in self.findings],
             "unexplained": [left.to_dict() for left in self.unexplained],
-            "doubtful": [named.to_dict() for named in self.doubtful],
+            "rejected": [named.to_dict() for named in self.rejected],
             "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.best.noise, strict=True)},
             "noise_correlation_s": {
                 j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.best.noise, strict=True)
             },
             "rmse_rad": {part: {state: self._by_joint(self.rmse(state, part)) for state in STATES} for part in PARTS},
-            "excess": dict(self.excess),
+            "excess_residual_variance": dict(self.excess_variance),
             "parameters": {
                 name: {
                     "value": float(value),

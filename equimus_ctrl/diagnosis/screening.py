@@ -1,4 +1,4 @@
-"""Which candidates are worth a fit: what each would change, less what the free parameters could do as well."""
+"""Screening of candidates by the component of their response that is orthogonal to the parameters' Jacobian."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 LOOKS, STRONG = 3, 0.03
-"""How often, and the least share of the strongest direction's effect of those that are moved along."""
+"""How often, and the least share of the strongest direction's effect in directions that are changed."""
 LEAST, MOST = 0.3, 3.0
 """Between these factors a change is taken to grow with its first parameter."""
 WEAK = 1e-8
-"""Directions of the free parameters weaker than this share of the strongest are not moved along."""
+"""Directions of the free parameters weaker than this share of the strongest are not changed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """A candidate at its most promising guess.
+    """A candidate at its most promising initial guess.
 
     Attributes:
         candidate: what.
@@ -38,7 +38,7 @@ class Screened:
         begin: parameters of the model (p,) that go with it, to first order.
         gains: by how much χ² would fall, for each way to weigh the residuals.
         tried: the guesses that could be added.
-        strength: for each of them what of its change no other parameter can undo, as χ² under the noise.
+        strength: for each of them χ² of its change's component orthogonal to the parameters' Jacobian.
     """
 
     candidate: Candidate
@@ -51,13 +51,13 @@ class Screened:
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """A guess.
+    """An initial guess.
 
     Attributes:
         index: its place among the entries.
         factor: by which the change is best taken.
         gains: of χ², for each weighing.
-        strength: χ² of what no parameter can undo, under the noise.
+        strength: χ² of the component orthogonal to the parameters' Jacobian.
         left: the same by the first weighing.
         theta: values of the kept parameters that go with it.
         kept: which parameters stay.
@@ -177,7 +177,7 @@ def _smaller(
 
 
 def _absorbed(size: float, left: float, t: Thresholds) -> bool:
-    """Whether free parameters undo so much of a change that what is left is more curvature than effect."""
+    """Whether free parameters cancel so much of a change that the remainder is mostly curvature."""
     return size > t.absorbed * left
 
 
@@ -189,7 +189,7 @@ def _again(
     columns: Sequence[Array],
     found: dict[Candidate, list[_Tried]],
 ) -> None:
-    """Look again at guesses that free parameters all but undo, those moved along; what is better replaces ``found``."""
+    """Screen again guesses that free parameters nearly cancel, at changed parameters; better ones replace ``found``."""
     base = len(data.free.free)
     size = (columns[0] ** 2).sum(axis=0)
     scale = fitted.fit.parameters.scale[:base]
@@ -238,7 +238,7 @@ def _changes(
         data: what was measured.
         fitted: what is changed.
         entries: what to.
-        thetas: for each entry the model's own free numbers, those of ``fitted`` by default.
+        thetas: for each entry the model's own free parameters, those of ``fitted`` by default.
     """
     data.budget.check()
     names = data.free.names
@@ -288,7 +288,7 @@ def _kept(owners: Sequence[int], old: Hypothesis, new: Hypothesis) -> tuple[int,
 def _gains(weighing: Weighing, columns: Array, kept: Array) -> tuple[Array, Array, Array, Array]:
     """Gain of χ², best factor, χ² of the change itself, (p, k) change of the scaled parameters.
 
-    The column is taken at a factor between LEAST and MOST, the parameters moved along as is best.
+    The column is taken at a factor between LEAST and MOST, with the best change of the parameters.
     """
     beside = Nuisance.of(weighing.slopes[:, kept])
     residual, left = beside.without(weighing.residual), beside.without(columns)

@@ -1,7 +1,7 @@
 """Which set of effects: forward from the refitted model, backward where one is not needed, sideways where another fits.
 
-A hypothesis is judged by its deviance (−2 log likelihood, its own noise included) and the numbers it needs. A part
-is believed when the deviance falls by more than chance gives to the best of all candidates, and by more than two
+A hypothesis is scored by its deviance (−2 log likelihood, its own noise included) and its number of parameters. A part
+is accepted where the deviance falls by more than the best of all candidates does on noise, and by more than two
 simulations of one leg differ.
 """
 
@@ -12,15 +12,15 @@ from dataclasses import replace
 
 from equimus_ctrl.diagnosis.alternatives import contested, narrowed, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, whitened
-from equimus_ctrl.diagnosis.hypothesis_moves import Moves, Searched, Tried
-from equimus_ctrl.diagnosis.residual_force import flexible, linear
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, Searched, Tried
+from equimus_ctrl.diagnosis.residual_force import force_candidates, linear
 from equimus_ctrl.diagnosis.screening import screen
 
 SECOND = 2
 """So many others than the best first part, of those with about as much gain, are given a second part as well."""
 
 
-class Search(Moves):
+class Search(HypothesisMoves):
     """A search over sets of candidates, from where one begins to where it ends."""
 
     def run(self, base: Fitted) -> Searched:
@@ -28,7 +28,7 @@ class Search(Moves):
         return self.go_on(Searched(base, base))
 
     def beginning(self, base: Fitted, start: Fitted) -> Searched:
-        """A hypothesis to go on from, less what is not needed and with what fits better in its parts' places."""
+        """A hypothesis without the parts that are not needed, and with better fitting ones in its parts' places."""
         first = Tried(first=tuple(screen(self.data, base, self.pool)))
         return simplified(self, self.exchanged(Searched(base, start, tried=first)))
 
@@ -44,7 +44,7 @@ class Search(Moves):
         Args:
             found: there.
             rejected: labels of candidates that are not to be part of it.
-            further: whether more parts are looked for, or only others in the places of those that are there.
+            further: whether more parts are tried, or only alternatives of the present ones.
         """
         now = found.rejecting(rejected)
         now = now if further else self.exchanged(now)
@@ -53,18 +53,18 @@ class Search(Moves):
             self.notify(f"what could be missing, round {depth + 1}", now.best.label)
             options, tried = self._small(*self.challenge(now.tried, now.best))
             top = self._top(now.best, options)
-            push = top is not None and self._outdone(sure.best, top)
-            if self._may_try_all(now.best) and (top is None or push):
+            force = top is not None and self._outdone(sure.best, top)
+            if self._may_try_all(now.best) and (top is None or force):
                 self.notify("what could be missing, all there is", now.best.label)
                 known = [o.hypothesis[-1].candidate.label for o in options]
                 more, tried = self.extensions(tried, now.best, known=known)
                 options += more
                 before, top = top, self._top(now.best, options)
-                push = push if top is before else top is not None and self._outdone(sure.best, top)
+                force = force if top is before else top is not None and self._outdone(sure.best, top)
             now = replace(now, tried=tried)
             if top is None:
                 break
-            outdone = outdone + 1 if push else 0
+            outdone = outdone + 1 if force else 0
             if outdone > self.settings.patience:
                 break
             if len(now.best.hypothesis) == 1:
@@ -91,9 +91,9 @@ class Search(Moves):
             if plain.deviance < before.deviance:
                 before, now = plain, replace(now, base=plain)
             if not self.accepts(plain, best):
-                return replace(now, best=plain, without=(), rivals=())
+                return replace(now, best=plain, without=(), alternatives=())
         had = bool(before.hypothesis)
-        now = replace(now, best=best, without=(before,), rivals=(others,))
+        now = replace(now, best=best, without=(before,), alternatives=(others,))
         now = self.exchanged(now) if had else now
         return simplified(self, now) if self.settings.many_minima else now
 
@@ -114,26 +114,26 @@ class Search(Moves):
         """What the second part could be beside others than the best first one: of two together the lesser may lead."""
         tried, base = now.tried, self.score(now.base)
 
-        def near_the_best(rival: Fitted) -> bool:
-            gain, most = base - self.score(rival), base - self.score(now.best)
+        def near_the_best(alternative: Fitted) -> bool:
+            gain, most = base - self.score(alternative), base - self.score(now.best)
             return self.data.limits.decides(lambda t: gain > t.runner_up * most)
 
-        near = [r for r in sorted(now.rivals[0], key=self.score) if near_the_best(r)]
+        close = [r for r in sorted(now.alternatives[0], key=self.score) if near_the_best(r)]
         found: list[Fitted] = []
-        for rival in near[:SECOND]:
-            self.notify("what could be missing beside another", rival.label)
-            more, tried = self._small(*self.challenge(tried, rival))
+        for alternative in close[:SECOND]:
+            self.notify("a second effect beside another", alternative.label)
+            more, tried = self._small(*self.challenge(tried, alternative))
             found += more
         return found, tried
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
-        """Whether a flexible push would explain far more than the next effect: then that is not what is missing."""
+        """Whether a residual force explains far more than the next effect: then that effect is not the missing one."""
         at = linear(self.data, best, best.noise)
         if at is None:
             return False
         before, after = (
             sum(float((w**2).sum()) for w in whitened(self.data, best.noise, f.fit.residuals)) for f in (best, top)
         )
-        push = flexible(at)[0].found
-        most = push.held_out if at.folds else push.gain
+        force = force_candidates(at)[0].found
+        most = force.held_out if at.folds else force.gain
         return self.data.limits.decides(lambda t: before - after < t.outdone * most)

@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.alternatives import less, listed
+from equimus_ctrl.diagnosis.alternatives import listed, without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import Judge, confirmed
@@ -35,11 +35,11 @@ from equimus_ctrl.diagnosis.findings import (
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import LONG, Searched
-from equimus_ctrl.diagnosis.localization import excess_of, where_off
+from equimus_ctrl.diagnosis.localization import excess_variances, where_off
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.results import STATES, Decision, Diagnosis, Named, Ranked, Residuals
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.unexplained import Remainder, not_borne_out, remainder
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, residual_analysis
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.errors import SimulationDiverged
@@ -48,10 +48,10 @@ from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import Segment
 
 AGAIN = 1
-"""How often a search goes on beside the names that stay where others were rejected: if it comes to doubtful names
-again, what is left has none."""
+"""How often a search goes on beside the accepted effects where others were rejected. If it comes to rejected effects
+again, the residuals stay unexplained."""
 WINDOW = r" from [0-9.]+ s$"
-"""What windows' names have beyond those of their recordings."""
+"""What names of shooting intervals have beyond those of their recordings."""
 ROUNDS = 12
 """So many steps of a search divide its share of the progress."""
 STAGES = ("search", "confirmation", "unexplained", "discretization", "validation", "alternatives")
@@ -70,7 +70,7 @@ class DiagnosisSettings:
         engine: by its name; by default see ``engines.choice.engine_for``.
         exclude: names of effects that are not looked for.
         budget: how long it may take [s]; its best so far is given then. As long as it needs by default.
-        thresholds: the numbers that decide.
+        thresholds: that decide.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)
@@ -87,9 +87,9 @@ class Question:
 
     Attributes:
         data: what hypotheses are fitted to.
-        split: trials to fit and trials to judge by.
+        split: trials to fit and trials to validate on.
         settings: how it goes.
-        designs: experiments to choose from where something cannot be told apart.
+        designs: experiments to choose from where effects are not distinguishable.
         progress: see ``Progress``.
         begun: by ``time.perf_counter``.
     """
@@ -111,7 +111,7 @@ class State:
         search: that goes on from where it is.
         found: where it ended so far.
         rest: what that leaves unexplained.
-        doubtful: names that were rejected, for a residual force does as much.
+        rejected: effects that were rejected, for a residual force explains as much.
         ranking: all candidates, alone.
         coarse: a sentence on the engine's step, where its error was taken off; "" else.
         equivalent: for each part of the hypothesis what fits as well in its place; empty where nobody looked.
@@ -122,8 +122,8 @@ class State:
     question: Question
     search: Search
     found: Searched
-    rest: Remainder
-    doubtful: tuple[Named, ...] = ()
+    rest: ResidualAnalysis
+    rejected: tuple[Named, ...] = ()
     ranking: tuple[Ranked, ...] = ()
     coarse: str = ""
     equivalent: tuple[tuple[Named, ...], ...] = ()
@@ -145,7 +145,7 @@ class State:
         """The best hypothesis."""
         return self.found.best.label
 
-    def told(self, stage: str, share: float) -> None:
+    def report(self, stage: str, share: float) -> None:
         """Say which stage begins, and what is best so far."""
         self.question.progress(stage, share, self.label)
 
@@ -161,13 +161,13 @@ class State:
 
 
 def refit(question: Question) -> tuple[State, Fitted | None]:
-    """The model without any effect, its parameters refitted, and the same fitted to short windows.
+    """The model without any effect, its parameters refitted, and the same fitted to short shooting intervals.
 
-    Where much is left, and trials were cut into windows so long that errors grow in them, the refit also goes on from
-    where short windows lead.
+    Where residuals are large, and errors grow along the shooting intervals, the refit is also begun at the fit to
+    short intervals.
 
     Returns:
-        The state to search from, and the fit to short windows; None where there was no need of one.
+        The state to search from, and the fit to short intervals; None where there was no need of one.
 
     Raises:
         SimulationDiverged: where the model diverges on every trial.
@@ -175,10 +175,10 @@ def refit(question: Question) -> tuple[State, Fitted | None]:
     data, split = question.data, question.split
     question.progress("refitting the model", 0.02, "")
     base = data.base()
-    near: Fitted | None = None
+    short: Fitted | None = None
     with suppress(BudgetSpent):  # the search's first step meets it again
-        near = _near_base(data, split) if data.excessive(base) else None
-        base = base if near is None else data.base_from(near, base)
+        short = _short_base(data, split) if data.far_above_noise(base) else None
+        base = base if short is None else data.base_from(short, base)
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in question.settings.exclude}
     pool = candidates(data.free.model, split.train, looked_for)
     shares: Iterator[float] = iter(np.linspace(0.15, 0.8, ROUNDS))
@@ -187,27 +187,31 @@ def refit(question: Question) -> tuple[State, Fitted | None]:
         question.progress(stage, float(next(shares, 0.8)), best)
 
     search = Search(data, pool, data.policy.applied(question.settings.search), notify)
-    state = State(question, search, Searched(base, base), Remainder((), ()))
-    excess = ", ".join(
+    state = State(question, search, Searched(base, base), ResidualAnalysis((), ()))
+    excess_variance = ", ".join(
         f"{joint} {own:.3g}"
-        for joint, own in zip(data.free.model.robot.joint_names, excess_of(base.fit.residuals, base.noise), strict=True)
+        for joint, own in zip(
+            data.free.model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True
+        )
     )
-    return state.decided("refit", f"{len(data.free.free)} parameters refitted", f"excess variance: {excess}"), near
+    return state.decided(
+        "refit", f"{len(data.free.free)} parameters refitted", f"excess variance: {excess_variance}"
+    ), short
 
 
-def search(state: State, near: Fitted | None) -> State:
-    """The set of effects that fits best, of those that gain more than chance would.
+def search(state: State, short: Fitted | None) -> State:
+    """The hypothesis that fits best, of those whose gain exceeds the threshold.
 
     Args:
         state: after the refit.
-        near: the model fitted to short windows; where much is left, a second search begins with what these tell.
+        short: the model fitted to short shooting intervals; where residuals are large, a second search begins there.
     """
     own, found = state.search, state.found
     try:
         for now in own.steps(found):
             found = now
-        if near is not None and state.data.excessive(found.best):
-            own, found = _from_near(own, found, state.question.split, near)
+        if short is not None and state.data.far_above_noise(found.best):
+            own, found = _from_short(own, found, state.question.split, short)
     except BudgetSpent:
         return _searched(replace(state, found=found), "search").ended("search")
     return _searched(replace(state, search=own, found=found), "search")
@@ -230,13 +234,13 @@ def _searched(state: State, stage: str) -> State:
         least = state.search.threshold(part.candidate.n_parameters)
         state = state.decided(stage, f"{part.candidate.label} accepted", f"−2Δln L {gain:.4g}, at least {least:.4g}")
     if not state.found.best.hypothesis:
-        state = state.decided(stage, "no effect accepted", "none gains more than chance and the noise's scatter")
+        state = state.decided(stage, "no effect accepted", "no gain exceeds the threshold and the scatter of deviances")
     return state
 
 
 def confirmation(state: State) -> State:
     """The effects that held-out trials bear out; where they refuse one, another that they do bear out."""
-    state.told("trials left out", 0.82)
+    state.report("held-out trials", 0.82)
     found = confirmed(state.search, state.found, state.question.split)
     after = replace(state, found=found)
     for label in sorted(state.found.best.labels - found.best.labels):
@@ -251,26 +255,26 @@ def unexplained(state: State) -> State:
 
     Where others stay, the search goes on beside them, without the names that were rejected.
     """
-    state.told("what is left", 0.86)
-    own, found, doubtful = state.search, state.found, state.doubtful
-    rest = remainder(state.data, found.base, found.best, found.without)
+    state.report("residual forces", 0.86)
+    own, found, rejected = state.search, state.found, state.rejected
+    rest = residual_analysis(state.data, found.base, found.best, found.without)
     again, confounded = AGAIN, set[str]()
-    while rest.superfluous:
-        dropped = [found.best.hypothesis[k] for k in rest.superfluous]
-        doubtful += tuple(named_part(part) for part in dropped)
+    while rest.redundant:
+        dropped = [found.best.hypothesis[k] for k in rest.redundant]
+        rejected += tuple(named_part(part) for part in dropped)
         confounded |= {part.candidate.label for part in dropped}
-        found = less(own, found, rest.superfluous)
+        found = without_parts(own, found, rest.redundant)
         if found.best.hypothesis:
             names = [part.candidate.label for part in dropped]
             found = confirmed(own, own.go_on(found, names, further=again > 0), state.question.split)
             again -= 1
-        rest = remainder(state.data, found.base, found.best, found.without)
-    after = replace(state, found=found, rest=rest, doubtful=doubtful)
+        rest = residual_analysis(state.data, found.base, found.best, found.without)
+    after = replace(state, found=found, rest=rest, rejected=rejected)
     for label in sorted((state.found.best.labels | confounded) - found.best.labels):
         reason = "a residual force explains as much" if label in confounded else "not needed beside the rest"
         after = after.decided("unexplained", f"{label} rejected", reason)
     for label in sorted(found.best.labels - state.found.best.labels):
-        after = after.decided("unexplained", f"{label} accepted", "gains more than chance beside those that stay")
+        after = after.decided("unexplained", f"{label} accepted", "its gain exceeds the threshold beside the others")
     for left in rest.unexplained:
         over = f" over {left.depends_on}" if left.depends_on else ""
         after = after.decided(
@@ -280,7 +284,7 @@ def unexplained(state: State) -> State:
 
 
 def discretization(state: State) -> State:
-    """The same without the error of the engine's step, where something would be named or left that is gone then."""
+    """The same without the discretisation error, where that changes findings or unexplained residuals."""
     exact = without_step_error(state.search, state.found, state.rest, state.question.settings.threads)
     if exact is None:
         return state
@@ -291,11 +295,11 @@ def discretization(state: State) -> State:
 
 
 def validation(state: State) -> State:
-    """Joints whose error on held-out trials is far above the noise, whatever numbers the effects have."""
+    """Joints whose residuals on held-out trials are far above the noise, whatever the parameters of the effects."""
     if state.rest.unexplained:
         return state
     split, best = state.question.split, state.found.best
-    rest = not_borne_out(state.data, best, split.validation, Judge(state.data, split, state.found).left(best.fit.model))
+    rest = not_confirmed(state.data, best, split.validation, Judge(state.data, split, state.found).left(best.fit.model))
     for left in rest.unexplained:
         reason = f"held-out error {left.gain:.3g} times the noise's variance"
         state = state.decided("validation", f"unexplained at {left.location}", reason)
@@ -304,17 +308,17 @@ def validation(state: State) -> State:
 
 def alternatives(state: State) -> State:
     """What fits as well in each effect's place; intervals in which the error of the engine's step is counted."""
-    state.told("evidence", 0.94)
+    state.report("evidence", 0.94)
     found = listed(state.search, state.found)
     if not state.coarse:
         found = step_counted(state.data, found, state.question.settings.threads)
-    finely = cache(state.data.settle_finely)
+    finely = cache(state.data.converge_finely)
     alike = equivalents(state.search, found, bool(state.rest.unexplained), finely)
     return replace(state, found=found, equivalent=alike)
 
 
 def report(state: State) -> Diagnosis:
-    """The findings with evidence and intervals, and all else that is told."""
+    """The findings with evidence and intervals, and the rest of the report."""
     question, own, found, rest = state.question, state.search, state.found, state.rest
     data, split, model = state.data, question.split, question.data.free.model
     judge = Judge(data, split, found)
@@ -345,11 +349,11 @@ def report(state: State) -> Diagnosis:
         where_off(model, split.train, found.base.fit.residuals, noise),
         named,
         rest.unexplained,
-        state.doubtful,
+        state.rejected,
         state.ranking or ranking(own, found),
         () if named or rest.unexplained or state.ended_in else detectable(own, found),
         experiment,
-        {name: float(excess_of(residuals[name].train, noise).mean()) for name in STATES},
+        {name: float(excess_variances(residuals[name].train, noise).mean()) for name in STATES},
         (
             *notes(found, split, question.settings.exclude, state.not_done),
             *beyond_range(model, split),
@@ -381,33 +385,33 @@ def on_others(question: Question, other: Question, found: Diagnosis) -> Diagnosi
 
 
 def _trials(segments: Sequence[Segment]) -> list[str]:
-    """Names of the trials that segments are of; those of windows begin with their trial's."""
+    """Names of the trials that segments are of; those of shooting intervals begin with their trial's."""
     names: dict[int, str] = {}
     for s in segments:
         names.setdefault(s.recording, re.sub(WINDOW, "", s.trial.name))
     return list(names.values())
 
 
-def _near_base(data: Data, split: Split) -> Fitted | None:
-    """The model fitted to short windows; None where there are none, or where it diverges in them."""
-    if not split.near:
+def _short_base(data: Data, split: Split) -> Fitted | None:
+    """The model fitted to short shooting intervals; None where there are none, or where it diverges in them."""
+    if not split.short_segments:
         return None
     try:
-        return replace(data, segments=split.near).base()
-    except SimulationDiverged:  # so short windows tell nothing
+        return replace(data, segments=split.short_segments).base()
+    except SimulationDiverged:  # so short intervals are of no use
         return None
 
 
-def _from_near(search: Search, found: Searched, split: Split, base: Fitted) -> tuple[Search, Searched]:
-    """The search's end, or where one that begins with what short windows tell ends, if that fits better.
+def _from_short(search: Search, found: Searched, split: Split, base: Fitted) -> tuple[Search, Searched]:
+    """The search's end, or that of one begun at the result of short shooting intervals, if that fits better.
 
-    Errors do not grow in short windows: what a small change does there tells what a larger one does.
+    Errors do not grow in short intervals, so the cost is close to quadratic there.
     """
     data, settings, notify = search.data, search.settings, search.notify
-    near = Search(replace(data, segments=split.near), search.pool, settings, notify)
+    short = Search(replace(data, segments=split.short_segments), search.pool, settings, notify)
     try:
-        near_end = near.run(base)
-    except SimulationDiverged:  # so short windows tell nothing
+        near_end = short.run(base)
+    except SimulationDiverged:  # so short intervals are of no use
         return search, found
     best = near_end.best
     if not best.hypothesis or best.labels == found.best.labels:
@@ -415,7 +419,7 @@ def _from_near(search: Search, found: Searched, split: Split, base: Fitted) -> t
     other = Search(data, search.pool, settings, notify, near_end.tried.fitted)
     begin = (best.fit.theta, [s.start for s in data.segments])
     try:
-        start = data.settle(data.rough(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
+        start = data.converge(data.coarse_fit(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
     except SimulationDiverged:  # so it cannot be what happened
         return search, found
     end = other.go_on(other.beginning(found.base, start))

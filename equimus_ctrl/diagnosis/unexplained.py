@@ -1,4 +1,4 @@
-"""What is left when the best hypothesis has been found: what it depends on, and whether named effects only mimic it."""
+"""Residuals of the best hypothesis: residual forces that explain them, and effects that are confounded with these."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from functools import partial
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import seen_places
-from equimus_ctrl.diagnosis.confounding import restates, shadowed
+from equimus_ctrl.diagnosis.confounding import confounded, restates
 from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
-from equimus_ctrl.diagnosis.localization import excess_of
+from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.policy import Thresholds
-from equimus_ctrl.diagnosis.residual_force import Flexible, Linear, flexible, judged, linear
+from equimus_ctrl.diagnosis.residual_force import ForceCandidate, Linear, force_candidates, judged, linear
 from equimus_ctrl.diagnosis.results import Unexplained
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
@@ -26,11 +26,11 @@ from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.types import Array
 
 TRIED = 5
-"""So many pushes, the best on trials left out, may stand in for an effect."""
+"""So many residual forces, the best in cross-validation, may replace an effect."""
 MOST = 3
-"""How many pushes are told at most."""
+"""How many residual forces are reported at most."""
 UNTOLD = 1e-4
-"""Part of a push of which the free parameters leave less than this share is not told."""
+"""A component of a force is not reported where the parameters' Jacobian leaves less than this share orthogonal."""
 REFIT = 12
 """Steps of a fit to everything, what was held out too."""
 POINTS = 61
@@ -38,20 +38,20 @@ CONFIDENT = 1.96
 
 
 @dataclass(frozen=True, eq=False)
-class Remainder:
-    """What is left.
+class ResidualAnalysis:
+    """Analysis of the residuals of a hypothesis.
 
     Attributes:
         unexplained: forces that nothing named explains, strongest first.
-        superfluous: places of parts of the hypothesis that such a push explains as well or better.
+        redundant: places of parts of the hypothesis that such a force explains as well or better.
     """
 
     unexplained: tuple[Unexplained, ...]
-    superfluous: tuple[int, ...]
+    redundant: tuple[int, ...]
 
 
-def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted]) -> Remainder:
-    """Look for what a fitted hypothesis leaves.
+def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted]) -> ResidualAnalysis:
+    """Find residual forces in the residuals of a fitted hypothesis.
 
     Args:
         data: what was measured.
@@ -61,23 +61,23 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
     """
     at = linear(data, best, best.noise)
     if at is None:
-        return Remainder((), ())
-    whole_instead = Remainder((), tuple(range(len(best.hypothesis))))
-    # Where errors add up, a model without its effects is too far off for forces to first order along its motion.
-    near = data.free.model.robot.traits.held_in_place
-    if near and _imitated(data, base, best):
-        # Anything can be imitated by enough effects; one push that does it alone is the simpler story.
-        return whole_instead
+        return ResidualAnalysis((), ())
+    all_redundant = ResidualAnalysis((), tuple(range(len(best.hypothesis))))
+    # Where errors add up, the residuals without the effects are too large for forces to first order along the motion.
+    held_in_place = data.free.model.robot.traits.held_in_place
+    if held_in_place and _reproduced(data, base, best):
+        # Enough effects reproduce anything; a single force that does so is the simpler explanation.
+        return all_redundant
     taken = _squares(data, base, best) - _squares(data, best, best)
     limits, n = data.limits, data.n
 
     def least(t: Thresholds) -> float:
         return max(t.residual_gain, t.residual_share * n)
 
-    found: list[tuple[Flexible, Array]] = []
+    found: list[tuple[ForceCandidate, Array]] = []
     extra: Array | None = None
     for _ in range(MOST):
-        ranked = flexible(at, extra)
+        ranked = force_candidates(at, extra)
         top = ranked[0]
         whole = max(taken, 0.0) + sum(f.found.gain for f, _ in found) + top.found.gain
         if limits.decides(partial(_but_a_trace, judged(top.found, at), top.found.gain, whole, least)):
@@ -85,41 +85,47 @@ def remainder(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted])
         columns = at.columns[next(k for k, g in enumerate(at.groups) if g is top.group)]
         found.append((top, columns))
         extra = columns if extra is None else np.column_stack([extra, columns])
-    shadows: tuple[int, ...] = ()
-    if near:
+    confounded_places: tuple[int, ...] = ()
+    if held_in_place:
         own = _squares(data, best, best)
-        shadows = shadowed(at, [_squares(data, fitted, best) - own for fitted in without], taken, least, limits)
+        confounded_places = confounded(
+            at, [_squares(data, fitted, best) - own for fitted in without], taken, least, limits
+        )
     if not found:
-        return Remainder(_much(data, best), shadows)
-    if not near and _imitated(data, base, best):
-        # So a push is no measure of effects that leave nothing.
-        return whole_instead
-    replaced = _superfluous(data, best, without, found[0][0].found.gain)
-    superfluous = tuple(sorted({*shadows, *replaced, *_barely(data, best)}))
+        return ResidualAnalysis(_much(data, best), confounded_places)
+    if not held_in_place and _reproduced(data, base, best):
+        # So residual forces do not decide on effects that leave no residuals.
+        return all_redundant
+    replaced = _redundant(data, best, without, found[0][0].found.gain)
+    redundant = tuple(sorted({*confounded_places, *replaced, *_barely(data, best)}))
     total = sum(f.found.gain for f, _ in found)
-    told = tuple(_told(data, at, f, columns, f.found.gain / total, least(limits)) for f, columns in found)
-    return Remainder(told, superfluous)
+    residual_forces = tuple(
+        _residual_force(data, at, f, columns, f.found.gain / total, least(limits)) for f, columns in found
+    )
+    return ResidualAnalysis(residual_forces, redundant)
 
 
 def _but_a_trace(fall: float, gain: float, whole: float, least: Callable[[Thresholds], float], t: Thresholds) -> bool:
-    """Whether a push explains too little to be told."""
+    """Whether a residual force explains too little to be reported."""
     return fall < least(t) or gain < t.trace * whole
 
 
 def _much(data: Data, best: Fitted) -> tuple[Unexplained, ...]:
-    """Joints whose error is far above the noise, though no push that was looked for explains it.
+    """Joints whose residuals are far above the noise, though no residual force that was tried explains them.
 
-    Where a robot is held in place some push, to first order, explains all that is missing.
+    Where a robot is held in place, some force explains all missing physics to first order.
     """
     if data.free.model.robot.traits.held_in_place:
         return ()
     return _far_off(data, best.fit.residuals, best.noise)
 
 
-def not_borne_out(data: Data, best: Fitted, validation: Sequence[Segment], residuals: Sequence[Array]) -> Remainder:
-    """Joints whose error on trials held out is far above the noise, whatever numbers the best hypothesis is given.
+def not_confirmed(
+    data: Data, best: Fitted, validation: Sequence[Segment], residuals: Sequence[Array]
+) -> ResidualAnalysis:
+    """Joints whose residuals on held-out trials are far above the noise, whatever parameters the best hypothesis has.
 
-    Enough effects at their bounds can imitate what was fitted; what was held out then tells that they are not it.
+    Enough effects at their bounds can reproduce the fitted trials; the held-out ones then reject them.
 
     Args:
         data: what was fitted.
@@ -128,21 +134,21 @@ def not_borne_out(data: Data, best: Fitted, validation: Sequence[Segment], resid
         residuals: for each of these (m, nj) what the hypothesis leaves there [rad].
     """
     if not validation or not _far_off(data, residuals, best.noise):
-        return Remainder((), ())
+        return ResidualAnalysis((), ())
     whole = replace(data, segments=[*data.segments, *validation])
     starts, _ = followed(best.fit.model, validation, data.simulator)
     begin = (best.fit.theta, [*best.fit.starts, *starts])
     try:
-        refitted = whole.rough(best.hypothesis, [begin], best.noise, REFIT, 1e-5)
+        refitted = whole.coarse_fit(best.hypothesis, [begin], best.noise, REFIT, 1e-5)
     except SimulationDiverged:
         left = residuals
     else:
         left = refitted.fit.residuals[len(data.segments) :]
-    return Remainder(tuple(replace(o, on_validation=True) for o in _far_off(data, left, best.noise)), ())
+    return ResidualAnalysis(tuple(replace(o, on_validation=True) for o in _far_off(data, left, best.noise)), ())
 
 
 def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Unexplained, ...]:
-    excess, limits = excess_of(residuals, noise), data.limits
+    excess, limits = excess_variances(residuals, noise), data.limits
     nothing = np.empty(0)
     return tuple(
         Unexplained(
@@ -157,8 +163,8 @@ def _above(excess: float, t: Thresholds) -> bool:
     return excess > t.far_off
 
 
-def _imitated(data: Data, base: Fitted, best: Fitted) -> bool:
-    """Whether one flexible push explains what several named effects do together, or one that strains its bounds."""
+def _reproduced(data: Data, base: Fitted, best: Fitted) -> bool:
+    """Whether one residual force explains as much as several effects together, or as one at its bounds."""
     if len(best.hypothesis) < 2 and not (best.hypothesis and strained(data, best)):
         return False
     return _stands_in(
@@ -169,13 +175,13 @@ def _imitated(data: Data, base: Fitted, best: Fitted) -> bool:
 def _stands_in(
     data: Data, without: Fitted, best: Fitted, gap: float, share: Callable[[Thresholds], float], tried: int
 ) -> bool:
-    """Whether one of the best flexible pushes, added to a hypothesis, explains this share of a fall of χ²."""
+    """Whether one of the best residual forces, added to a hypothesis, explains this share of a fall of χ²."""
     at = linear(data, without, best.noise)
     if at is None:
         return False
     at_joints = not data.free.model.robot.traits.forces_along_actuators
-    pushes = [(push.found.gain, restates(push.group, best.hypothesis, at_joints)) for push in flexible(at)]
-    others = [(gain, restated) for gain, restated in pushes if restated != "same"][:tried]
+    forces = [(force.found.gain, restates(force.group, best.hypothesis, at_joints)) for force in force_candidates(at)]
+    others = [(gain, restated) for gain, restated in forces if restated != "same"][:tried]
     return data.limits.decides(
         lambda t: any(gain > (t.replaces_restated if restated else share(t)) * gap for gain, restated in others)
     )
@@ -199,8 +205,8 @@ def strained(data: Data, fitted: Fitted) -> bool:
     return False
 
 
-def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: float) -> tuple[int, ...]:
-    """Parts in whose place one flexible push explains as much as they do together with the push that is left."""
+def _redundant(data: Data, best: Fitted, without: Sequence[Fitted], left: float) -> tuple[int, ...]:
+    """Parts in whose place one residual force explains as much as the part and the remaining force together."""
     own = _squares(data, best, best)
     return tuple(
         k
@@ -210,7 +216,7 @@ def _superfluous(data: Data, best: Fitted, without: Sequence[Fitted], left: floa
 
 
 def _barely(data: Data, best: Fitted) -> tuple[int, ...]:
-    """Parts that are hardly what their names say."""
+    """Parts at parameters that strain their laws, see ``Effect.barely``."""
     seen = seen_places(data.free.model, data.segments)
     return tuple(
         k
@@ -219,16 +225,18 @@ def _barely(data: Data, best: Fitted) -> tuple[int, ...]:
     )
 
 
-def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, threshold: float) -> Unexplained:
+def _residual_force(
+    data: Data, at: Linear, top: ForceCandidate, columns: Array, share: float, threshold: float
+) -> Unexplained:
     group = top.group
     joint = _joint(at, group, top.found)
     axis = group.axes[0] if len(group.axes) == 1 else None
-    x = push = band = np.empty(0)
+    x = force = band = np.empty(0)
     if axis is not None:
         x = np.linspace(*axis.range, POINTS)
-        push, band = _curve(at, columns, axis, x)
+        force, band = _curve(at, columns, axis, x)
     names = {"joint": data.free.model.robot.joint_names, "actuator": data.free.model.robot.actuator_names}
-    places = tuple(names[kind][i] for kind, i in group.pushes)
+    places = tuple(names[kind][i] for kind, i in group.forces)
     unit = place_unit(data.free.model, f"{_unit('N·m', group)} | {_unit('N', group)}", places[0])
     return Unexplained(
         joint,
@@ -241,20 +249,20 @@ def _told(data: Data, at: Linear, top: Flexible, columns: Array, share: float, t
         axis.name if axis else "",
         axis.unit if axis else "",
         x,
-        push,
+        force,
         band,
     )
 
 
-def _unit(push: str, group: Group) -> str:
+def _unit(force: str, group: Group) -> str:
     kind = group.factor.partition(".")[0]
-    return {"": push, "vel": f"{push}·s/rad", "rate": f"{push}·s/m", "cmd": f"{push}/Pa", "len": f"{push}/m"}.get(
-        kind, push
+    return {"": force, "vel": f"{force}·s/rad", "rate": f"{force}·s/m", "cmd": f"{force}/Pa", "len": f"{force}/m"}.get(
+        kind, force
     )
 
 
 def _joint(at: Linear, group: Group, found: Explained) -> str:
-    """The joint on which the push works hardest, of those it acts on."""
+    """The joint on which the force does the most work, of those it acts on."""
     joints = at.fitted.fit.model.robot.joint_names
     work = np.zeros(len(joints))
     for torque, motion in zip(group.torques(at.motions), at.motions, strict=True):
@@ -266,9 +274,9 @@ def _joint(at: Linear, group: Group, found: Explained) -> str:
 
 
 def _curve(at: Linear, columns: Array, axis: Axis, x: Array) -> tuple[Array, Array]:
-    """(n,) the push over its coordinate and half the width of its 95 % interval, both without their means.
+    """(n,) the force over its coordinate and half the width of its 95 % interval, both without their means.
 
-    What the free parameters could do as well is not told by the data, and left out of both.
+    Both are without the component along the parameters' Jacobian, which the data do not identify.
     """
     beside = Nuisance.of(at.weighing.slopes)
     free = beside.without(columns)

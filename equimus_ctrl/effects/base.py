@@ -43,7 +43,7 @@ class Effect:
     """Whether it is tried with the same parameters at all places of a kind too, as for parts built alike."""
     nothing: ClassVar[float | None] = 0.0
     """See ``grows_from``."""
-    jumps: ClassVar[tuple[str, ...]] = ()
+    discontinuous: ClassVar[tuple[str, ...]] = ()
     """Discontinuous parameters: the predictions are piecewise constant in them, so fits scan a grid."""
     robots: ClassVar[tuple[str, ...]] = ("elastic",)
     """Kinds of robots that can have it: ``elastic`` (morphologies with elastic actuators), ``mjcf`` (MuJoCo's XML)."""

@@ -309,7 +309,7 @@ class Cutoff(CompiledShaping):
     nothing = None
     exclusive = "cutoff"
     order = CUTOFF
-    jumps = ("least",)
+    discontinuous = ("least",)
     leg_sizes = (Size("least", 300.0, 6e3, "0.7 to 15 % of the range"),)
     leg_alike = True
     least: float = parameter("Pa", 0.0, 5e4, "the smallest command that the valve follows")

@@ -46,7 +46,7 @@ class Refits:
                 # The missing physics may have biased the refitted model far.
                 begin.append((np.concatenate([self.data.free.start, s.begin[own:]]), fitted.fit.starts))
             try:
-                found.append(self.data.rough(s.hypothesis, begin, weights, STEPS))
+                found.append(self.data.coarse_fit(s.hypothesis, begin, weights, STEPS))
             except SimulationDiverged:  # so it cannot be what happened
                 continue
         return found

@@ -71,8 +71,8 @@ def unexplained_panel(scene: Scene, left: Unexplained) -> Panel | None:
     if not left.axis or len(left.x) == 0:
         return None
     along = reading(left.axis_unit, float(np.abs(left.x).max()))
-    unit = reading(left.unit, float(np.abs(left.push).max()))
-    x, y, half = left.x * along.factor, left.push * unit.factor, left.band * unit.factor
+    unit = reading(left.unit, float(np.abs(left.force).max()))
+    x, y, half = left.x * along.factor, left.force * unit.factor, left.band * unit.factor
     values = scene.values(left.axis)
     return Panel(
         f"at {' and '.join(left.places)}",

@@ -187,7 +187,7 @@ def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     rows = []
     for finding in diagnosis.findings:
         e = finding.evidence
-        gains = (number(e.gain), number(e.threshold), power_of_ten(e.log10_chance), number(e.validation_gain))
+        gains = (number(e.gain), number(e.threshold), power_of_ten(e.log10_p_value), number(e.validation_gain))
         rows.append((short(finding.named), *gains, percent(e.share), percent(e.validation_share)))
     sentences = [sentence(finding, diagnosis.model) for finding in diagnosis.findings]
     shown = [
@@ -253,7 +253,7 @@ def _parameters(diagnosis: Diagnosis) -> str:
 def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     if not diagnosis.ranking:
         return ""
-    marks = dict.fromkeys(diagnosis.doubtful, "fits best, rejected")
+    marks = dict.fromkeys(diagnosis.rejected, "fits best, rejected")
     marks |= {other: f"not distinguishable from {short(f.named)}" for f in diagnosis.findings for other in f.equivalent}
     marks |= {f.named: "found" for f in diagnosis.findings}
     rows = [

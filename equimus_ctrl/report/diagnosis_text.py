@@ -58,7 +58,7 @@ def states(diagnosis: Diagnosis) -> tuple[str, ...]:
 
 def against_noise(diagnosis: Diagnosis) -> list[str]:
     """The size of the residuals: normalised RMSE of all joints together, and each joint's RMSE."""
-    sizes = {state: math.sqrt(1.0 + max(diagnosis.excess[state], 0.0)) for state in diagnosis.excess}
+    sizes = {state: math.sqrt(1.0 + max(diagnosis.excess_variance[state], 0.0)) for state in diagnosis.excess_variance}
     text = f"Normalised RMSE on the fitted trials (1 is the noise): nominal {number(sizes['nominal'])}"
     text += f", refitted {number(sizes['refitted'])}"
     if diagnosis.findings:
@@ -94,11 +94,11 @@ def headline(diagnosis: Diagnosis) -> str:
     else:
         of = zip(diagnosis.joints, before, shown, strict=True)
         parts = [f"{number(size * unit.factor)} {unit.unit} at the {joint}" for joint, size, unit in of]
-    told = f"the error {'changes by' if diagnosis.findings else 'is'} {listed(parts)}"
+    text = f"the error {'changes by' if diagnosis.findings else 'is'} {listed(parts)}"
     n = len({s.recording for s in segments})
     who = f"On the {part} trial" if n == 1 else f"On the {n} {part} trials"
     seen = "no fit and no choice has seen" if part == "test" else "not fitted, though they chose"
-    return f"{who}, {'which ' * (part == 'test')}{seen}, {told}."
+    return f"{who}, {'which ' * (part == 'test')}{seen}, {text}."
 
 
 def _fall(joint: str, before: float, after: float, unit: Reading) -> str:
@@ -112,7 +112,7 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
     """The evidence for a finding."""
     e = diagnosis.findings[k].evidence
     text = f"−2 log likelihood falls by {number(e.gain)} (threshold {number(e.threshold)}), p-value "
-    text += power_of_ten(e.log10_chance)
+    text += power_of_ten(e.log10_p_value)
     if math.isfinite(e.validation_gain):
         text += f"; on validation trials by {number(e.validation_gain)}"
     text += f"; explains {percent(e.share)} of the excess residual variance"
@@ -122,8 +122,8 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
 def remains(diagnosis: Diagnosis) -> list[str]:
     """What none of the findings explains, and effects that were rejected because of it."""
     lines = [_left(left, diagnosis.model) for left in diagnosis.unexplained]
-    if diagnosis.doubtful:
-        named = listed([short(named) for named in diagnosis.doubtful])
+    if diagnosis.rejected:
+        named = listed([short(named) for named in diagnosis.rejected])
         lines.append(f"Of the known effects, {named} fits best, but no better than an unstructured residual force.")
     return lines
 
@@ -137,9 +137,9 @@ def _left(left: Unexplained, model: Model) -> str:
         )
     at = f" at {listed(left.places)}" if set(left.places) != {left.location} else ""
     size = ""
-    if left.axis and len(left.push):
-        k = int(np.argmax(np.abs(left.push)))
-        largest, half = float(abs(left.push[k])), float(left.band[k])
+    if left.axis and len(left.force):
+        k = int(np.argmax(np.abs(left.force)))
+        largest, half = float(abs(left.force[k])), float(left.band[k])
         size = f", up to {estimate_text(Estimate(largest, largest - half, largest + half, left.unit))}"
     return (
         f"At the {left.location}: a residual force{at} that depends on {coordinate(left.depends_on, model)}{size}; "
@@ -220,8 +220,8 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     if diagnosis.engine.reason:
         say(diagnosis.engine.sentence, style="dim")
     head(verdict(diagnosis))
-    if told := headline(diagnosis):
-        say(told)
+    if text := headline(diagnosis):
+        say(text)
     first, *joints = against_noise(diagnosis)
     say(first)
     for line in joints:
