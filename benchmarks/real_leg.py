@@ -84,7 +84,7 @@ def tell(found: Diagnosis, rows: dict[str, dict[str, list[float]]]) -> None:
     for left in found.unexplained:
         print(f"  unexplained at {left.location}: goes with {left.depends_on or 'nothing that was looked for'}")
     for named in found.rejected:
-        print(f"  doubtful: {named}")
+        print(f"  rejected: {named}")
     for kind, states in rows.items():
         for joint, name in enumerate(found.joints):
             told = " → ".join(f"{states[state][joint]:.4f}" for state in STATES)

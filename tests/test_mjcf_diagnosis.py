@@ -321,10 +321,10 @@ def test_short_windows_go_with_how_quick_a_motion_is() -> None:
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
     model = Model(robot)
     parts = split(model, recorded(model))
-    lengths = {round(float(s.trial.sample_times[-1] - s.trial.start), 1) for s in parts.near}
-    assert len(parts.train) == 2 and parts.near and lengths <= {0.5, 1.0, 2.0}
-    assert sum(s.measured.size for s in parts.near) == sum(s.measured.size for s in parts.train)
-    assert not split(model, recorded(model), shoot=0.5).near
+    lengths = {round(float(s.trial.sample_times[-1] - s.trial.start), 1) for s in parts.short_segments}
+    assert len(parts.train) == 2 and parts.short_segments and lengths <= {0.5, 1.0, 2.0}
+    assert sum(s.measured.size for s in parts.short_segments) == sum(s.measured.size for s in parts.train)
+    assert not split(model, recorded(model), shoot=0.5).short_segments
 
 
 def test_identification_gives_numbers_with_intervals() -> None:

@@ -95,11 +95,11 @@ def judged(monkeypatch: pytest.MonkeyPatch, refused: Sequence[tuple[frozenset[st
 
     monkeypatch.setattr(confirmation, "Judge", lambda *a: None)
     monkeypatch.setattr(confirmation, "_carried_over", borne_out)
-    return SimpleNamespace(validation=[1], train=(), near=(), other=None)
+    return SimpleNamespace(validation=[1], train=(), short_segments=(), other=None)
 
 
 def ended(known: Known, *labels: str) -> Searched:
-    """An end with these parts; rivals are those with another in a part's place."""
+    """An end with these parts; alternatives are those with another in a part's place."""
     rest = [[other for other in labels if other != label] for label in labels]
     own = OnPaper(known)
     alternatives = tuple(
@@ -123,7 +123,7 @@ def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none
     assert [r.labels for r in end.alternatives[0]] == [{RUB}]
 
 
-def test_what_is_left_of_two_parts_has_rivals_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_left_of_two_parts_has_alternatives_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known({(): 5000.0, (DEAD,): 1500.0, (FULL,): 1502.0, (OFF,): 4000.0, (DEAD, OFF): 1000.0,
                    (FULL, OFF): 1003.0})  # fmt: skip
     search, found = OnPaper(known), ended(known, DEAD, OFF)

@@ -2,6 +2,7 @@
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, make, parameter, parse, register
 from equimus_ctrl.effects.bodies import BodyEffect, GravityTilt, JointStop, PayloadMass
+from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.drives import (
     ActuatorGain,
     AsymmetricDamping,
@@ -27,7 +28,6 @@ from equimus_ctrl.effects.force import (
 from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sensors import Backlash, SensorDelay, SensorEffect, SensorOffset, SensorScale
 from equimus_ctrl.effects.sizes import Share, Size
-from equimus_ctrl.effects.telling import Curve, Told
 from equimus_ctrl.effects.valves import (
     AsymmetricLag,
     Cutoff,
@@ -56,6 +56,7 @@ __all__ = [
     "Curve",
     "Cutoff",
     "DeadZone",
+    "Description",
     "DriveCompliance",
     "DrivePlay",
     "Effect",
@@ -83,7 +84,6 @@ __all__ = [
     "Size",
     "StribeckFriction",
     "SupplyCoupling",
-    "Told",
     "TorqueSaturation",
     "TransportDelay",
     "ValveEffect",

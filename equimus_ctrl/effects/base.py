@@ -9,9 +9,9 @@ from itertools import product
 from numbers import Real
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
+from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import LAWS, WHOLES, Share, Size
-from equimus_ctrl.effects.telling import Curve, Told
 from equimus_ctrl.errors import ConfigError, unknown_name
 
 Side = Literal["command", "force", "measurement"]
@@ -137,7 +137,7 @@ class Effect:
         return False
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         """What a report says of it where it was found; by default its summary with all numbers."""
         what = cls.summary[:1].upper() + cls.summary[1:].rstrip(".")
         return f"{what}, at {t.at}: {t.numbers}."

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol, Self, TypeVar
 
 from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import Share, Size
-from equimus_ctrl.effects.telling import Told
 
 
 class Robot(Protocol):
@@ -86,7 +86,7 @@ class PayloadMass(BodyEffect):
         return robot.with_payload(self.location, self.mass)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"At {t.robot.carrying_point(t.places[0])} sits a mass of {t['mass']} that is not in the model."
 
 
@@ -111,7 +111,7 @@ class GravityTilt(BodyEffect):
         return {"tilt": robot.tilt + self.angle}
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"The base is not level: gravity leans by {t['angle']} against the model's."
 
 
@@ -178,7 +178,7 @@ class JointStop(BodyEffect):
         return "lower" if self.angle < robot.middle(self.location) else "upper"
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         place, robot = t.places[0], t.robot
         joint, lower = robot.joint(place), t.value("angle") < robot.middle(place)
         side, modelled = ("lower", joint.lower) if lower else ("upper", joint.upper)

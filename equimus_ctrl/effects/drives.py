@@ -14,10 +14,10 @@ import casadi as ca
 
 from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.bodies import BodyEffect
+from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.force import ForceEffect, Parameters
 from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import Share
-from equimus_ctrl.effects.telling import Told
 
 SOFT = 1.0
 """Frequency of a joint on its drive's spring below which the drive would not drive it [Hz]."""
@@ -47,7 +47,7 @@ class ViscousFriction(ForceEffect):
         return -p["damping"] * rate
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"Friction at {t.the} in proportion to speed, of {t['damping']}{t.one_or('', ' each')}."
 
 
@@ -71,7 +71,7 @@ class QuadraticDamping(ForceEffect):
         return -p["drag"] * rate * ca.fabs(rate)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"A drag at {t.the} that grows with the square of speed, of {t['drag']}{t.one_or('', ' each')}."
 
 
@@ -94,7 +94,7 @@ class AsymmetricDamping(ForceEffect):
         return -p["difference"] * ca.fabs(rate) / 2
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         more = "forwards" if t.value("difference") > 0 else "backwards"
         size = t.scaled("difference", t.unit("difference"), math.copysign(1.0, t.value("difference")))
         return f"Viscous friction at {t.the} is larger {more}, by {size}."
@@ -140,7 +140,7 @@ class AsymmetricFriction(ForceEffect):
         return max(values.values()) < UNLIKE * min(values.values())
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         sizes = f"{t['forward']} forwards and {t['backward']} backwards"
         return f"Dry friction at {t.the} differs between directions: {sizes}."
 
@@ -163,7 +163,7 @@ class LoadFriction(ForceEffect):
         return p["share"] * load
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         share = t.scaled("share", "%", 100.0)
         return f"Dry friction at {t.the} of {share} of the drive's force: a gear's losses."
 
@@ -187,7 +187,7 @@ class ConstantForce(ForceEffect):
         return p["size"]
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"A constant force on {t.the} of {t['size']}."
 
 
@@ -228,7 +228,7 @@ class DriveCompliance(BodyEffect):
         return robot.with_compliance(self.location, self.stiffness, self.damping, 0.0)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return (
             f"Between {t.the} and its drive there is a spring of {t['stiffness']} with a damping of {t['damping']}: "
             "the drive gives way."
@@ -257,7 +257,7 @@ class DrivePlay(BodyEffect):
         return robot.with_play(self.location, self.play)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"Between {t.the} and its drive there is a play of {t['play']}."
 
 
@@ -287,7 +287,7 @@ class ActuatorGain(BodyEffect):
         return robot.with_gain(self.location, self.factor)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         side = "more" if t.value("factor") > 1 else "less"
         size = t.scaled("factor", "%", math.copysign(100.0, t.value("factor") - 1), 1.0)
         return f"{t.at} {t.one_or('exerts', 'exert')} {size} {side} force than the model says."
@@ -319,5 +319,5 @@ class TorqueSaturation(BodyEffect):
         return robot.with_limit(self.location, self.level)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"{t.actuation} {t.one_or('stops', 'stop')} growing at {t['level']}: a saturation."

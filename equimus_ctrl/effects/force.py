@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, Robots, parameter, register
+from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import Share, Size
-from equimus_ctrl.effects.telling import Curve, Told
 from equimus_ctrl.errors import ConfigError
 
 Parameters = Mapping[str, ca.SX]
@@ -200,7 +200,7 @@ class CoulombFriction(ForceEffect):
         return True
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         if t.places[0] in t.robot.joint_names:
             return f"Dry friction at {t.the} of {t['friction']}{t.one_or('', ' each')}."
         return f"Dry friction along {t.at} of {t['friction']}{t.one_or('', ' each')}."
@@ -250,7 +250,7 @@ class StribeckFriction(ForceEffect):
         return values["breakaway"] < values["friction"] / 3
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return (
             f"Dry friction at {t.the} of {t['friction']} in fast motion and {t['breakaway']} more at rest, half of it "
             f"gone at {t['velocity']}: static friction above the sliding one."
@@ -291,7 +291,7 @@ class ParallelSpring(ForceEffect):
         return -p["stiffness"] * (x - p["rest"])
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"A spring of {t['stiffness']} beside {t.the} that is not in the model, at rest at {t['rest']}."
 
 
@@ -328,7 +328,7 @@ class NonlinearStiffness(ForceEffect):
         return -p["cubic"] * (x - p["centre"]) ** 3
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         cubic = t.value("cubic")
         what = "stiffens" if cubic > 0 else "softens"
         return (
@@ -362,7 +362,7 @@ class NarrowingArea(ForceEffect):
         return 1 / ca.fmax(left, LEAST_LEFT) - 1
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         loss = t.value("loss")
         what = f"{t.one_or('shrinks', 'shrink')} as {t.one_or('it lengthens', 'they lengthen')}"
         if loss < 0:
@@ -414,7 +414,7 @@ class Creep(ForceEffect):
         return (x,)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         who = t.one_or(f"{t.at} creeps", f"{t.at} creep")
         return f"{who}: beside the modelled spring {t['stiffness']} relax with a time constant of {t['time_constant']}."
 
@@ -455,7 +455,7 @@ class Hysteresis(ForceEffect):
         return (ca.SX(0),)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         force = t.one_or(f"The force of {t.at} depends", f"The forces of {t.at} depend")
         return f"{force} on the path of the length: a hysteresis of ±{t['size']} that builds up over {t['width']}."
 

@@ -11,9 +11,9 @@ import numpy as np
 from numba import njit
 
 from equimus_ctrl.effects.base import Effect, parameter, register
+from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import Share, Size
-from equimus_ctrl.effects.telling import Told
 from equimus_ctrl.types import Array
 
 OFFSET, SCALE, SENSOR_DELAY, PLAY = 0, 1, 2, 3
@@ -52,7 +52,7 @@ class SensorOffset(SensorEffect):
         sensor[OFFSET] = self.offset
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         too = "much" if t.value("offset") > 0 else "little"
         size = t.scaled("offset", t.unit("offset"), math.copysign(1.0, t.value("offset")))
         return f"The measured {t.noun} of {t.the} is {size} too {too}: a sensor's offset."
@@ -80,7 +80,7 @@ class SensorScale(SensorEffect):
         sensor[SCALE] = self.scale
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         too = "much" if t.value("scale") > 1 else "little"
         size = t.scaled("scale", "%", math.copysign(100.0, t.value("scale") - 1), 1.0)
         return f"The measured {t.noun} of {t.the} is {size} too {too}: a sensor's scale."
@@ -103,7 +103,7 @@ class SensorDelay(SensorEffect):
         sensor[SENSOR_DELAY] = self.delay
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"The measured {t.noun} of {t.the} is {t['delay']} older than its time stamp: a sensor's delay."
 
 
@@ -124,7 +124,7 @@ class Backlash(SensorEffect):
         sensor[PLAY] = self.play
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         sensor = t.one_or("its sensor", "their sensors")
         return f"Between {t.the} and {sensor} there is a play of {t['play']}."
 

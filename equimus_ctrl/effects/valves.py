@@ -15,9 +15,9 @@ import numpy as np
 
 from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.command import COUPLING, CUTOFF, DEAD_ZONE, REFERENCE, SATURATION, shape_column
+from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import Share, Size
-from equimus_ctrl.effects.telling import Told
 from equimus_ctrl.types import Array
 
 DELAY, FILL, VENT, RATE, FLOW, POWER = range(6)
@@ -91,7 +91,7 @@ class TransportDelay(ValveEffect):
         return True  # with those of the XML, as the delay of its drive
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"Every command reaches {t.at} {t['delay']} after it was given: a transport delay."
 
 
@@ -125,7 +125,7 @@ class FirstOrderLag(ValveEffect):
         return True
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         verb = t.one_or("follows its command", "follow their commands")
         return f"{t.actuation} {verb} with a time constant of {t['time_constant']}."
 
@@ -164,7 +164,7 @@ class AsymmetricLag(ValveEffect):
         return abs(math.log(values["fill"] / values["vent"])) < math.log(1.5)
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         rises, falls = t.one_or("rises", "rise"), t.one_or("falls", "fall")
         return f"{t.actuation} {rises} with a time constant of {t['fill']} and {falls} with one of {t['vent']}."
 
@@ -186,7 +186,7 @@ class RateLimit(ValveEffect):
         valve[RATE] = self.rate
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"{t.actuation} {t.one_or('changes', 'change')} no faster than {t['rate']}: the flow is limited."
 
 
@@ -224,7 +224,7 @@ class FillingFlow(ValveEffect):
         valve[FLOW], valve[POWER] = self.rate, self.power
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return (
             f"{t.actuation} {t.one_or('rises', 'rise')} no faster than {t['rate']} under a command of 10 kPa, and as "
             f"its power {t['power']} under others: the flow grows with the command."
@@ -250,7 +250,7 @@ class DeadZone(CompiledShaping):
         return [{"threshold": share * seen.command} for share in (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.26, 0.34)]
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         who = t.one_or(f"The valve of {t.at} loses", f"The valves of {t.at} each lose")
         return f"{who} the first {t['threshold']} of every command: a dead zone."
 
@@ -269,7 +269,7 @@ class SupplyCoupling(CompiledShaping):
     share: float = parameter("1", 0.0, 1.0, "pressure lost for each pressure that the others ask for")
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         lost = t.scaled("share", "%", 100.0)
         return f"{t.actuation} {t.one_or('falls', 'fall')} by {lost} of what is asked of the others: a shared supply."
 
@@ -295,7 +295,7 @@ class Saturation(CompiledShaping):
         return [{"level": share * seen.command} for share in (0.97, 0.92, 0.86, 0.8, 0.72, 0.64, 0.56, 0.48, 0.4, 0.33)]
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         return f"{t.actuation} {t.one_or('stops', 'stop')} rising at {t['level']}: a saturation."
 
 
@@ -305,7 +305,7 @@ class Cutoff(CompiledShaping):
     """u' = u where u ≥ least, else 0."""
 
     name = "cutoff"
-    summary = "the valve stays shut below a least command, and follows it in full above"
+    summary = "threshold with jump: the valve stays shut below a least command, and follows it in full above"
     nothing = None
     exclusive = "cutoff"
     order = CUTOFF
@@ -319,10 +319,10 @@ class Cutoff(CompiledShaping):
         return [{"least": share * seen.command} for share in (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32)]
 
     @classmethod
-    def sentence(cls, t: Told) -> str:
+    def sentence(cls, t: Description) -> str:
         who = t.one_or(f"The valve of {t.at} stays", f"The valves of {t.at} stay")
         follow = t.one_or("follows", "follow")
-        return f"{who} shut under commands below {t['least']}, and {follow} others in full: a cutoff."
+        return f"{who} shut under commands below {t['least']}, and {follow} others in full: a threshold with jump."
 
 
 def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:

@@ -13,7 +13,7 @@ from equimus_ctrl.robots.base import Robot
 
 @dataclass(frozen=True, eq=False)
 class FoundEffect:
-    """A finding as the sentence of its effect sees it, see ``effects.telling.Told``."""
+    """A finding as the sentence of its effect sees it, see ``effects.description.Description``."""
 
     finding: Finding
     model: Model

@@ -1,4 +1,4 @@
-"""What effects say and show of themselves: sentences with numbers that somebody estimated, and curves."""
+"""How effects describe themselves: sentences with estimated parameters, and curves."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, Protocol
 from equimus_ctrl.types import Array
 
 
-class Told(Protocol):
-    """What is told of an effect that was found: where it sits, and its numbers as a person reads them."""
+class Description(Protocol):
+    """What a sentence on an effect can contain: where it acts, and its estimated parameters in readable units."""
 
     @property
     def places(self) -> tuple[str, ...]:
