@@ -1,4 +1,4 @@
-"""What a verb can be told, one class a verb: the command line offers its fields as options, the library takes it whole.
+"""Options of the verbs, one class each: the command line offers its fields as options, the library takes it whole.
 
 A default, its bounds and the line of help stand here and nowhere else.
 """

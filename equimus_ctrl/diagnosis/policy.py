@@ -88,7 +88,7 @@ class Thresholds:
         DEVIANCE,
         "hypotheses with as many parameters that differ by less are not distinguishable",
         "convention",
-        "evidence above 10 is very strong, odds of 150 to 1: Kass & Raftery (1995), 3.2",
+        "evidence above 10 is very strong, a Bayes factor of 150: Kass & Raftery (1995), 3.2",
     )
     indistinguishable_share: float = _decides(
         0.05,

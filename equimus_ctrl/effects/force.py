@@ -110,7 +110,7 @@ class ForceEffect(Effect):
             raise ConfigError(f"{who}: it still exerts a force with its neutral parameters {dict(cls.neutral)}")
 
     def curves(self, robot: Any, seen: Seen) -> tuple[Curve, ...]:
-        """Of what scales an actuator's area that area; nothing else is told by it."""
+        """The effective area over the length, of an effect that scales it; of others no curve of its own."""
         if not self.scales:
             return ()
         rest = next(a for a in robot.actuators if a.name == self.location).rest_length

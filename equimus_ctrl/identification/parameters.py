@@ -94,8 +94,8 @@ class FreeParameters:
         """(p,) θ after a change (p,) within bounds, along which elastic forces change evenly.
 
         An actuator's force is stiffness·rest_length − stiffness·length: the rest length goes such that its product with
-        the stiffness changes in proportion. Else both together would form a long curved valley of the cost, in which
-        searches progress slowly.
+        the stiffness changes in proportion. Else both together would form a long curved minimum of the cost, along
+        which searches progress slowly.
         """
         moved = np.array(theta + change)
         place = {name: i for i, name in enumerate(self.names)}

@@ -230,7 +230,7 @@ class _Builder:
             if any(gear[3:]):
                 length = length + ca.dot(round_about, _rotation_vector(axes[1].T @ axes[0]))
             row = (axes[1] @ straight).T @ (arms[0] - arms[1]) + (axes[1] @ round_about).T @ (turns[0] - turns[1])
-            # MuJoCo leaves out the joints that carry both.
+            # MuJoCo ignores the joints that carry both.
             for k in set(frames.carriers(spots[0].link)) & set(frames.carriers(spots[1].link)):
                 row[k] = 0
             return length, row

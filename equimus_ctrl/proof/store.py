@@ -228,7 +228,7 @@ def make_cases(
         request: what of.
         cases: their numbers.
         workers: processes; 1 makes them in this one.
-        notify: told of each case as it is done; those are kept, whatever ends the work.
+        notify: called with each case as it is done; those are kept, whatever ends the work.
         prepare: done before each case, so that a process of its own knows what this one does; it can be pickled.
 
     Returns:
