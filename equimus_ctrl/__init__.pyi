@@ -41,7 +41,7 @@ from .effects import (
     Size as Size,
     StribeckFriction as StribeckFriction,
     SupplyCoupling as SupplyCoupling,
-    Told as Told,
+    Description as Description,
     TransportDelay as TransportDelay,
     ValveEffect as ValveEffect,
     parameter as parameter,
