@@ -81,7 +81,7 @@ def test_wrong_numbers_and_noise_alone_are_consistent() -> None:
     found = found_in(())
     assert found.verdict == "consistent"
     assert not found.findings and not found.unexplained
-    assert found.excess["nominal"] > 1 and found.excess["corrected"] < 0.01
+    assert found.excess_variance["nominal"] > 1 and found.excess_variance["corrected"] < 0.01
     smallest = {str(d.named): d for d in found.detectable}
     assert 0 < smallest["dead_zone at baa"].size < 500
     assert smallest["dead_zone at baa"].unit == "Pa"
