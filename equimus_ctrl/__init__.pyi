@@ -72,6 +72,7 @@ from .models.mjcf import (
 from .models.model import Model as Model, nominal_model as nominal_model
 from .models.symbolic import symbolic_model as symbolic_model
 from .options import (
+    AutotuneOptions as AutotuneOptions,
     DiagnoseOptions as DiagnoseOptions,
     IdentifyOptions as IdentifyOptions,
     ProveOptions as ProveOptions,

@@ -11,13 +11,14 @@ import pytest
 import typer
 
 from equimus_ctrl import workflow
-from equimus_ctrl.cli import diagnose, identify, prove, score, sensitivity, validate
+from equimus_ctrl.cli import autotune_pid, diagnose, identify, prove, score, sensitivity, validate
 from equimus_ctrl.cli.main import app, main
 from equimus_ctrl.cli.options import filled
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.options import (
     KINDS,
+    AutotuneOptions,
     DiagnoseOptions,
     IdentifyOptions,
     ProveOptions,
@@ -33,6 +34,7 @@ from equimus_ctrl.workflow import prove as proving
 from equimus_ctrl.workflow import validate as validating
 
 VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
+    "autotune-pid": (autotune_pid.autotune_pid, AutotuneOptions, workflow, "tune_pid", []),
     "diagnose": (diagnose.diagnose, DiagnoseOptions, workflow, "diagnose_recordings", ["trials"]),
     "identify": (identify.identify, IdentifyOptions, workflow, "identify_files", ["trials"]),
     "prove": (prove.prove, ProveOptions, proving, "put_to_proof", []),
@@ -47,6 +49,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "baselines": ("--no-baselines", False),
     "bounds": ("--bound a=1,2 --bound b=-1e-3,0", {"a": (1.0, 2.0), "b": (-1e-3, 0.0)}),
     "budget": ("--budget 60", 60.0),
+    "candidates": ("--candidates 12", 12),
     "cases": ("--cases 7", 7),
     "dt": ("--dt 0.002", 0.002),
     "duration": ("--duration 3.5", 3.5),
@@ -55,6 +58,8 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "fit_start": ("--fit-start", True),
     "fix": ("--fix a.mass", ["a.mass"]),
     "folds": ("--folds 0", 0),
+    "folder": ("--results kept", Path("kept")),
+    "fresh": ("--fresh", True),
     "free": ("--free a.* --free b", ["a.*", "b"]),
     "heldout": ("--heldout one --heldout two", ["one", "two"]),
     "kind": ("--kind pair", "pair"),
@@ -62,7 +67,10 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "rate": ("--rate 60", 60.0),
     "shares": ("--share 20 --share -5 --share 20", (-0.05, 0.2)),
     "most": ("--most 2", 2),
+    "output": ("-o mine.toml", Path("mine.toml")),
     "parameters": ("--parameters free.toml", Path("free.toml")),
+    "recordings": ("--recordings trials", Path("trials")),
+    "scenarios": ("--scenario hold --scenario chirp", ["hold", "chirp"]),
     "seed": ("--seed 9", 9),
     "select": ("--select step_*", ["step_*"]),
     "shoot": ("--shoot 2", 2.0),
@@ -134,6 +142,7 @@ def test_defaults_that_other_modules_have_too_are_the_same() -> None:
 @pytest.mark.parametrize(
     ("kind", "changes", "sentence"),
     [
+        (AutotuneOptions, {"workers": 0}, "workers is 0, expected at least 1"),
         (DiagnoseOptions, {"most": 7}, "the largest number of effects is 7, expected 1 to 6"),
         (DiagnoseOptions, {"until": float("nan")}, "the end of what is fitted is nan s, expected a finite time"),
         (DiagnoseOptions, {"threads": 0}, "threads is 0, expected at least 1"),

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from equimus_ctrl.cli.common import ElasticFile, Figures, Json, PluginFiles, people, print_files, print_json
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, time_left
+from equimus_ctrl.options import AutotuneOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,27 +18,13 @@ if TYPE_CHECKING:
     from equimus_ctrl.workflow import TunedPid
 
 
+@with_options(AutotuneOptions)
 def autotune_pid(
     study: Annotated[Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml by default.")] = None,
     model: ElasticFile = None,
     plugins: PluginFiles = None,
-    scenario: Annotated[
-        list[str] | None, typer.Option("--scenario", help="Objective in place of the study's own; may be repeated.")
-    ] = None,
-    candidates: Annotated[int | None, typer.Option(help="Sets of gains to try in all.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the search, the ensemble and the noise.")] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Settings file to write; controllers/pid.toml by default.")
-    ] = None,
-    results: Annotated[
-        Path | None, typer.Option(help="Folder for record, journal and figures; tuning/results/<study> by default.")
-    ] = None,
-    recordings: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder that scenarios may take recordings from; none by default."),
-    ] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Start anew instead of going on where a run stopped.")] = False,
-    workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
+    *,
+    options: AutotuneOptions,
     figures: Figures = True,
     as_json: Json = False,
 ) -> None:
@@ -75,15 +63,8 @@ def autotune_pid(
 
         tuned = workflow.tune_pid(
             study,
-            model=workflow.load_elastic(model),
-            scenarios=scenario or [],
-            candidates=candidates,
-            seed=seed,
-            output=output,
-            folder=results,
-            recordings=recordings,
-            fresh=fresh,
-            workers=workers,
+            workflow.load_elastic(model),
+            options,
             begin=begin,
             notify=notify,
         )

@@ -14,6 +14,7 @@ from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.options import AutotuneOptions, with_changes
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
 from equimus_ctrl.recordings import locate, read_set
@@ -233,35 +234,22 @@ class TunedPid:
 
 def tune_pid(
     study: Path | None = None,
-    *,
     model: Model | None = None,
-    scenarios: Sequence[str] = (),
-    candidates: int | None = None,
-    seed: int | None = None,
-    output: Path | None = None,
-    folder: Path | None = None,
-    recordings: Path | None = None,
-    fresh: bool = False,
-    workers: int | None = None,
+    options: AutotuneOptions | None = None,
+    *,
     begin: Callable[[int], None] = lambda total: None,
     notify: Callable[[Any], None] = lambda trial: None,
+    **changes: Any,
 ) -> TunedPid:
     """Tune the PID of a study and write its settings and record; started again, it goes on where it was stopped.
 
     Args:
         study: a study file; ``tuning/pid.toml`` by default.
         model: the centre of the ensemble; the nominal leg by default.
-        scenarios: objectives in place of the study's own, each of the same weight.
-        candidates: sets of gains to try in all, in place of the study's number.
-        seed: in place of the study's.
-        output: settings file to write; ``controllers/pid.toml`` by default.
-        folder: of the record and the journal; ``tuning/results/<study>`` by default.
-        recordings: folder that scenarios may take recordings from; none by default, so that the same command gives
-            the same gains whether recordings are at hand or not.
-        fresh: do not take up an interrupted run.
-        workers: threads; all cores by default.
+        options: see ``AutotuneOptions``.
         begin: called with the number of candidates before the first.
         notify: called after each candidate.
+        **changes: of the options, one by one.
 
     Raises:
         EquimusError: where an input is wrong, or nothing within the limits was found; nothing is written then.
@@ -269,17 +257,16 @@ def tune_pid(
     from equimus_ctrl.tuning import autotune, journal
     from equimus_ctrl.tuning.study import Objective, study_from_dict
 
-    if workers is not None and workers < 1:
-        raise ConfigError(f"workers is {workers}, expected at least 1")
+    options = with_changes(AutotuneOptions, options, changes)
     path = study or presets.find("tuning", "pid.toml")
     if path is None:
         raise ConfigError("there is no tuning/pid.toml; name a study with --study")
     settings = study_from_dict(presets.read_toml(path), str(path))
-    changes: dict[str, Any] = {"candidates": candidates, "seed": seed}
-    if scenarios:
-        changes["objectives"] = tuple(Objective(name) for name in scenarios)
-    settings = replace(settings, **{key: value for key, value in changes.items() if value is not None})
-    model = model or nominal_model()
+    own: dict[str, Any] = {"candidates": options.candidates, "seed": options.seed}
+    if options.scenarios:
+        own["objectives"] = tuple(Objective(name) for name in options.scenarios)
+    settings = replace(settings, **{key: value for key, value in own.items() if value is not None})
+    model, recordings = model or nominal_model(), options.recordings
     if recordings is not None:
         locate.find_recordings(recordings)
     built = [
@@ -290,19 +277,19 @@ def tune_pid(
     ]
     problem = autotune.make_problem(settings, model, built)
     root = presets.workspace()
-    target = output or root / "controllers" / "pid.toml"
-    results = folder or root / "tuning" / "results" / path.stem
+    target = options.output or root / "controllers" / "pid.toml"
+    results = options.folder or root / "tuning" / "results" / path.stem
     presets.check_toml(target)
     presets.check_folder(results)
     store = presets.JsonLines(
         results / "journal.jsonl",
         {"format": "equimus-ctrl/journal/1", "key": autotune.study_key(settings, problem)},
-        fresh,
+        options.fresh,
     )
     reused = len(store.rows)
     begin(settings.candidates)
     try:
-        result = autotune.autotune(settings, problem, journal.RowJournal(store), notify, workers)
+        result = autotune.autotune(settings, problem, journal.RowJournal(store), notify, options.workers)
     finally:
         store.close()
     record = results / "record.json"
