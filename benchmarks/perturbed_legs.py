@@ -53,8 +53,8 @@ def main() -> None:
 
         options = {**POSE, "duration": f"{given.seconds:g}"}
         found = compare(
-            ["hold"], [controller], ["perturbed"], model=model, draws=given.draws, options=options, seed=given.seed,
-            notify=notify,
+            ["hold"], [controller], ["perturbed"], model=model, draws=given.draws, scenario_options=options,
+            seed=given.seed, notify=notify,
         )  # fmt: skip
         offsets, swings, fallbacks = [], [], 0.0
         for entry in found.entries:

@@ -73,6 +73,7 @@ from .models.model import Model as Model, nominal_model as nominal_model
 from .models.symbolic import symbolic_model as symbolic_model
 from .options import (
     AutotuneOptions as AutotuneOptions,
+    CompareOptions as CompareOptions,
     DiagnoseOptions as DiagnoseOptions,
     IdentifyOptions as IdentifyOptions,
     ProveOptions as ProveOptions,

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from equimus_ctrl.engines.base import EngineName
     from equimus_ctrl.identification.fit import FitSettings
     from equimus_ctrl.recordings import StaticPoses
-    from equimus_ctrl.types import Recording
+    from equimus_ctrl.scenarios.comparison import Condition
+    from equimus_ctrl.types import Controller, Recording
 
     Some = Path | str | Iterable[Path | str] | Sequence[Recording]
     Window = tuple[float, float]
@@ -70,8 +71,10 @@ def with_changes(kind: type[T], options: T | None, changes: Mapping[str, Any]) -
     """Options, by default those of the class, with other values of some fields.
 
     Raises:
-        ConfigError: for a name that is no field, or a value that cannot be.
+        ConfigError: for options of another verb, a name that is no field, or a value that cannot be.
     """
+    if options is not None and not isinstance(options, kind):
+        raise ConfigError(f"options are {type(options).__name__}, expected {kind.__name__}")
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     for name in changes:
         if name not in known:
@@ -97,6 +100,29 @@ def bounds_of(items: Iterable[str]) -> dict[str, tuple[float, float]]:
             raise ConfigError(f"--bound {item!r}: expected name=low,high, such as maa.area=3e-4,5e-4")
         table[name.strip()] = limits
     return table
+
+
+def key_values(items: Iterable[str] | None, flag: str) -> dict[str, str]:
+    """``key=value`` texts as a table.
+
+    Raises:
+        ConfigError: where a text is not of that form.
+    """
+    table: dict[str, str] = {}
+    for item in items or []:
+        key, equals, value = item.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"{flag} {item!r}: expected key=value, such as duration=10")
+        table[key.strip()] = value.strip()
+    return table
+
+
+def _set_of(items: Iterable[str]) -> dict[str, str]:
+    return key_values(items, "--set")
+
+
+def _settings_of(items: Iterable[str]) -> dict[str, Path]:
+    return {name: Path(file) for name, file in key_values(items, "--settings").items()}
 
 
 def _shares_of(percents: Iterable[float]) -> tuple[float, ...]:
@@ -462,6 +488,56 @@ class AutotuneOptions:
     def __post_init__(self) -> None:
         """Check the values; what a study may say is checked as a study's."""
         _at_least("workers", self.workers, 1)
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """How controllers are compared.
+
+    Attributes:
+        controllers: names, ``path.py:Name``, controllers, classes or functions; all that are made for it by default.
+        under: names of ``workflow.compare.CONDITIONS``, or conditions; by default the first ones, and with a corrected
+            model the last ones too.
+        draws: how many perturbed robots.
+        scenario_options: of the scenarios, as text.
+        settings: controller → its settings file.
+        seed: of noise and perturbed robots.
+        recordings: folder to look for recordings in.
+
+    Raises:
+        ConfigError: for a value that cannot be.
+    """
+
+    controllers: Sequence[str | Controller | Callable[..., Any]] | None = option(
+        None,
+        NAMES,
+        "By name or path/to/file.py:Name; repeatable. By default pid, lqr, nmpc, sampling, those of plugins.",
+        "--controller",
+        "-c",
+    )
+    under: Sequence[str | Condition] | None = option(
+        None,
+        NAMES,
+        "nominal, noisy, delayed, unmodelled_delay, perturbed, corrected or uncorrected; repeatable.",
+        "--condition",
+        metavar="NAME",
+    )
+    draws: int = option(3, int, "How many perturbed robots.")
+    scenario_options: Mapping[str, str] | None = option(
+        None, NAMES, "An option of the scenarios.", "--set", metavar="KEY=VALUE", read=_set_of
+    )
+    settings: Mapping[str, Path] | None = option(
+        None, NAMES, "Settings file of a controller (TOML); repeatable.", metavar="NAME=FILE", read=_settings_of
+    )
+    seed: int = option(0, int, "Of noise and perturbed robots.")
+    recordings: Path | None = option(
+        None, Path | None, "Folder with recordings; $EQUIMUS_RECORDINGS by default.", metavar="DIR"
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        _at_least("draws", self.draws, 1)
+        _at_least("seed", self.seed, 0)
 
 
 MOST_RATE = 1e5

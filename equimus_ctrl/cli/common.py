@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.options import key_values as key_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -55,21 +55,6 @@ def print_json(value: Any) -> None:
     from equimus_ctrl.presets import json_text
 
     sys.stdout.write(json_text(value))
-
-
-def key_values(items: list[str] | None, option: str) -> dict[str, str]:
-    """``key=value`` texts as a table.
-
-    Raises:
-        ConfigError: where a text is not of that form.
-    """
-    table: dict[str, str] = {}
-    for item in items or []:
-        key, equals, value = item.partition("=")
-        if not equals or not key:
-            raise ConfigError(f"{option} {item!r}: expected key=value, such as duration=10")
-        table[key.strip()] = value.strip()
-    return table
 
 
 def check_model_file(path: Path | None) -> None:

@@ -12,33 +12,18 @@ from equimus_ctrl.cli.common import (
     Figures,
     Json,
     PluginFiles,
-    Recordings,
-    key_values,
     people,
     print_files,
     print_json,
 )
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import stage_bar
+from equimus_ctrl.options import CompareOptions
 
 
+@with_options(CompareOptions)
 def compare(
     scenarios: Annotated[list[str], typer.Argument(help="Scenarios by name (see: list scenarios) or path.")],
-    controller: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--controller",
-            "-c",
-            help="By name or path/to/file.py:Name; repeatable. By default pid, lqr, nmpc, sampling, those of plugins.",
-        ),
-    ] = None,
-    under: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--condition",
-            metavar="NAME",
-            help="nominal, noisy, delayed, unmodelled_delay, perturbed, corrected or uncorrected; repeatable.",
-        ),
-    ] = None,
     model: ElasticFile = None,
     corrected: Annotated[
         Path | None,
@@ -47,17 +32,9 @@ def compare(
             help="Augmented model from a diagnosis; compares on it too, known and not.",
         ),
     ] = None,
-    draws: Annotated[int, typer.Option(help="How many perturbed robots.")] = 3,
-    option: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="An option of the scenarios.")
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=FILE", help="Settings file of a controller (TOML); repeatable."),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of noise and perturbed robots.")] = 0,
+    *,
+    options: CompareOptions,
     plugins: PluginFiles = None,
-    recordings: Recordings = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder for figures and record; results/compare by default.")
     ] = None,
@@ -83,21 +60,12 @@ def compare(
     workflow.load_plugins(plugins or ())
     folder = output or presets.workspace() / "results" / "compare"
     presets.check_folder(folder)
-    default = ["nominal", "noisy", "delayed", "perturbed"]
-    if corrected is not None:
-        default += ["corrected", "uncorrected"]
     with stage_bar(console, "compare", width=36, bar_width=24) as show:
         found = workflow.compare(
             scenarios,
-            controller or None,
-            under or default,
+            options=options,
             model=workflow.load_elastic(model),
             corrected=workflow.load_elastic(corrected) if corrected is not None else None,
-            draws=draws,
-            options=key_values(option, "--set"),
-            settings={name: Path(file) for name, file in key_values(settings, "--settings").items()},
-            recordings=recordings,
-            seed=seed,
             notify=lambda share, what: show(what, share),
         )
     record = found.to_dict()

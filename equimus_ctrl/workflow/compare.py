@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.valves import ValveEffect
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.options import CompareOptions, with_changes
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.scenarios.comparison import Comparison, Condition, Entry
 from equimus_ctrl.scenarios.scenario import Scenario
@@ -45,10 +45,16 @@ CONDITIONS = {
     "uncorrected": "the same, but the controller knows the model as it was",
 }
 """Name → one line. The last two need a corrected model."""
+USUAL, CORRECTED = ("nominal", "noisy", "delayed", "perturbed"), ("corrected", "uncorrected")
+"""Conditions that are compared by default; the latter with a corrected model."""
 
 
 def conditions(
-    names: Sequence[str], model: Model, corrected: Model | None = None, draws: int = 3, seed: int = 0
+    names: Sequence[str],
+    model: Model,
+    corrected: Model | None = None,
+    draws: int = CompareOptions.draws,
+    seed: int = CompareOptions.seed,
 ) -> list[Condition]:
     """The conditions of these names.
 
@@ -69,7 +75,7 @@ def conditions(
         if name not in CONDITIONS:
             raise ConfigError(unknown_name("condition", name, CONDITIONS))
         summary = CONDITIONS[name]
-        if name in ("corrected", "uncorrected"):
+        if name in CORRECTED:
             if corrected is None:
                 raise ConfigError(f"condition {name} needs a corrected model; give it with --corrected FILE")
             found.append(Condition(name, summary, corrected, corrected if name == "corrected" else model, NOISE))
@@ -96,16 +102,13 @@ def _delayed(model: Model) -> Model:
 def compare(
     scenarios: Sequence[str | Scenario],
     controllers: Sequence[str | Controller | Callable[..., Any]] | None = None,
-    under: Sequence[str | Condition] = ("nominal", "noisy", "delayed", "perturbed"),
+    under: Sequence[str | Condition] | None = None,
+    options: CompareOptions | None = None,
     *,
     model: Model | None = None,
     corrected: Model | None = None,
-    draws: int = 3,
-    options: Mapping[str, str] | None = None,
-    settings: Mapping[str, Path] | None = None,
-    recordings: Path | None = None,
-    seed: int = 0,
     notify: Callable[[float, str], None] = lambda share, what: None,
+    **changes: Any,
 ) -> Comparison:
     """Drive every controller through every scenario under every condition, one after the other.
 
@@ -114,35 +117,36 @@ def compare(
 
     Args:
         scenarios: names, paths or scenarios.
-        controllers: names, ``path.py:Name``, controllers, classes or functions; all that are made for it by default.
-        under: names of ``CONDITIONS``, or conditions.
+        controllers: in place of the options'.
+        under: in place of the options'.
+        options: see ``CompareOptions``.
         model: the robot as it is known; the nominal leg by default.
         corrected: the augmented model of a diagnosis.
-        draws: how many perturbed robots.
-        options: of the scenarios, as text.
-        settings: controller → its settings file.
-        recordings: folder to look for recordings in.
-        seed: of noise and perturbed robots.
         notify: called with the share done and what is done now.
+        **changes: of the options, one by one.
 
     Raises:
         EquimusError: for anything that is wrong before the first run begins; what fails in a run stands in its entry.
     """
     model = model or nominal_model()
-    controllers = compared_controllers() if controllers is None else controllers
-    if seed < 0:
-        raise ConfigError(f"seed is {seed}, expected at least 0")
+    named = {"controllers": controllers, "under": under}
+    options = with_changes(CompareOptions, options, {**changes, **{k: v for k, v in named.items() if v is not None}})
+    controllers = compared_controllers() if options.controllers is None else options.controllers
+    under = (USUAL if corrected is None else (*USUAL, *CORRECTED)) if options.under is None else options.under
+    seed, settings = options.seed, options.settings or {}
     if not scenarios or not controllers or not under:
         raise ConfigError("a comparison needs at least one scenario, one controller and one condition")
-    robots = conditions([c for c in under if isinstance(c, str)], model, corrected, draws, seed)
+    robots = conditions([c for c in under if isinstance(c, str)], model, corrected, options.draws, seed)
     robots += [c for c in under if isinstance(c, Condition)]
     built = [
         s
         if isinstance(s, Scenario)
-        else load_scenario(s, model.morphology, phase=model.phase, options=options, recordings=recordings)
+        else load_scenario(
+            s, model.morphology, phase=model.phase, options=options.scenario_options, recordings=options.recordings
+        )
         for s in scenarios
     ]
-    strange = sorted(set(settings or {}) - {c for c in controllers if isinstance(c, str)})
+    strange = sorted(set(settings) - {c for c in controllers if isinstance(c, str)})
     if strange:
         raise ConfigError(f"settings are given for {strange[0]}, which is not compared")
     entries: list[Entry] = []
@@ -151,7 +155,7 @@ def compare(
     for scenario in built:
         for controller in controllers:
             if isinstance(controller, str):
-                driven = load_controller(controller, scenario, (settings or {}).get(controller), model.morphology)
+                driven = load_controller(controller, scenario, settings.get(controller), model.morphology)
                 made[scenario.name, _label(controller)] = driven
             else:
                 made[scenario.name, _label(controller)] = as_controller(controller, _label(controller))
