@@ -41,8 +41,8 @@ p, ul, ol { margin: 8px 0; max-width: 80ch; overflow-wrap: anywhere; }
   max-width: none; }
 .verdict.unexplained, .verdict.partly_explained, .verdict.unfinished { border-color: #d55e00; background: #fdf6f1; }
 .faint { color: #666; font-size: 14px; }
-nav { font-size: 14px; margin: 14px 0; }
-nav a { color: #0060a0; margin-right: 14px; white-space: nowrap; }
+nav { font-size: 14px; margin: 14px 0; display: flex; flex-wrap: wrap; gap: 4px 14px; }
+nav a { color: #0060a0; white-space: nowrap; }
 figure { margin: 14px 0; }
 img { max-width: 100%; height: auto; display: block; }
 .wide { overflow-x: auto; }

@@ -97,8 +97,8 @@ def headline(diagnosis: Diagnosis) -> str:
     text = f"the error {'changes by' if diagnosis.findings else 'is'} {listed(parts)}"
     n = len({s.recording for s in segments})
     who = f"On the {part} trial" if n == 1 else f"On the {n} {part} trials"
-    seen = "no fit and no choice has seen" if part == "test" else "not fitted, though they chose"
-    return f"{who}, {'which ' * (part == 'test')}{seen}, {text}."
+    seen = "no fit and no choice has seen" if part == "test" else "no fit has seen, though choices have"
+    return f"{who}, which {seen}, {text}."
 
 
 def _fall(joint: str, before: float, after: float, unit: Reading) -> str:
