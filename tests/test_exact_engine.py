@@ -112,6 +112,7 @@ def test_the_motion_of_a_random_tree_is_what_mujocos_tend_to() -> None:
     np.testing.assert_allclose(found.position[0], exact.q, rtol=0, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_what_sticks_stands_still_and_what_slides_is_mujocos() -> None:
     robot, trial = CRANE, Trial(
         "t", np.array([0.0, 0.5, 1.0]), np.array([[3.0, 0.4, 0.1], [-3.0, -0.4, 0.0], [0.0, 0.0, 0.0]]), np.zeros(3), 0.0,
@@ -131,6 +132,7 @@ def test_what_sticks_stands_still_and_what_slides_is_mujocos() -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_drive_that_gives_way_is_mujocos_without_its_step() -> None:
     """MuJoCo's error of first order is taken off by two steps (Richardson, 1911)."""
     model = Model(RIG, (DriveCompliance("shoulder", 60.0, 0.4),))

@@ -259,6 +259,7 @@ def test_a_memory_is_a_spring_that_relaxes() -> None:
             assert column + relaxed == pytest.approx(length - length[0], abs=0.05 * np.ptp(length))
 
 
+@pytest.mark.slow
 def test_other_robots_have_groups_too() -> None:
     robot = random_morphology("branched", 1)
     times = np.arange(60) / 100.0

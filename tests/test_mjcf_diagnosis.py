@@ -93,6 +93,7 @@ def test_two_kinds_of_friction_of_one_joint_are_told_by_their_names() -> None:
     assert sizes["viscous_friction"] == pytest.approx(0.04, rel=0.05)
 
 
+@pytest.mark.slow
 def test_nothing_left_out_is_consistent_and_says_what_would_have_shown() -> None:
     found = diagnosed(PENDULUM.format(drive=MOTOR), [], seed=3)
     assert found.verdict == "consistent" and not found.findings
@@ -366,6 +367,7 @@ def test_an_unstable_robot_is_fitted_in_windows() -> None:
     assert window_length(real, trials) is None
 
 
+@pytest.mark.slow
 def test_numbers_of_a_real_pendulum_are_near_the_published_ones() -> None:
     folder = find_recordings()
     path = None if folder is None else folder / "simple_pendulum"

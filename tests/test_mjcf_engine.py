@@ -346,6 +346,7 @@ def test_a_recording_is_predicted_from_where_and_how_fast_it_begins() -> None:
         np.testing.assert_allclose(predict(Model(robot), late, engine=engine), late.position, rtol=0, atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_window_of_a_late_sensor_begins_in_motion() -> None:
     """What a sensor shows at first is what was before the window, when the joint moved already."""
     robot, effect = cart(), SensorDelay("way", 0.1)

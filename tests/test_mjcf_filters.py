@@ -135,6 +135,7 @@ def test_a_delay_of_the_xml_is_the_one_that_effects_know(start: float) -> None:
     np.testing.assert_array_equal(more, moved(cart(PLAIN), trial, TransportDelay("motor", DELAY + 0.02)))
 
 
+@pytest.mark.slow
 def test_a_delay_of_the_xml_is_a_number_that_can_be_found() -> None:
     """Beyond what its buffer holds too."""
     robot = cart(LATE)
