@@ -105,7 +105,11 @@ def test_the_effect_is_diagnosed_and_told(folder: Path, capsys: pytest.CaptureFi
     page = next(Path("report").glob("*.html")).read_text(encoding="utf-8")
     assert "comes back six times a turn at the hinge." in page and "Curves of ripple at hinge" in page
     # The XML has no field for it, the model file has it.
-    assert told(capsys, "score", runs, "--model", "found.toml", *OWN, "--json")["rmse_rad"]["hinge"] < 2e-3
+    own, nominal = (
+        told(capsys, "score", runs, "--model", model, *OWN, "--json")["rmse_rad"]["hinge"]
+        for model in ("found.toml", xml)
+    )
+    assert own < 0.3 * nominal  # from measured starts, whose errors grow over such a torque
 
 
 def test_the_effect_is_drawn_by_the_proof_on_legs() -> None:

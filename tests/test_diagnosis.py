@@ -173,10 +173,10 @@ def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_une
     parts = split(model, trials, validation=["loaded"])
     found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
     assert found.verdict == "unexplained" and not found.findings
-    assert found.unexplained and all(left.on_validation and left.gain > 3 for left in found.unexplained)
+    assert found.unexplained and all(left.only_on == "validation" and left.gain > 3 for left in found.unexplained)
     assert np.all(found.rmse("corrected", "train") < 1.2e-3)
     assert "on validation trials, whatever the parameters" in " ".join(remains(found))
-    assert found.to_dict()["unexplained"][0]["on_validation"] is True
+    assert found.to_dict()["unexplained"][0]["only_on"] == "validation"
 
 
 @pytest.mark.slow
@@ -199,20 +199,26 @@ def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> Non
     effect = parse("dead_zone:baa:threshold=2000")
 
     def commanded(trial: int, levels: Array) -> Array:
-        return levels if trial in (3, 7) else np.maximum(levels, 4e3)  # 3 and 7 judge at first
+        return levels if trial in (3, 7, 11) else np.maximum(levels, 4e3)  # held out at first
 
-    trials = recordings((effect,), count=8, commanded=commanded)
+    trials = recordings((effect,), count=12, commanded=commanded)
     found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
     assert found.verdict == "explained"
     assert [str(f.named) for f in found.findings] == ["dead_zone at baa"]
-    assert {s.trial.name for s in found.validation} == {"trial_2", "trial_6"}
-    assert {s.trial.name for s in found.test} == {"trial_7"}
-    assert any(note.startswith("trial_3, held out at first, showed") for note in found.notes)
+    assert {s.trial.name for s in found.validation} == {"trial_2", "trial_6", "trial_10"}
+    assert {s.trial.name for s in found.test} == {"trial_11"}
+    assert any(note.startswith("trial_3, trial_7, held out at first, showed") for note in found.notes)
+    trials = trials[:8]
     said = diagnose(
         uncertain(model), split(model, trials, validation=["trial_[37]"]), settings=DiagnosisSettings(threads=2)
     )  # whoever says which judge is not overruled
-    assert said.verdict == "unexplained" and said.unexplained[0].on_validation
+    assert said.verdict == "unexplained" and said.unexplained[0].only_on == "validation"
     assert {s.trial.name for s in said.validation} == {"trial_3", "trial_7"}
+    # What the test set alone shows is told, and changes nothing of what was chosen.
+    only = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
+    assert only.verdict == "unexplained" and {left.only_on for left in only.unexplained} == {"test"}
+    assert {s.trial.name for s in only.test} == {"trial_7"} and "on test trials" in " ".join(remains(only))
+    assert only.rmse("corrected", "validation").max() < 1.2e-3 < 1e-2 < only.rmse("corrected", "test").max()
 
 
 @pytest.mark.slow

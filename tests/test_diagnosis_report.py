@@ -42,7 +42,7 @@ def test_figures_without_held_out_trials_show_those_fitted(diagnosis: Diagnosis)
     texts = [t.get_text() for axes in figures["before_after"].axes for t in (axes.title, axes._left_title)]
     assert any("first (fitted)" in text for text in texts)
     assert diagnosis_text.headline(d) == ""
-    assert "trials that were fitted" in page(d, "no judges")
+    assert "The fitted trials with the largest residuals" in page(d, "no judges")
 
 
 class Checker(HTMLParser):

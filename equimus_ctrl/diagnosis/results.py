@@ -162,8 +162,8 @@ class Unexplained:
         x: (n,) the coordinate.
         force: (n,) the generalised force there.
         band: (n,) half width of its 95 % interval.
-        on_validation: whether these are residuals far above the noise on validation trials alone, whatever the
-            parameters of the effects.
+        only_on: "validation" or "test" where these are residuals far above the noise on such trials alone, those of
+            validation whatever the effects' parameters; "" else.
     """
 
     location: str
@@ -178,7 +178,7 @@ class Unexplained:
     x: Array
     force: Array
     band: Array
-    on_validation: bool = False
+    only_on: Literal["", "validation", "test"] = ""
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
@@ -193,7 +193,7 @@ class Unexplained:
             "gain": self.gain,
             "threshold": self.threshold,
             "curve": curve if self.axis else None,
-            "on_validation": self.on_validation,
+            "only_on": self.only_on,
         }
 
 

@@ -39,7 +39,7 @@ from equimus_ctrl.diagnosis.localization import excess_variances, where_off
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.results import STATES, Decision, Diagnosis, Named, Ranked, Residuals
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, residual_analysis
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test, residual_analysis
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.errors import SimulationDiverged
@@ -334,6 +334,11 @@ def report(state: State) -> Diagnosis:
         )
     }
     noise = found.best.noise
+    if not (rest.unexplained or state.ended_in):
+        rest = not_on_test(data, found.best, split.test, residuals["corrected"].test)
+        for left in rest.unexplained:
+            reason = f"error on the test set {left.gain:.3g} times the noise's variance"
+            state = state.decided("report", f"unexplained at {left.location}", reason)
     question.progress("done", 1.0, found.best.label)
     return Diagnosis(
         verdict(named, rest, state.ended_in in ("", "alternatives")),

@@ -144,7 +144,22 @@ def not_confirmed(
         left = residuals
     else:
         left = refitted.fit.residuals[len(data.segments) :]
-    return ResidualAnalysis(tuple(replace(o, on_validation=True) for o in _far_off(data, left, best.noise)), ())
+    return ResidualAnalysis(tuple(replace(o, only_on="validation") for o in _far_off(data, left, best.noise)), ())
+
+
+def not_on_test(data: Data, best: Fitted, test: Sequence[Segment], residuals: Sequence[Array]) -> ResidualAnalysis:
+    """Joints whose residuals on test trials are far above the noise; nothing is fitted there but the starts.
+
+    Args:
+        data: what was fitted.
+        best: the hypothesis.
+        test: what took no part.
+        residuals: for each of these (m, nj) what the hypothesis leaves there [rad].
+    """
+    if not test or not _far_off(data, residuals, best.noise):
+        return ResidualAnalysis((), ())
+    _, left = followed(best.fit.model, test, data.simulator)
+    return ResidualAnalysis(tuple(replace(o, only_on="test") for o in _far_off(data, left, best.noise)), ())
 
 
 def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Unexplained, ...]:

@@ -131,8 +131,8 @@ def remains(diagnosis: Diagnosis) -> list[str]:
 def _left(left: Unexplained, model: Model) -> str:
     if not left.depends_on:
         return f"At the {left.location}: normalised RMSE {number(math.sqrt(1 + left.gain))}" + (
-            " on validation trials, whatever the parameters"
-            if left.on_validation
+            f" on {left.only_on} trials{', whatever the parameters' * (left.only_on == 'validation')}"
+            if left.only_on
             else ", which depends on none of the coordinates tried"
         )
     at = f" at {listed(left.places)}" if set(left.places) != {left.location} else ""
