@@ -83,7 +83,7 @@ def put_to_proof(
         folder: for everything that is made.
         options: see ``ProveOptions``.
         experiment: an MJCF robot and what is done with it, in the place of legs and of trials that are drawn.
-        plugins: files that register effects, see ``load_plugins``: what has sizes is concealed too, and looked for.
+        plugins: files that register effects, see ``load_plugins``: those with sizes are drawn too, and looked for.
         progress: see ``Progress``.
         say: see ``Say``; the seal of all seals is said before the first diagnosis begins.
         **changes: of the options, one by one.
