@@ -28,7 +28,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from equimus_ctrl import presets
 from equimus_ctrl.controllers.pid import PidController, PidSettings
-from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.results import STATES
@@ -142,7 +142,7 @@ def diagnosed(recordings: Path, folder: Path) -> dict[str, Any]:
     """What the diagnosis says of recordings; its models are beside it. Made once."""
     path = folder / "diagnosis.json"
     if not path.exists():
-        free = uncertain(nominal_model())
+        free = default_free_parameters(nominal_model())
         found = diagnose(free, split(free.model, read_set(recordings)), settings=DiagnosisSettings(threads=1))
         for state in STATES[1:]:
             save_model(folder / f"{state}.toml", getattr(found, state))

@@ -4,9 +4,9 @@ python benchmarks/thresholds.py PROOF [--model robot.xml] [--cases 200] [--outpu
 
 PROOF is a folder that ``equimus-ctrl prove`` made; its recordings are diagnosed again. While one is diagnosed, every
 decision is asked once more with each number halved and doubled. Where all fall alike, the answer with that number is
-known to be the same; only where one falls otherwise is the case diagnosed with it. What is done is kept in the output
-(a line of JSON a case), and the same command goes on from there. At the end: a table in Markdown, the numbers that move
-most first.
+known to be the same; only where one falls otherwise is the case diagnosed with it, fits and screenings that were done
+for the case before taken over. What is done is kept in the output (a line of JSON a case), and the same command goes on
+from there. At the end: a table in Markdown, the numbers that move most first.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis import fitting, hypothesis_moves, search
+from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
-from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
@@ -45,19 +48,73 @@ class Flips:
 
     def __call__(self, condition: Callable[[Thresholds], bool], holds: bool) -> None:
         """Take note of a decision."""
-        for variant, limits in self._variants.items():
-            if variant not in self.found and bool(condition(limits)) != holds:
+        for variant, thresholds in self._variants.items():
+            if variant not in self.found and bool(condition(thresholds)) != holds:
                 self.found.add(variant)
 
 
-def answered(model: Model, folder: Path, limits: Thresholds) -> dict[str, Any]:
+class Memory:
+    """Fits and screenings of one case, by all that they depend on: the same is not worked out twice."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, Any] = {}
+
+    @contextmanager
+    def used(self) -> Iterator[None]:
+        """Diagnoses meanwhile take over what is known."""
+        fit, screen = fitting.fit, search.screen
+
+        def fitted(parameters: Any, segments: Any, **given: Any) -> Any:
+            begin = tuple((theta.tobytes(), _bytes(starts)) for theta, starts in given["begin"])
+            earlier, simulator, coarse = given.get("earlier"), given["simulator"], given["coarse"]
+            key = (
+                "fit", _free(parameters), _segments(segments), simulator.engine.name, simulator.engine.step,
+                coarse and coarse.engine.step, given["settings"], given["noise"], begin,
+                earlier and (earlier.theta.tobytes(), _bytes(earlier.starts)),
+            )  # fmt: skip
+            return self._of(key, lambda: fit(parameters, segments, **given))
+
+        def screened(data: Any, at: Any, pool: Any) -> Any:
+            own = (_free(at.fit.parameters), at.fit.theta.tobytes(), _bytes(at.fit.starts), at.noise)
+            engine = (data.coarse or data.simulator).engine
+            key = (
+                "screen", own, _segments(data.segments), engine.name, engine.step, tuple(c.label for c in pool),
+                data.thresholds.absorbed,
+            )  # fmt: skip
+            return self._of(key, lambda: screen(data, at, pool))
+
+        with (
+            patch.object(fitting, "fit", fitted),
+            patch.object(search, "screen", screened),
+            patch.object(hypothesis_moves, "screen", screened),
+        ):
+            yield
+
+    def _of(self, key: Hashable, work: Callable[[], Any]) -> Any:
+        if key not in self._known:
+            self._known[key] = work()
+        return self._known[key]
+
+
+def _free(parameters: Any) -> Hashable:
+    return parameters.free, parameters.model.effects
+
+
+def _bytes(arrays: Sequence[Any]) -> Hashable:
+    return tuple(a.tobytes() for a in arrays)
+
+
+def _segments(segments: Sequence[Any]) -> Hashable:
+    return tuple((s.recording, s.trial.name, s.trial.start, len(s.measured), s.free_start) for s in segments)
+
+
+def answered(model: Model, parts: Split, thresholds: Thresholds) -> dict[str, Any]:
     """What a proof would keep of a case's report."""
-    free, begun, processor = uncertain(model), time.perf_counter(), time.process_time()
+    free, begun, processor = default_free_parameters(model), time.perf_counter(), time.process_time()
     said: dict[str, Any] = {}
     failed = ""
     try:
-        parts = split(free.model, recorded(folder, model))
-        said = diagnose(free, parts, settings=DiagnosisSettings(threads=1, thresholds=limits)).to_dict()
+        said = diagnose(free, parts, settings=DiagnosisSettings(threads=1, thresholds=thresholds)).to_dict()
     except EquimusError as error:
         failed = str(error)
     spent = {
@@ -73,10 +130,11 @@ def answered(model: Model, folder: Path, limits: Thresholds) -> dict[str, Any]:
 def case_row(model: Model, root: Path, case: int) -> dict[str, Any]:
     """A case's answer, and those that differ by a number."""
     folder, flips = root / "recordings" / f"case_{case:04d}", Flips()
-    base = answered(model, folder, Thresholds(watch=flips))
-    varied = {}
-    for name, factor in sorted(flips.found):
-        varied[f"{name} {factor:g}"] = answered(model, folder, Thresholds().scaled(name, factor))
+    parts, varied = split(model, recorded(folder, model)), {}
+    with Memory().used():
+        base = answered(model, parts, Thresholds(watch=flips))
+        for name, factor in sorted(flips.found):
+            varied[f"{name} {factor:g}"] = answered(model, parts, Thresholds().scaled(name, factor))
     return {"case": case, "base": base, "varied": varied}
 
 

@@ -31,7 +31,6 @@ from .effects import (
     PayloadMass as PayloadMass,
     RateLimit as RateLimit,
     Saturation as Saturation,
-    Seen as Seen,
     SensorDelay as SensorDelay,
     SensorEffect as SensorEffect,
     SensorOffset as SensorOffset,

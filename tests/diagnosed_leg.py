@@ -21,9 +21,9 @@ from equimus_ctrl.diagnosis.results import (
     Finding,
     Named,
     Ranked,
+    ResidualLocation,
     Residuals,
     Unexplained,
-    Where,
 )
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.engines.batch import simulate
@@ -151,10 +151,10 @@ def assembled(
         test=(),
         residuals=residuals,
         where=(
-            Where(
+            ResidualLocation(
                 "knee", 0.83, "at rest (91% of the excess error in 47% of the samples)", "commands of baa of 0 to 4 kPa"
             ),
-            Where("hip", 0.17, "nowhere in particular", "nowhere in particular"),
+            ResidualLocation("hip", 0.17, "nowhere in particular", "nowhere in particular"),
         ),
         findings=(found,),
         unexplained=(left,),

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis.candidates import Part, candidates, uncertain
+from equimus_ctrl.diagnosis.candidates import Part, candidates, default_free_parameters
 from equimus_ctrl.diagnosis.fitting import Data
-from equimus_ctrl.diagnosis.hypothesis_moves import Tried
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory
 from equimus_ctrl.diagnosis.residual_force import followed
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
@@ -30,11 +30,13 @@ def left(
     ground_truth = replace(drawn, effects=effects, outside=outside)
     model = nominal_model()
     segments = cut(model, recordings(ground_truth, simulate(ground_truth, 480.0)), fit_start=True)
-    data = Data(uncertain(model), segments, reduced_simulator(threads=2))
+    data = Data(default_free_parameters(model), segments, reduced_simulator(threads=2))
     pool = {c.label: c for c in candidates(model, segments)}
     base = data.base()
     search = Search(data, list(pool.values()))
-    best, tried = search.refit(Tried(), base, tuple(Part(pool[label], values) for label, values in named.items()))
+    best, tried = search.refit(
+        SearchHistory(), base, tuple(Part(pool[label], values) for label, values in named.items())
+    )
     parts = best.hypothesis
     without = [search.refit(tried, best, parts[:k] + parts[k + 1 :])[0] for k in range(len(parts))]
     return tuple(part.candidate.label for part in parts), residual_analysis(data, base, best, without)

@@ -11,13 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis.candidates import Part, candidates, model_of, parameters_of, uncertain, with_part
+from equimus_ctrl.diagnosis.candidates import (
+    Part,
+    candidates,
+    default_free_parameters,
+    model_of,
+    parameters_of,
+    with_part,
+)
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
-from equimus_ctrl.diagnosis.localization import where_off
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
+from equimus_ctrl.diagnosis.localization import localise
 from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
@@ -68,7 +75,7 @@ def recordings(
 def found_in(effects: tuple[Effect, ...], **options: object) -> Diagnosis:
     model = nominal_model()
     trials = recordings(effects, **options)  # type: ignore[arg-type]
-    return diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
+    return diagnose(default_free_parameters(model), split(model, trials), settings=DiagnosisSettings(threads=2))
 
 
 @cache
@@ -133,7 +140,7 @@ def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: py
     trials = recordings((Cogging("knee", size=0.03, pitch=0.3),))
     monkeypatch.delitem(REGISTRY, "cogging")
     model = nominal_model()
-    found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
+    found = diagnose(default_free_parameters(model), split(model, trials), settings=DiagnosisSettings(threads=2))
     assert found.verdict == "unexplained"
     assert found.unexplained[0].location == "knee"
     assert found.unexplained[0].depends_on == "pos.knee"
@@ -158,7 +165,7 @@ def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.Mo
     model = nominal_model()
     effects = (parse("dead_zone:baa:threshold=2000"), parse("coulomb_friction:knee:friction=0.01"))
     parts = split(model, recordings(effects), validation=["trial_3"])
-    found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
+    found = diagnose(default_free_parameters(model), parts, settings=DiagnosisSettings(threads=2))
     assert set(ends[0]) == {"dead_zone:baa", "coulomb_friction:knee"}
     # What stands in for the friction the next time is withdrawn as well, and nothing looked for in its place.
     assert set(ends[1]) == {"dead_zone:baa", "stribeck_friction:knee"} and ends[2:] == [["dead_zone:baa"]]
@@ -171,7 +178,7 @@ def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_une
     changed = recordings((parse("payload_mass:foot:mass=0.3"),))
     trials = [*recordings(())[:3], replace(changed[3], name="loaded")]
     parts = split(model, trials, validation=["loaded"])
-    found = diagnose(uncertain(model), parts, settings=DiagnosisSettings(threads=2))
+    found = diagnose(default_free_parameters(model), parts, settings=DiagnosisSettings(threads=2))
     assert found.verdict == "unexplained" and not found.findings
     assert found.unexplained and all(left.only_on == "validation" and left.gain > 3 for left in found.unexplained)
     assert np.all(found.rmse("corrected", "train") < 1.2e-3)
@@ -185,7 +192,7 @@ def test_trials_held_out_that_show_what_the_others_could_not_are_no_mismatch() -
     # Nothing that is fitted presses on baa: the last trial alone tells its area.
     parts = split(model, recordings((), commanded=lambda k, p: p * [1.0, k == 3]), validation=["trial_3"])
     settings = DiagnosisSettings(threads=2, exclude=("creep", "hysteresis"))
-    found = diagnose(uncertain(model), parts, settings=settings)
+    found = diagnose(default_free_parameters(model), parts, settings=settings)
     assert found.rmse("corrected", "validation").max() > 3e-3
     assert found.verdict == "consistent" and not found.unexplained
     ranked = {r.named.effect for r in found.ranking}
@@ -202,7 +209,7 @@ def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> Non
         return levels if trial in (3, 7, 11) else np.maximum(levels, 4e3)  # held out at first
 
     trials = recordings((effect,), count=12, commanded=commanded)
-    found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
+    found = diagnose(default_free_parameters(model), split(model, trials), settings=DiagnosisSettings(threads=2))
     assert found.verdict == "explained"
     assert [str(f.named) for f in found.findings] == ["dead_zone at baa"]
     assert {s.trial.name for s in found.validation} == {"trial_2", "trial_6", "trial_10"}
@@ -210,12 +217,14 @@ def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> Non
     assert any(note.startswith("trial_3, trial_7, held out at first, showed") for note in found.notes)
     trials = trials[:8]
     said = diagnose(
-        uncertain(model), split(model, trials, validation=["trial_[37]"]), settings=DiagnosisSettings(threads=2)
+        default_free_parameters(model),
+        split(model, trials, validation=["trial_[37]"]),
+        settings=DiagnosisSettings(threads=2),
     )  # whoever says which judge is not overruled
     assert said.verdict == "unexplained" and said.unexplained[0].only_on == "validation"
     assert {s.trial.name for s in said.validation} == {"trial_3", "trial_7"}
     # What the test set alone shows is told, and changes nothing of what was chosen.
-    only = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2))
+    only = diagnose(default_free_parameters(model), split(model, trials), settings=DiagnosisSettings(threads=2))
     assert only.verdict == "unexplained" and {left.only_on for left in only.unexplained} == {"test"}
     assert {s.trial.name for s in only.test} == {"trial_7"} and "on test trials" in " ".join(remains(only))
     assert only.rmse("corrected", "validation").max() < 1.2e-3 < 1e-2 < only.rmse("corrected", "test").max()
@@ -228,13 +237,13 @@ def test_an_effect_is_named_where_it_shows_and_nowhere_else(largest: float, plac
     model, level = nominal_model(), {"level": 14e3}
     effects = tuple(parse(f"saturation:{place}:level=14000") for place in ("maa", "baa"))
     parts = split(model, recordings(effects, commanded=lambda k, p: np.minimum(p, [3e4, largest])))
-    data = Data(uncertain(model), parts.train, reduced_simulator(threads=2))
+    data = Data(default_free_parameters(model), parts.train, reduced_simulator(threads=2))
     pool = candidates(model, parts.train)
     search = Search(data, pool)
     both = next(c for c in pool if c.label == "saturation:maa+baa")
     base = data.base()
-    best, tried = search.refit(Tried(), base, (Part(both, level),))
-    found = search.go_on(Searched(base, best, (base,), ((),), tried))
+    best, tried = search.refit(SearchHistory(), base, (Part(both, level),))
+    found = search.go_on(SearchState(base, best, (base,), ((),), tried))
     (part,) = found.best.hypothesis
     assert part.candidate.locations == places
     assert part.values["level"] == pytest.approx(14e3, rel=1e-2)
@@ -251,7 +260,9 @@ def test_the_same_recordings_give_the_same_bits_on_any_number_of_threads() -> No
     trials = recordings((parse("dead_zone:maa:threshold=2000"),), count=3)
     reports = []
     for threads in (1, 2):
-        found = diagnose(uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=threads))
+        found = diagnose(
+            default_free_parameters(model), split(model, trials), settings=DiagnosisSettings(threads=threads)
+        )
         record = found.to_dict()
         del record["seconds"]
         reports.append(json.dumps(record))
@@ -316,7 +327,7 @@ def test_a_part_that_excludes_others_takes_their_place() -> None:
     old = (Part(lag, lag.guesses[0]), Part(dead, dead.guesses[0]))
     new = with_part(model, old, Part(both, both.guesses[0]))
     assert [p.candidate.label for p in new] == ["dead_zone:maa", "asymmetric_lag:maa+baa"]
-    free = parameters_of(uncertain(model), new)
+    free = parameters_of(default_free_parameters(model), new)
     assert free.names[-2:] == ("maa.asymmetric_lag.fill", "maa.asymmetric_lag.vent")
     assert free.free[-1].also == ("baa.asymmetric_lag.vent",)
     moved = free.model_at(np.array([*free.start[:-2], 0.2, 0.3]))
@@ -334,7 +345,10 @@ def test_equivalents_come_with_the_experiment_that_tells_them_apart() -> None:
         wave = 1.2e4 + amplitude * np.sin(4 * t)[:, None] * np.ones(2)
         designs.append(Design("chirp", {"amplitude": amplitude / 1e3}, t, wave))
     found = diagnose(
-        uncertain(model), split(model, trials), settings=DiagnosisSettings(threads=2), designs=lambda: designs
+        default_free_parameters(model),
+        split(model, trials),
+        settings=DiagnosisSettings(threads=2),
+        designs=lambda: designs,
     )
     (finding,) = found.findings
     named = {(finding.named.effect, finding.named.locations)}
@@ -430,7 +444,7 @@ def test_where_says_which_joint_phase_and_region() -> None:
         r = np.zeros_like(s.measured)
         r[s.measured[:, 1] > np.quantile(s.measured[:, 1], 0.7), 1] = 0.02
         residuals.append(r)
-    first, second = where_off(model, parts.train, residuals, noise)
+    first, second = localise(model, parts.train, residuals, noise)
     assert (first.location, second.location) == ("knee", "hip")
     assert first.share > 0.99
     assert "knee angles" in first.region

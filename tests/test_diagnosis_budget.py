@@ -12,7 +12,7 @@ import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 
 from equimus_ctrl.cli.main import main
-from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.results import Diagnosis
@@ -46,14 +46,18 @@ def asked_after(count: int) -> tuple[Callable[[], bool], list[int]]:
 
 
 def ended(parts: Split, count: int) -> Diagnosis:
-    return diagnose(uncertain(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked_after(count)[0])
+    return diagnose(
+        default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked_after(count)[0]
+    )
 
 
 @pytest.fixture(scope="module")
 def whole(parts: Split) -> tuple[Diagnosis, int]:
     """The diagnosis carried out, and how many steps it took."""
     asked, steps = asked_after(10**9)
-    return diagnose(uncertain(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked), steps[0]
+    return diagnose(default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked), steps[
+        0
+    ]
 
 
 def test_what_is_carried_out_lacks_nothing(whole: tuple[Diagnosis, int]) -> None:
@@ -90,10 +94,10 @@ def test_before_there_is_any_nothing_is_given(parts: Split) -> None:
     with pytest.raises(KeyboardInterrupt):
         ended(parts, 0)
     with pytest.raises(ConfigError, match=r"the budget of 1e-06 s ended before the model was refitted once; expected"):
-        diagnose(uncertain(NOMINAL), parts, settings=DiagnosisSettings(threads=1, budget=1e-6))
+        diagnose(default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1, budget=1e-6))
     for budget in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ConfigError, match="expected a time above 0"):
-            diagnose(uncertain(NOMINAL), parts, settings=DiagnosisSettings(threads=1, budget=budget))
+            diagnose(default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1, budget=budget))
 
 
 def test_ctrl_c_gives_the_best_so_far_and_a_second_one_ends_at_once(

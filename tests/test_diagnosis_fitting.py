@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Candidate, Part, uncertain
+from equimus_ctrl.diagnosis.candidates import Candidate, Part, default_free_parameters
 from equimus_ctrl.diagnosis.fitting import WORSE, Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.effects.valves import Cutoff
@@ -33,7 +33,7 @@ def recorded(commands: list[Array]) -> list[Recording]:
 
 def fitted(commands: list[Array], guess: float) -> tuple[Data, Fitted]:
     trials = recorded(commands)
-    free = uncertain(nominal_model())
+    free = default_free_parameters(nominal_model())
     data = Data(free, split(free.model, trials).train, reduced_simulator(threads=1))
     part = Part(Candidate(Cutoff, ("maa",), ({"least": guess},)), {"least": guess})
     begin = np.append(free.start, guess), [s.start for s in data.segments]

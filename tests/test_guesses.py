@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.effects.base import REGISTRY
-from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.excitation import Excitation
 
 UNITS = {"N·m": 1.07, "N": 1.07, "rad": 1.1, "m": 1.1, "s": 0.93, "Pa": 1.05, "command": 1.05, "kg": 0.96, "1": 1.0}
 """By so much more a quantity is in another unit; a joint's angle and an actuator's length are told alike."""
-SEEN = Seen(low=0.2, high=1.4, speed=3.0, force=0.8, command=2e4, interval=0.01, duration=8.0, mass=0.5, drive=0.9)
+SEEN = Excitation(
+    low=0.2, high=1.4, speed=3.0, force=0.8, command=2e4, interval=0.01, duration=8.0, mass=0.5, drive=0.9
+)
 FORCE, PLACE, TIME = UNITS["N"], UNITS["rad"], UNITS["s"]
-OTHER = Seen(
+OTHER = Excitation(
     low=PLACE * SEEN.low,
     high=PLACE * SEEN.high,
     speed=PLACE / TIME * SEEN.speed,
@@ -41,7 +43,7 @@ def factor(unit: str) -> float:
     return found
 
 
-def guessed(cls: Any, seen: Seen) -> dict[str, np.ndarray]:
+def guessed(cls: Any, seen: Excitation) -> dict[str, np.ndarray]:
     rows = cls.guesses(seen)
     return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 

@@ -12,14 +12,15 @@ import pytest
 from pendulum_runs import CARRIAGE, MOTOR, NOISE, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis.alternatives import alike, in_place
-from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, uncertain
+from equimus_ctrl.diagnosis import holdout
+from equimus_ctrl.diagnosis.alternatives import in_place, indistinguishable
+from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, default_free_parameters
 from equimus_ctrl.diagnosis.confirmation import _another
 from equimus_ctrl.diagnosis.confounding import restates
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group
-from equimus_ctrl.diagnosis.holdout import split, window_length
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
+from equimus_ctrl.diagnosis.holdout import longest_interval, split
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.screening import screen
@@ -196,7 +197,9 @@ def test_what_is_far_weaker_than_any_guess_is_looked_for_at_its_own_size() -> No
     parts = split(model, trials)
     own = Simulator(engine_for(model), 1)
     policy = SearchPolicy(coarse_derivatives=True, rescaled_guesses=True)
-    data = Data(uncertain(model), parts.train, own, replace(own, engine=own.engine.coarser()), policy=policy)
+    data = Data(
+        default_free_parameters(model), parts.train, own, replace(own, engine=own.engine.coarser()), policy=policy
+    )
     base, pool = data.base(), [c for c in candidates(model, parts.train) if c.label == "quadratic_damping:hinge"]
     least = min(guess["drag"] for guess in pool[0].guesses)
     (found,), (blunt,) = screen(data, base, pool), screen(replace(data, policy=SearchPolicy()), base, pool)
@@ -246,7 +249,7 @@ def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
 def test_a_fit_goes_on_with_the_derivatives_of_an_earlier_ones_end() -> None:
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
     nominal = Model(robot)
-    free, simulator = uncertain(nominal), Simulator(engine_for(nominal, "mujoco"))
+    free, simulator = default_free_parameters(nominal), Simulator(engine_for(nominal, "mujoco"))
     some = split(nominal, recorded(Model(robot, [ViscousFriction("hinge", 0.05)]), seed=7)).train
     noise = white_noise([np.full((100, 1), NOISE)])
     first = fit(free, some, simulator=simulator, noise=noise, settings=FitSettings(1e-3, 2))
@@ -277,11 +280,11 @@ class Searching:
         robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR))
         nominal = Model(robot)
         self.split = split(nominal, recorded(Model(robot, concealed), seed=7))
-        data = Data(uncertain(nominal), self.split.train, Simulator(engine_for(nominal)))
+        data = Data(default_free_parameters(nominal), self.split.train, Simulator(engine_for(nominal)))
         self.pool = candidates(nominal, self.split.train)
         self.search = Search(data, self.pool, SearchSettings(many_minima=True))
         self.base = data.base()
-        self.tried = Tried()
+        self.tried = SearchHistory()
 
     def fitted(self, *labels: str) -> Fitted:
         """A hypothesis of effects, each at its weakest guess, fitted and remembered."""
@@ -289,8 +292,8 @@ class Searching:
         found, self.tried = self.search.refit(self.tried, self.base, tuple(Part(c, dict(c.guesses[0])) for c in chosen))
         return found
 
-    def end(self, best: Fitted) -> Searched:
-        end = self.search.moved(Searched(self.base, self.base, tried=self.tried), best)
+    def end(self, best: Fitted) -> SearchState:
+        end = self.search.moved(SearchState(self.base, self.base, tried=self.tried), best)
         self.tried = end.tried
         return end
 
@@ -305,7 +308,7 @@ def test_what_fitted_as_well_beside_other_parts_is_looked_at_beside_those_of_the
     assert not found.alternatives[1]
     alternatives, _ = in_place(own.search, found, 1, lambda t: 30.0)
     assert [r.label for r in alternatives] == ["coulomb_friction:hinge gravity_tilt:base"]
-    assert alike(own.search, alternatives[0], own.search.score(best))
+    assert indistinguishable(own.search, alternatives[0], own.search.score(best))
 
 
 def test_another_hypothesis_takes_the_place_of_one_that_trials_left_out_refuse() -> None:
@@ -363,9 +366,9 @@ def test_an_unstable_robot_is_fitted_in_windows() -> None:
     robot = MjcfRobot("robot", PENDULUM.format(drive=MOTOR).replace("0 0 -0.4", "0 0 0.4"))
     real = Model(robot, [CoulombFriction("hinge", 0.2)])
     trials = recorded(real, seconds=8.0)
-    length = window_length(Model(robot), trials)
+    length = longest_interval(Model(robot), trials)
     assert length is not None and length < 8.0
-    assert window_length(real, trials) is None
+    assert longest_interval(real, trials) is None
 
 
 @pytest.mark.slow
@@ -387,3 +390,20 @@ def test_numbers_of_a_real_pendulum_are_near_the_published_ones() -> None:
     friction = dict(zip(found.parameters.names, found.theta, strict=True))["hinge.frictionloss"]
     assert friction == pytest.approx(0.184, abs=0.03)  # Coulomb friction as its owners published it
     assert found.rmse[0] < 0.05 * found.rmse_before[0]
+
+
+def test_intervals_are_chosen_with_the_engine_that_was_asked_for(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Chosen(Exception):
+        pass
+
+    def choosing(model: Model, trials: object, window: object, simulator: Simulator) -> float:
+        raise Chosen(simulator.engine.name, simulator.threads)
+
+    monkeypatch.setattr(holdout, "longest_interval", choosing)
+    folder = Path(__file__).parent.parent / "docs" / "examples" / "pendulum"
+    model = workflow.load_model(folder.with_suffix(".xml"))
+    with pytest.raises(Chosen) as said:
+        workflow.diagnose_recordings(folder, model, engine="mujoco", threads=1)
+    assert said.value.args == ("mujoco", 1)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mjcf_models import DT, RIG, RK4, M, Ran, cart, run, swinging, trial_of
 
-from equimus_ctrl.diagnosis.holdout import window_length
+from equimus_ctrl.diagnosis.holdout import longest_interval
 from equimus_ctrl.effects import (
     ActuatorGain,
     AsymmetricDamping,
@@ -371,13 +371,13 @@ def test_a_start_that_is_none_is_refused_in_a_sentence(start: Array) -> None:
 def test_whole_trials_are_compared_where_a_model_can_follow_them() -> None:
     robot = hung('damping="0.1"')
     recording = recorded(robot)
-    assert window_length(Model(robot), [recording], None) is None
+    assert longest_interval(Model(robot), [recording], None) is None
     off = Model(robot.with_parameters({"arm.com_z": -0.15}))
-    length = window_length(off, [recording], None)
+    length = longest_interval(off, [recording], None)
     assert length is not None and 0.5 <= length < 3.0
 
 
 def test_a_model_that_diverges_in_the_shortest_windows_is_told() -> None:
     wild = Model(hung(), (AsymmetricDamping("pivot", -1e4),))
     with pytest.raises(SimulationDiverged, match="pendulum: the model diverges on the recorded commands"):
-        window_length(wild, [recorded(hung())], None)
+        longest_interval(wild, [recorded(hung())], None)

@@ -20,10 +20,10 @@ def test_what_is_left_is_what_least_squares_leave() -> None:
     own = Nuisance.of(columns)
     found = np.linalg.lstsq(columns / np.linalg.norm(columns, axis=0), values, rcond=None)[0]
     expected = values - columns / np.linalg.norm(columns, axis=0) @ found
-    np.testing.assert_allclose(own.without(values), expected, rtol=0, atol=1e-13)
-    assert own.left(values[:, 0]) == pytest.approx(float((expected[:, 0] ** 2).sum()), rel=1e-12)
+    np.testing.assert_allclose(own.project_out(values), expected, rtol=0, atol=1e-13)
+    assert own.squares_beyond(values[:, 0]) == pytest.approx(float((expected[:, 0] ** 2).sum()), rel=1e-12)
     np.testing.assert_allclose(own.basis @ own.factor, columns, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(columns @ own.coefficients(values, 1e-14), values - expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(columns @ own.lstsq(values, 1e-14), values - expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("place", range(5))
@@ -34,8 +34,8 @@ def test_a_column_that_depends_on_others_takes_nothing_more(place: int) -> None:
     more = columns @ np.array([1.0, -2.0, 0.5, 0.1]) * (1 + 1e-13 * rng.normal(size=ROWS))
     own, whole = Nuisance.of(columns), Nuisance.of(np.insert(columns, place, more, axis=1))
     assert own.basis.shape[1] == whole.basis.shape[1] == 4
-    np.testing.assert_allclose(whole.without(values), own.without(values), rtol=0, atol=1e-10)
-    np.testing.assert_allclose(whole.without(columns), 0.0, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(whole.project_out(values), own.project_out(values), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(whole.project_out(columns), 0.0, rtol=0, atol=1e-10)
 
 
 def test_columns_of_nothing_do_nothing() -> None:
@@ -43,5 +43,5 @@ def test_columns_of_nothing_do_nothing() -> None:
     for columns in (np.zeros((ROWS, 3)), np.zeros((ROWS, 0))):
         own = Nuisance.of(columns)
         assert own.basis.shape == (ROWS, 0)
-        np.testing.assert_array_equal(own.without(values), values)
-        assert own.coefficients(values, 1e-8).shape == (columns.shape[1],)
+        np.testing.assert_array_equal(own.project_out(values), values)
+        assert own.lstsq(values, 1e-8).shape == (columns.shape[1],)

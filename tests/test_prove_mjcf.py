@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.cli.main import main
-from equimus_ctrl.diagnosis.candidates import seen_places
+from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.effects import GravityTilt
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.engines.mjcf import simulate_mjcf
@@ -77,7 +77,7 @@ def _ground_truth(model: Model, recordings: tuple[Recording, ...], effects: tupl
 
 def test_there_is_a_size_for_every_effect_of_mjcf_robots(two_joints: Experiment) -> None:
     model = two_joints.model
-    table = mjcf_table(model, seen_places(model, two_joints.segments))
+    table = mjcf_table(model, excitation_of(model, two_joints.segments))
     own = {name for name, cls in REGISTRY.items() if "mjcf" in cls.robots}
     assert own <= set(table) <= own | set(OUTSIDE)
     for name, sizes in table.items():
@@ -97,7 +97,7 @@ def without_steps(model: Model, trials: Sequence[Trial]) -> list[Array]:
 @pytest.mark.parametrize("name", sorted(name for name, cls in REGISTRY.items() if "mjcf" in cls.robots))
 def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) -> None:
     model, cls = two_joints.model, REGISTRY[name]
-    seen = seen_places(model, two_joints.segments)
+    seen = excitation_of(model, two_joints.segments)
     sizes = mjcf_table(model, seen)[name]
     rows = [size for size in sizes if size.at == sizes[0].at]
     rng = np.random.default_rng(1)

@@ -15,7 +15,7 @@ from equimus_ctrl.diagnosis.alternatives import in_place, listed, replacement, s
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.findings import _smallest
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, Searched, SearchSettings, Tried
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchSettings, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.effects import REGISTRY
@@ -62,17 +62,19 @@ class OnPaper(Search):
     def __init__(self, known: Known, settings: SearchSettings | None = None) -> None:
         free = SimpleNamespace(free=[], model=object())
         data: Any = SimpleNamespace(
-            n=1000, free=free, limits=Thresholds(), strong=lambda f: False, far_above_noise=lambda f: False, converge=lambda f: f,
+            n=1000, free=free, thresholds=Thresholds(), strong=lambda f: False, far_above_noise=lambda f: False, converge=lambda f: f,
             base=lambda: known(),
         )  # fmt: skip
         super().__init__(data, list(POOL.values()), settings or SearchSettings())
         object.__setattr__(self, "known", known)
 
-    def refit(self, tried: Tried, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[Fitted, Tried]:
+    def refit(self, tried: SearchHistory, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[Fitted, SearchHistory]:
         found = self.known(*(part.candidate.label for part in hypothesis))
         return found, tried.having(found)
 
-    def challenge(self, tried: Tried, fitted: Fitted, instead_of: str = "") -> tuple[list[Fitted], Tried]:
+    def challenge(
+        self, tried: SearchHistory, fitted: Fitted, instead_of: str = ""
+    ) -> tuple[list[Fitted], SearchHistory]:
         out = {instead_of, *tried.rejected}
         return [
             f
@@ -80,7 +82,7 @@ class OnPaper(Search):
             if labels > fitted.labels and len(labels) == len(fitted.labels) + 1 and out.isdisjoint(labels)
         ], tried
 
-    def _beside(self, now: Searched) -> tuple[list[Fitted], Tried]:
+    def _beside(self, now: SearchState) -> tuple[list[Fitted], SearchHistory]:
         return [], now.tried
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
@@ -93,26 +95,28 @@ def judged(monkeypatch: pytest.MonkeyPatch, refused: Sequence[tuple[frozenset[st
     def borne_out(search: Search, judge: object, simple: Fitted, rich: Fitted) -> float:
         return float((simple.labels, rich.labels) not in refused)
 
-    monkeypatch.setattr(confirmation, "Judge", lambda *a: None)
+    monkeypatch.setattr(confirmation, "HoldoutResiduals", lambda *a: None)
     monkeypatch.setattr(confirmation, "_carried_over", borne_out)
     return SimpleNamespace(validation=[1], train=(), short_segments=(), other=None)
 
 
-def ended(known: Known, *labels: str) -> Searched:
+def ended(known: Known, *labels: str) -> SearchState:
     """An end with these parts; alternatives are those with another in a part's place."""
     rest = [[other for other in labels if other != label] for label in labels]
     own = OnPaper(known)
     alternatives = tuple(
-        tuple(own.challenge(Tried(), known(*r), label)[0]) for r, label in zip(rest, labels, strict=True)
+        tuple(own.challenge(SearchHistory(), known(*r), label)[0]) for r, label in zip(rest, labels, strict=True)
     )
-    return Searched(known(), known(*labels), tuple(known(*r) for r in rest), alternatives)
+    return SearchState(known(), known(*labels), tuple(known(*r) for r in rest), alternatives)
 
 
 def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none() -> None:
     known = Known({(): 5000.0, (RUB,): 2000.0, (STICK,): 1800.0})
 
     class Found(OnPaper):
-        def challenge(self, tried: Tried, fitted: Fitted, instead_of: str = "") -> tuple[list[Fitted], Tried]:
+        def challenge(
+            self, tried: SearchHistory, fitted: Fitted, instead_of: str = ""
+        ) -> tuple[list[Fitted], SearchHistory]:
             # One more part is Stribeck's friction, which leaves no other at that joint.
             own = {(): [RUB], (RUB,): [STICK], (STICK,): []}[tuple(fitted.labels)]
             return [known(label) for label in own if label != instead_of], tried
@@ -151,7 +155,7 @@ def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pyt
 def test_a_withdrawn_name_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
     search = OnPaper(known, SearchSettings(many_minima=True))
-    found = replace(ended(known, STICK), alternatives=((),), tried=Tried(tuple(known.fits.values())))
+    found = replace(ended(known, STICK), alternatives=((),), tried=SearchHistory(tuple(known.fits.values())))
     assert simplified(search, found).best.labels == {RUB}
     assert {r.label for r in in_place(search, found, 0, lambda t: 50.0)[0]} == {OFF}
     found = found.rejecting([RUB, OFF])
@@ -197,7 +201,7 @@ def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_
         segments=(),
     )
     found, _ = HypothesisMoves(data, []).refit(
-        Tried(), fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),)
+        SearchHistory(), fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),)
     )
     assert found.deviance == 10.0 and begun == [0.0, 1.0]
 

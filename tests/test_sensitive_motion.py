@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.engines.choice import MujocoEngine, engine_for
@@ -40,7 +40,9 @@ def nominal() -> Model:
 @pytest.fixture(scope="module")
 def real(nominal: Model) -> Model:
     rng, own = np.random.default_rng(1), nominal.parameters()
-    return nominal.with_parameters({name: own[name] * rng.uniform(0.9, 1.1) for name in uncertain(nominal).names})
+    return nominal.with_parameters(
+        {name: own[name] * rng.uniform(0.9, 1.1) for name in default_free_parameters(nominal).names}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +85,7 @@ def test_starts_follow_what_was_measured_ever_farther(
 def test_the_model_alone_is_fitted_to_the_noise_from_where_short_windows_lead(
     nominal: Model, real: Model, trials: list[Recording], simulator: Simulator
 ) -> None:
-    free = uncertain(nominal)
+    free = default_free_parameters(nominal)
     whole, short = (cut(nominal, trials, shoot=length, fit_start=True) for length in (None, 0.5))
     data = Data(free, whole, simulator, policy=SearchPolicy.of(nominal.robot.traits, simulator.engine))
     alone = data.base()
@@ -100,7 +102,7 @@ def test_differences_are_small_where_changes_grow(
 ) -> None:
     segments = cut(real, trials, fit_start=True)
     starts, _ = followed(real, segments, simulator)
-    problem = Problem(uncertain(real), segments, simulator)
+    problem = Problem(default_free_parameters(real), segments, simulator)
     point = problem.points([problem.parameters.start], [[starts]])[0]
     _, by_start = problem.derivatives(point)
     for segment, start, found in zip(segments, starts, by_start, strict=True):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, Searched, Tried
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
 
 Kind = tuple[str, tuple[str, ...]]
@@ -16,7 +16,7 @@ CONTESTS, CONTENDERS = 2, 2
 """How often, and how many of each part's best alternatives are fitted beside the other parts."""
 
 
-def contested(search: HypothesisMoves, found: Searched) -> Searched:
+def contested(search: HypothesisMoves, found: SearchState) -> SearchState:
     """The closest alternatives of each part, refitted beside the others from their present values; the best of all.
 
     Without the part the others converged elsewhere. An alternative that is fitted from there may end in another local
@@ -35,7 +35,7 @@ def contested(search: HypothesisMoves, found: Searched) -> Searched:
     return found
 
 
-def _with_contenders(search: HypothesisMoves, to: Searched, contested: Searched) -> Searched:
+def _with_contenders(search: HypothesisMoves, to: SearchState, contested: SearchState) -> SearchState:
     """A search's hypothesis with the closest alternatives of each part, refitted beside its other parts.
 
     Args:
@@ -51,8 +51,8 @@ def _with_contenders(search: HypothesisMoves, to: Searched, contested: Searched)
 
 
 def _beside_others(
-    search: HypothesisMoves, tried: Tried, best: Fitted, k: int, without: Fitted, alternatives: Sequence[Fitted]
-) -> tuple[list[Fitted], Tried]:
+    search: HypothesisMoves, tried: SearchHistory, best: Fitted, k: int, without: Fitted, alternatives: Sequence[Fitted]
+) -> tuple[list[Fitted], SearchHistory]:
     """The closest alternatives of a part, refitted from the values of a hypothesis' other parts.
 
     Args:
@@ -71,8 +71,8 @@ def _beside_others(
 
 
 def _all_refitted(
-    search: HypothesisMoves, tried: Tried, best: Fitted, hypotheses: Iterable[tuple[Part, ...]]
-) -> tuple[list[Fitted], Tried]:
+    search: HypothesisMoves, tried: SearchHistory, best: Fitted, hypotheses: Iterable[tuple[Part, ...]]
+) -> tuple[list[Fitted], SearchHistory]:
     """Those of some hypotheses that can be fitted from where one is."""
     found: list[Fitted] = []
     for hypothesis in hypotheses:
@@ -82,8 +82,8 @@ def _all_refitted(
 
 
 def in_place(
-    search: HypothesisMoves, found: Searched, k: int, margin: Callable[[Thresholds], float]
-) -> tuple[list[Fitted], Tried]:
+    search: HypothesisMoves, found: SearchState, k: int, margin: Callable[[Thresholds], float]
+) -> tuple[list[Fitted], SearchHistory]:
     """Hypotheses with another in a part's place.
 
     Where fits have many local minima, alternatives that fitted about as well beside other parts are fitted beside the
@@ -103,7 +103,7 @@ def in_place(
     score = search.score(found.best)
 
     def within(away: float) -> bool:
-        return search.data.limits.decides(lambda t: away < margin(t))
+        return search.data.thresholds.decides(lambda t: away < margin(t))
 
     others: dict[Kind, Part] = {}
     for alternative in alternatives:
@@ -112,7 +112,7 @@ def in_place(
             others[_kind(left[0])] = left[0]
     met = [
         known
-        for fitted in (found.tried.fitted, search.otherwise)
+        for fitted in (found.tried.fitted, search.fits_with_other_engine)
         for known in _beside_the_same(search, fitted).values()
     ]
     for known in met:
@@ -139,7 +139,7 @@ def _beside_the_same(
     return found
 
 
-def listed(search: HypothesisMoves, found: Searched) -> Searched:
+def listed(search: HypothesisMoves, found: SearchState) -> SearchState:
     """The end, with alternatives of those parts that have none after others were rejected.
 
     Where fits have many local minima they are found among all hypotheses fitted, see ``in_place``.
@@ -154,7 +154,7 @@ def listed(search: HypothesisMoves, found: Searched) -> Searched:
     return replace(found, alternatives=tuple(alternatives), tried=tried)
 
 
-def narrowed(search: HypothesisMoves, found: Searched) -> Searched:
+def narrowed(search: HypothesisMoves, found: SearchState) -> SearchState:
     """The effect at the fewest places that is not distinguishable; the one at more places becomes an alternative.
 
     Not where fits have many local minima: deviances scatter by more than that.
@@ -168,21 +168,21 @@ def narrowed(search: HypothesisMoves, found: Searched) -> Searched:
             return found
 
 
-def _in_fewer_places(search: HypothesisMoves, found: Searched, score: float) -> tuple[Searched, bool]:
+def _in_fewer_places(search: HypothesisMoves, found: SearchState, score: float) -> tuple[SearchState, bool]:
     """A search with one of its effects in one place less, if one fits as well, and whether one does."""
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
         kind, sites = part.candidate.effect, part.candidate.locations
         smaller = [
             own
-            for own in search.left(found.tried)
+            for own in search.allowed_candidates(found.tried)
             if own.effect is kind and len(own.locations) == len(sites) - 1 and set(own.locations) < set(sites)
         ]
         fits = [(*hypothesis[:k], Part(own, part.values), *hypothesis[k + 1 :]) for own in smaller]
         fewer, tried = _all_refitted(search, found.tried, found.best, fits)
         found = replace(found, tried=tried)
         least = min(fewer, key=search.score, default=None)
-        if least is None or not alike(search, least, score) or not search.accepts(found.without[k], least):
+        if least is None or not indistinguishable(search, least, score) or not search.accepts(found.without[k], least):
             continue
         moved = _with_contenders(search, search.moved(found, least), found)
         alternatives = [*moved.alternatives[:k], (found.best, *found.alternatives[k]), *moved.alternatives[k + 1 :]]
@@ -190,13 +190,13 @@ def _in_fewer_places(search: HypothesisMoves, found: Searched, score: float) -> 
     return found, False
 
 
-def alike(search: HypothesisMoves, fitted: Fitted, score: float) -> bool:
+def indistinguishable(search: HypothesisMoves, fitted: Fitted, score: float) -> bool:
     """Whether a hypothesis is not distinguishable from one with a score, or better."""
     more = search.score(fitted) - score
-    return search.data.limits.decides(lambda t: more < t.indistinguishable)
+    return search.data.thresholds.decides(lambda t: more < t.indistinguishable)
 
 
-def simplified(search: HypothesisMoves, found: Searched) -> Searched:
+def simplified(search: HypothesisMoves, found: SearchState) -> SearchState:
     """The simplest of effects that exclude each other at a place, unless a richer one is needed.
 
     Such as Coulomb friction in the place of Stribeck friction. Where the cost has many kinks, searches rank such pairs
@@ -205,7 +205,7 @@ def simplified(search: HypothesisMoves, found: Searched) -> Searched:
     hypothesis = found.best.hypothesis
     for k, part in enumerate(hypothesis):
         own = part.candidate
-        for other in search.left(found.tried):
+        for other in search.allowed_candidates(found.tried):
             same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
             if not same or other.n_parameters >= own.n_parameters:
                 continue
@@ -220,7 +220,7 @@ def simplified(search: HypothesisMoves, found: Searched) -> Searched:
     return found
 
 
-def without_parts(search: HypothesisMoves, found: Searched, places: Sequence[int]) -> Searched:
+def without_parts(search: HypothesisMoves, found: SearchState, places: Sequence[int]) -> SearchState:
     """The search's end without some parts, and without those that are accepted no more then."""
     while places:
         kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.effects.base import REGISTRY, Effect
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.engines.encoding import KNOWN_KINDS
 from equimus_ctrl.engines.mjcf import command_at, joint_forces, realise
 from equimus_ctrl.errors import ConfigError
@@ -82,7 +82,7 @@ Hypothesis = tuple[Part, ...]
 """All that is taken to be missing from a model."""
 
 
-def uncertain(
+def default_free_parameters(
     model: Model,
     names: Sequence[str] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -167,7 +167,7 @@ def refined(hypothesis: Hypothesis, values: Array) -> Hypothesis:
     return tuple(parts)
 
 
-def seen_places(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
+def excitation_of(model: Model, segments: Sequence[Segment]) -> dict[str, Excitation]:
     """For each place of a robot what recordings show of it."""
     if not model.robot.traits.forces_along_actuators:
         return _seen_at_joints(model, segments)
@@ -192,17 +192,21 @@ def seen_places(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
     for j, name in enumerate(m.joint_names):
         low, high = _covered(stacked[:, j])
         force = abs(float(slope[j, j])) * (high - low)
-        found[name] = Seen(low, high, max(float(speed[j]), 1e-3), force, float(largest.max()), interval, duration, mass)
+        found[name] = Excitation(
+            low, high, max(float(speed[j]), 1e-3), force, float(largest.max()), interval, duration, mass
+        )
     for i, actuator in enumerate(m.actuators):
         low, high = _covered(lengths[:, i])
         rate = float(np.median(along[:, i]) * speed.max())
         force = actuator.stiffness * (high - low)
-        found[actuator.name] = Seen(low, high, max(rate, 1e-4), force, float(largest[i]), interval, duration, mass)
+        found[actuator.name] = Excitation(
+            low, high, max(rate, 1e-4), force, float(largest[i]), interval, duration, mass
+        )
     first = found[m.joint_names[0]]
     return {name: first for kind in ("link", "foot", "base") for name in m.places()[kind]} | found
 
 
-def _seen_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str, Seen]:
+def _seen_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str, Excitation]:
     """The same where drives are at joints: forces of drives and gravity along the measured motion."""
     own = realise(model)
     robot = own.robot
@@ -228,7 +232,7 @@ def _seen_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str, Seen
         whole = drives[:, own_drives].sum(axis=1)
         force = max(float(np.quantile(np.abs(v), 0.95)) for v in (whole, weights[:, j])) or 1.0
         drive_force = max((by_drive[robot.actuators[i].name] for i in own_drives), default=force)
-        found[joint.name] = Seen(
+        found[joint.name] = Excitation(
             low, high, float(speed[j]), force, float(largest.max()), interval, duration, mass, drive_force
         )
     ends = {
@@ -257,7 +261,7 @@ def candidates(
     model: Model, segments: Sequence[Segment], registry: Mapping[str, type[Effect]] = REGISTRY
 ) -> list[Candidate]:
     """All effects at all places of a robot that recordings could show."""
-    robot, seen = model.robot, seen_places(model, segments)
+    robot, excitation = model.robot, excitation_of(model, segments)
     found: dict[tuple[str, tuple[str, ...]], Candidate] = {}
     for name in sorted(registry):
         cls = registry[name]
@@ -272,7 +276,7 @@ def candidates(
             if cls.alike and len(sites) > 1 and kind in ("joint", "actuator"):
                 groups.append(tuple(sites))
             for group in groups:
-                tried = (_within(cls, g) for site in group for g in cls.guesses(seen[site]))
+                tried = (_within(cls, g) for site in group for g in cls.guesses(excitation[site]))
                 guesses = {tuple(g.items()): g for g in tried}
                 usable = [g for g in guesses.values() if _attaches(model, cls, group, g)]
                 if usable:

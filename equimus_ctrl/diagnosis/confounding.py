@@ -13,7 +13,7 @@ from equimus_ctrl.diagnosis.candidates import Hypothesis
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import Group
 from equimus_ctrl.diagnosis.policy import Thresholds
-from equimus_ctrl.diagnosis.residual_force import Linear, judged
+from equimus_ctrl.diagnosis.residual_force import LinearisedFit, judged
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
 
@@ -57,7 +57,11 @@ def _adds_little(beside: float, rise: float, t: Thresholds) -> bool:
 
 
 def confounded(
-    at: Linear, falls: Sequence[float], together: float, least: Callable[[Thresholds], float], limits: Thresholds
+    at: LinearisedFit,
+    falls: Sequence[float],
+    together: float,
+    least: Callable[[Thresholds], float],
+    thresholds: Thresholds,
 ) -> tuple[int, ...]:
     """Parts of a fitted hypothesis that explain nothing beside a residual force that alone explains more than they.
 
@@ -70,15 +74,15 @@ def confounded(
         falls: by how much χ² falls with each part, fitted.
         together: the same with all of them.
         least: gain with which a residual force is reported, see ``residual_force.judged``.
-        limits: the thresholds.
+        thresholds: that decide.
 
     Returns:
         All parts, where they are confounded with one force together, or the one that is least needed beside a force.
     """
     fitted = at.fitted
-    slopes, residual, scale = at.weighing.slopes, at.weighing.residual, fitted.fit.parameters.scale
+    slopes, residual, scale = at.whitened_fit.slopes, at.whitened_fit.residual, fitted.fit.parameters.scale
     beside_all = Nuisance.of(slopes)
-    own = beside_all.left(residual)
+    own = beside_all.squares_beyond(residual)
     first = len(scale) - fitted.n_parameters
     columns_of: list[range] = []
     to_nothing: list[Array | None] = []
@@ -96,8 +100,8 @@ def confounded(
             return np.inf
         left = residual - np.sum(changes, axis=0)
         kept = Nuisance.of(np.delete(slopes, [i for k in chosen for i in columns_of[k]], axis=1))
-        rise = kept.left(left) - own
-        if limits.decides(lambda t: rise < t.linear_share * fall):
+        rise = kept.squares_beyond(left) - own
+        if thresholds.decides(lambda t: rise < t.linear_share * fall):
             return np.inf
         hypothesis, smallest = tuple(fitted.hypothesis[k] for k in chosen), np.inf
         for group, columns in zip(at.groups, at.columns, strict=True):
@@ -105,10 +109,10 @@ def confounded(
             if restates(group, hypothesis, drives_at_joints=True):
                 continue
             force = explained(left, kept, columns, folds=at.folds)
-            if not limits.decides(partial(_stands_in, force.gain - rise, force.rank, judged(force, at), least)):
+            if not thresholds.decides(partial(_stands_in, force.gain - rise, force.rank, judged(force, at), least)):
                 continue
             beside = explained(residual, beside_all, columns).gain - (force.gain - rise)
-            if limits.decides(partial(_adds_little, beside, rise)):
+            if thresholds.decides(partial(_adds_little, beside, rise)):
                 smallest = min(smallest, beside)
         return float(smallest)
 

@@ -15,9 +15,9 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.stages import DiagnosisInputs
 from equimus_ctrl.diagnosis.stages import DiagnosisSettings as DiagnosisSettings
 from equimus_ctrl.diagnosis.stages import Progress as Progress
-from equimus_ctrl.diagnosis.stages import Question
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
@@ -65,7 +65,7 @@ def diagnose(
             policy = SearchPolicy.of(free.model.robot.traits, simulator.engine)
             # What was handed in is taken for exact and cheap.
             policy = replace(policy, coarse_derivatives=False, rescaled_guesses=False)
-            data = Data(free, split.train, simulator, policy=policy, budget=budget, limits=settings.thresholds)
+            data = Data(free, split.train, simulator, policy=policy, budget=budget, thresholds=settings.thresholds)
         else:
             positions = [s.measured for s in (*split.train, *split.validation, *split.test)]
             engine = engine_for(free.model, settings.engine, positions=positions)
@@ -73,9 +73,9 @@ def diagnose(
             coarse, fine = (None if e is None else replace(own, engine=e) for e in others)
             policy = SearchPolicy.of(free.model.robot.traits, engine)
             data = Data(free, split.train, own, coarse, fine, policy, budget, settings.thresholds)
-        question = Question(data, split, settings, designs, progress, begun)
+        inputs = DiagnosisInputs(data, split, settings, designs, progress, begun)
         try:
-            left = _worked_out(question)
+            left = _worked_out(inputs)
         except BudgetSpent:
             if asked():
                 raise KeyboardInterrupt from None
@@ -83,19 +83,19 @@ def diagnose(
                 f"the budget of {settings.budget:g} s ended before the model was refitted once; expected more time"
             ) from None
         state = stages.or_ended(stages.validation, left)
-        if state.rest.unexplained and not left.rest.unexplained and (other := stages.other_question(question)):
+        if state.rest.unexplained and not left.rest.unexplained and (other := stages.other_inputs(inputs)):
             try:
                 second = _reported(stages.or_ended(stages.validation, _worked_out(other)))
             except (SimulationDiverged, BudgetSpent):  # so the first stands
                 return _reported(state)
             if not second.unexplained and not second.not_done:
-                return stages.on_others(question, other, second)
+                return stages.on_others(inputs, other, second)
         return _reported(state)
 
 
-def _worked_out(question: Question) -> stages.State:
+def _worked_out(inputs: DiagnosisInputs) -> stages.State:
     """What is known before held-out trials are asked whether anything is left."""
-    state, short = stages.refit(question)
+    state, short = stages.refit(inputs)
     state = stages.search(state, short)
     for stage in (stages.confirmation, stages.unexplained, stages.discretization):
         state = stages.or_ended(stage, state)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
 from equimus_ctrl.errors import SimulationDiverged
@@ -14,12 +14,12 @@ from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.step_error import changes_between, with_step_error
-from equimus_ctrl.identification.weighing import weigh
+from equimus_ctrl.identification.whitened_fit import whiten_fit
 
 
 def without_step_error(
-    search: Search, found: Searched, rest: ResidualAnalysis, threads: int | None
-) -> tuple[Search, Searched, ResidualAnalysis, str] | None:
+    search: Search, found: SearchState, rest: ResidualAnalysis, threads: int | None
+) -> tuple[Search, SearchState, ResidualAnalysis, str] | None:
     """The search's end without the discretisation error, where less physics is missing then, and a sentence on it.
 
     A robot's own step belongs to the simulation that is being corrected, but residuals of its error are no physics.
@@ -35,23 +35,23 @@ def without_step_error(
         others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
     except SimulationDiverged:
         return None
-    limits, n = data.limits, data.n
+    thresholds, n = data.thresholds, data.n
 
     def may_be_the_steps(left: float, own_error: float) -> bool:
-        return limits.decides(lambda t: left - left_by_best < t.step_explains * own_error)
+        return thresholds.decides(lambda t: left - left_by_best < t.step_explains * own_error)
 
     uncertain_parts = [k for k, of in enumerate(others) if may_be_the_steps(*of)]
-    if not uncertain_parts and limits.decides(lambda t: error < t.step_matters * n):
+    if not uncertain_parts and thresholds.decides(lambda t: error < t.step_matters * n):
         return None
     own = replace(data, fine=data.simulator)
     exact_best = own.converge_finely(best)
     needless = [k for k in uncertain_parts if not search.accepts(own.converge_finely(found.without[k]), exact_best)]
     if not needless and not rest.unexplained:
         return None
-    other = Search(data, search.pool, search.settings, otherwise=found.tried.fitted)
+    other = Search(data, search.pool, search.settings, fits_with_other_engine=found.tried.fitted)
     base = own.converge_finely(found.base)
     # Alternatives were fitted with the XML's step, so their likelihoods are not comparable with what follows.
-    anew = Tried(first=found.tried.first, rejected=found.tried.rejected)
+    anew = SearchHistory(first=found.tried.first, rejected=found.tried.rejected)
     start = replace(found, base=base, alternatives=tuple(() for _ in best.hypothesis), tried=anew)
     exact = other.moved(start, exact_best if best.hypothesis else base)
     exact = without_parts(other, exact, needless[:1])
@@ -73,7 +73,7 @@ def without_step_error(
     )
 
 
-def step_counted(data: Data, found: Searched, threads: int | None) -> Searched:
+def step_counted(data: Data, found: SearchState, threads: int | None) -> SearchState:
     """The end with intervals that the error of the engine's physics step is counted in."""
     engine = data.simulator.engine
     if (step := engine.discretisation) is None:
@@ -91,6 +91,6 @@ def step_counted(data: Data, found: Searched, threads: int | None) -> Searched:
 def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> tuple[float, float]:
     """χ² that a hypothesis leaves, and that of a finer step's change orthogonal to parameters and initial states."""
     moved = changes_between(data.simulator, finer, fitted.fit, data.segments)
-    weighing = weigh(data.times, fitted.fit, noise)
-    column = weighing.columns(data.times, moved)[:, 0]
-    return float((weighing.residual**2).sum()), Nuisance.of(weighing.slopes).left(column)
+    whitened_fit = whiten_fit(data.times, fitted.fit, noise)
+    column = whitened_fit.columns(data.times, moved)[:, 0]
+    return float((whitened_fit.residual**2).sum()), Nuisance.of(whitened_fit.slopes).squares_beyond(column)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.results import Experiment, Finding, Named
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise, whiten
@@ -42,7 +42,7 @@ Designs = Callable[[], Sequence[Design]]
 """Experiments to choose from, made where one is looked for."""
 
 
-def separating(data: Data, found: Searched, findings: Sequence[Finding], designs: Designs) -> Experiment | None:
+def separating(data: Data, found: SearchState, findings: Sequence[Finding], designs: Designs) -> Experiment | None:
     """The design in which the strongest finding that has an equivalent differs most from it.
 
     The distance is that of the two predictions after the second model's free parameters are refitted to the first, to
@@ -61,7 +61,7 @@ def separating(data: Data, found: Searched, findings: Sequence[Finding], designs
     return best
 
 
-def _pair(found: Searched, findings: Sequence[Finding]) -> tuple[Fitted, Fitted, tuple[Named, Named]] | None:
+def _pair(found: SearchState, findings: Sequence[Finding]) -> tuple[Fitted, Fitted, tuple[Named, Named]] | None:
     for finding in findings:
         for other in finding.equivalent:
             label = f"{other.effect}:{'+'.join(other.locations)}"
@@ -89,5 +89,5 @@ def _distance(data: Data, first: Fitted, second: Fitted, design: Design, sigma: 
     noise = white_noise([np.ones((2, len(sigma))) * sigma])
     difference = whiten(noise, design.times, other.position[0] - own.position[0]).ravel()
     slopes = np.array([whiten(noise, design.times, p - own.position[0]).ravel() for p in own.position[1:]]).T
-    left = Nuisance.of(slopes).without(difference)
+    left = Nuisance.of(slopes).project_out(difference)
     return float(np.sqrt((left**2).mean()))

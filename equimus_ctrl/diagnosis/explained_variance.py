@@ -72,12 +72,12 @@ def explained(
         raise ConfigError(
             f"residual, nuisances and columns have {n}, {len(nuisance.basis)} and {len(columns)} rows, expected as many"
         )
-    r = nuisance.without(residual)
+    r = nuisance.project_out(residual)
     size = np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0
     unit = columns / size
     strongest = np.linalg.eigvalsh(unit.T @ unit).max(initial=0.0)
-    free = nuisance.without(unit)
+    free = nuisance.project_out(unit)
     strength, turn = np.linalg.eigh(free.T @ free)
     seen = strength > CUT**2 * strongest
     turn = turn[:, seen] / np.sqrt(strength[seen])

@@ -11,10 +11,10 @@ from scipy.stats import chi2
 
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.candidates import Part
-from equimus_ctrl.diagnosis.confirmation import Judge
+from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis_moves import Searched, Tried
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import Detectable, Estimate, Evidence, Finding, Named, Ranked, Verdict
 from equimus_ctrl.diagnosis.screening import Screened
@@ -55,7 +55,7 @@ def named_part(part: Part) -> Named:
     return Named(part.candidate.effect.name, part.candidate.locations)
 
 
-def equivalents(search: Search, found: Searched, left: bool, finely: Finely) -> tuple[tuple[Named, ...], ...]:
+def equivalents(search: Search, found: SearchState, left: bool, finely: Finely) -> tuple[tuple[Named, ...], ...]:
     """For each part of the hypothesis what fits as well in its place.
 
     Args:
@@ -64,34 +64,39 @@ def equivalents(search: Search, found: Searched, left: bool, finely: Finely) -> 
         left: whether something stays unexplained beside them.
         finely: fits with a smaller discretisation error.
     """
-    alike = []
+    equivalent = []
     for k in range(len(found.without)):
         own, tried = _equivalent(search, found, k, left, finely)
         found = replace(found, tried=tried)
-        alike.append(own)
-    return tuple(alike)
+        equivalent.append(own)
+    return tuple(equivalent)
 
 
-def findings(search: Search, found: Searched, judge: Judge, alike: Sequence[tuple[Named, ...]]) -> tuple[Finding, ...]:
+def findings(
+    search: Search, found: SearchState, holdout: HoldoutResiduals, equivalent: Sequence[tuple[Named, ...]]
+) -> tuple[Finding, ...]:
     """The parts of the hypothesis with their intervals and their evidence, the one that gains most first.
 
     Args:
         search: that ended there.
         found: its end.
-        judge: of held-out trials.
-        alike: see ``equivalents``; empty where nobody looked.
+        holdout: residuals on held-out trials.
+        equivalent: see ``equivalents``; empty where nobody looked.
     """
     parts = enumerate(found.best.hypothesis)
     named = [
         Finding(
-            part, _estimates(search.data, found.best, k), _evidence(search, found, judge, k), alike[k] if alike else ()
+            part,
+            _estimates(search.data, found.best, k),
+            _evidence(search, found, holdout, k),
+            equivalent[k] if equivalent else (),
         )
         for k, part in parts
     ]
     return tuple(sorted(named, key=lambda f: -f.evidence.gain))
 
 
-def _evidence(search: Search, found: Searched, judge: Judge, k: int) -> Evidence:
+def _evidence(search: Search, found: SearchState, holdout: HoldoutResiduals, k: int) -> Evidence:
     best, without = found.best, found.without[k]
     gain, count = without.deviance - best.deviance, best.hypothesis[k].candidate.n_parameters
     log10_p_value = (_log_p_value(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
@@ -99,9 +104,9 @@ def _evidence(search: Search, found: Searched, judge: Judge, k: int) -> Evidence
         gain,
         search.threshold(count),
         min(log10_p_value, 0.0),
-        judge.gain(without, best),
-        judge.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
-        judge.share(*(judge.left(f.fit.model) for f in (without, best, found.base))),
+        holdout.gain(without, best),
+        holdout.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
+        holdout.share(*(holdout.residuals(f.fit.model) for f in (without, best, found.base))),
     )
 
 
@@ -128,24 +133,26 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
     return found
 
 
-def _equivalent(search: Search, found: Searched, k: int, left: bool, finely: Finely) -> tuple[tuple[Named, ...], Tried]:
+def _equivalent(
+    search: Search, found: SearchState, k: int, left: bool, finely: Finely
+) -> tuple[tuple[Named, ...], SearchHistory]:
     """Alternatives that fit as well; none with more parameters, which reproduces anything simpler.
 
     Close ones are compared with short steps: where commands jump, discretisation errors can separate equivalent
     effects.
     """
-    limits, gain = search.data.limits, found.without[k].deviance - found.best.deviance
+    thresholds, gain = search.data.thresholds, found.without[k].deviance - found.best.deviance
 
     def margin(t: Thresholds) -> float:
-        alike = max(t.indistinguishable, t.indistinguishable_share * gain) if left else t.indistinguishable
-        return max(alike + search.scatter(t), t.simulation_error * search.data.n)
+        equivalent = max(t.indistinguishable, t.indistinguishable_share * gain) if left else t.indistinguishable
+        return max(equivalent + search.scatter(t), t.simulation_error * search.data.n)
 
     def within_scatter(t: Thresholds) -> float:
         return margin(t) + t.step_scatter
 
     def within(alternative: Fitted, best: Fitted, most: Callable[[Thresholds], float]) -> bool:
         more = search.score(alternative) - search.score(best)
-        return limits.decides(lambda t: more < most(t))
+        return thresholds.decides(lambda t: more < most(t))
 
     own = found.best.hypothesis[k].candidate.label
     others: dict[str, Named] = {}
@@ -164,7 +171,7 @@ def _equivalent(search: Search, found: Searched, k: int, left: bool, finely: Fin
     return tuple(others.values()), tried
 
 
-def ranking(search: Search, found: Searched) -> tuple[Ranked, ...]:
+def ranking(search: Search, found: SearchState) -> tuple[Ranked, ...]:
     """All candidates alone, best first."""
     alone: dict[str, float] = {}
     for fitted in found.tried.fitted:
@@ -183,7 +190,7 @@ def ranking(search: Search, found: Searched) -> tuple[Ranked, ...]:
     return tuple(sorted(ranked, key=lambda r: -max(r.fitted or 0.0, r.screened if r.fitted is None else 0.0)))
 
 
-def detectable(search: Search, found: Searched) -> tuple[Detectable, ...]:
+def detectable(search: Search, found: SearchState) -> tuple[Detectable, ...]:
     """The smallest size of each effect that would have been accepted."""
     smallest = []
     for s in found.tried.first:
@@ -210,7 +217,7 @@ def _smallest(screened: Screened, threshold: float) -> float:
     return float(values[seen][np.argmin(strength[seen])])
 
 
-def notes(found: Searched, split: Split, excluded: Sequence[str], not_done: Sequence[str]) -> list[str]:
+def notes(found: SearchState, split: Split, excluded: Sequence[str], not_done: Sequence[str]) -> list[str]:
     """What else a person ought to know of how the search went."""
     said = []
     if not_done:

@@ -26,7 +26,7 @@ from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
-from equimus_ctrl.identification.weighing import weigh
+from equimus_ctrl.identification.whitened_fit import whiten_fit
 from equimus_ctrl.types import Array
 
 ROUNDS = 4
@@ -95,7 +95,7 @@ class Data:
         fine: a slower one with a smaller discretisation error; the same by default.
         policy: how they are fitted and searched.
         budget: after each step of a fit it is asked whether to go on.
-        limits: the thresholds.
+        thresholds: that decide.
     """
 
     free: FreeParameters
@@ -105,7 +105,7 @@ class Data:
     fine: Simulator | None = None
     policy: SearchPolicy = field(default_factory=SearchPolicy)
     budget: Budget = field(default_factory=Budget)
-    limits: Thresholds = field(default_factory=Thresholds)
+    thresholds: Thresholds = field(default_factory=Thresholds)
 
     @property
     def times(self) -> list[Array]:
@@ -221,10 +221,10 @@ class Data:
         starts = [np.tile(start, (len(models) + 1, 1)) for start in found.starts]
         predicted = (self.coarse or self.simulator)([found.model, *models], self.segments, starts)
         changes = [np.moveaxis(p.position[1:] - p.position[0], 0, -1) for p in predicted]
-        weighing = weigh(self.times, found, noise)
-        left = weighing.residual[:, None] - weighing.columns(self.times, changes)
-        remaining = np.delete(weighing.slopes, place, axis=1)
-        left = Nuisance.of(remaining).without(left)
+        whitened_fit = whiten_fit(self.times, found, noise)
+        left = whitened_fit.residual[:, None] - whitened_fit.columns(self.times, changes)
+        remaining = np.delete(whitened_fit.slopes, place, axis=1)
+        left = Nuisance.of(remaining).project_out(left)
         return np.where(np.isfinite(left).all(axis=0), (left**2).sum(axis=0), np.inf)
 
     def _judged(self, hypothesis: Hypothesis, found: Fit) -> Fitted:
@@ -261,7 +261,7 @@ class Data:
             return found
         return min(found, other, key=lambda f: f.deviance)
 
-    def as_it_came(self) -> Fitted:
+    def nominal_fit(self) -> Fitted:
         """The model without any effect, with its present parameters."""
         start = [s.start for s in self.segments]
         found = self._fit((), [(self.free.start, start)], self._first_noise(), FitSettings(1e-3, 0))
@@ -278,7 +278,7 @@ class Data:
     def _beyond(self, fitted: Fitted, times: Callable[[Thresholds], float]) -> bool:
         rough = noise_of_differences([s.measured for s in self.segments])
         largest = max(r / own.sigma for r, own in zip(fitted.fit.rmse, rough, strict=True))
-        return self.limits.decides(lambda t: largest > times(t))
+        return self.thresholds.decides(lambda t: largest > times(t))
 
     def _first_noise(self) -> Noise:
         return white_noise([s.measured - s.measured.mean(axis=0) for s in self.segments])

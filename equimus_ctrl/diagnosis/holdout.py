@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import seen_places
+from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
@@ -106,7 +106,7 @@ def split(
     until: float | None = None,
     window: tuple[float, float] | None = None,
     shoot: float | None = None,
-    simulator: Simulator | None = None,
+    simulator: Callable[[], Simulator] | None = None,
 ) -> Split:
     """Decide which trials are fitted, which are for validation and which for the test.
 
@@ -119,8 +119,8 @@ def split(
         until: of every trial only what comes before this time is fitted, and the rest is for validation too [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of multiple-shooting intervals [s]; by default whole trials, or where nothing holds the
-            robot in place see ``window_length``.
-        simulator: that follows it there.
+            robot in place see ``longest_interval``.
+        simulator: makes the one that follows it there, once the recordings are checked.
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` leaves
@@ -158,7 +158,8 @@ def split(
             whose = "what counts" if window else f"the {'first' if until <= first else 'last'} trial"
             raise ConfigError(f"fitted is what comes before {until:g} s, but {whose} {what}")
     if not model.robot.traits.held_in_place and shoot is None:
-        shoot = window_length(model, [r for k, r in enumerate(recordings) if k not in unseen], window, simulator)
+        counted = [r for k, r in enumerate(recordings) if k not in unseen]
+        shoot = longest_interval(model, counted, window, simulator and simulator())
     found = _parted(model, recordings, (judging, unseen), until, window, shoot)
     if asked is not None and not found.validation:
         raise ConfigError(
@@ -230,12 +231,12 @@ def _cut(
 
 def _motion_length(model: Model, segments: Sequence[Segment]) -> float:
     """The longest intervals in which the fastest joint crosses its range hardly more than once [s]."""
-    seen = seen_places(model, segments)
-    time = min(seen[joint].span / seen[joint].speed for joint in model.robot.joint_names)
+    excitation = excitation_of(model, segments)
+    time = min(excitation[joint].span / excitation[joint].speed for joint in model.robot.joint_names)
     return next((length for length in LENGTHS if length <= ONCE * time), LENGTHS[-1])
 
 
-def window_length(
+def longest_interval(
     model: Model,
     recordings: Sequence[Recording],
     window: tuple[float, float] | None = None,

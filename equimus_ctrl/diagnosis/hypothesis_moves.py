@@ -20,7 +20,7 @@ from equimus_ctrl.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class SearchHistory:
     """What a search has tried so far.
 
     Attributes:
@@ -40,13 +40,13 @@ class Tried:
         """Whether none of some candidates was rejected."""
         return self.rejected.isdisjoint(labels)
 
-    def having(self, *fitted: Fitted) -> Tried:
+    def having(self, *fitted: Fitted) -> SearchHistory:
         """The same with more fits."""
         return replace(self, fitted=(*self.fitted, *fitted))
 
 
 @dataclass(frozen=True, eq=False)
-class Searched:
+class SearchState:
     """Where a search is.
 
     Attributes:
@@ -61,9 +61,9 @@ class Searched:
     best: Fitted
     without: tuple[Fitted, ...] = ()
     alternatives: tuple[tuple[Fitted, ...], ...] = ()
-    tried: Tried = field(default_factory=Tried)
+    tried: SearchHistory = field(default_factory=SearchHistory)
 
-    def rejecting(self, labels: Iterable[str]) -> Searched:
+    def rejecting(self, labels: Iterable[str]) -> SearchState:
         """The same, some candidates to be no part of it any more."""
         tried = replace(self.tried, rejected=self.tried.rejected | set(labels))
         return replace(
@@ -80,7 +80,7 @@ WITHIN, CLOSE = 0.5, 50.0
 COARSE_STEPS, LONG = 5, 15
 """Iterations of a coarse fit, and of a fit of the few that are best by then."""
 FEW_ALTERNATIVES = 3
-"""Candidates fitted, for each way to weigh the residuals, to take the place of a part."""
+"""Candidates fitted, for each whitening of the residuals, to take the place of a part."""
 MOST_ROUNDS = 8
 """How often parts are exchanged at most."""
 
@@ -94,18 +94,19 @@ class HypothesisMoves:
         pool: the candidates.
         settings: how it goes.
         notify: see ``Notify``.
-        elsewhere: hypotheses with these candidates that were fitted to other intervals of the same trials, as starts.
-        otherwise: those that were fitted to the same trials with another engine, as further alternatives.
+        fits_on_short_intervals: hypotheses with these candidates, fitted to short shooting intervals of the same
+            trials, to start from.
+        fits_with_other_engine: those fitted to the same segments with another engine, as further alternatives.
     """
 
     data: Data
     pool: Sequence[Candidate]
     settings: SearchSettings = field(default_factory=SearchSettings)
     notify: Notify = lambda stage, best: None
-    elsewhere: Sequence[Fitted] = ()
-    otherwise: Sequence[Fitted] = ()
+    fits_on_short_intervals: Sequence[Fitted] = ()
+    fits_with_other_engine: Sequence[Fitted] = ()
 
-    def left(self, tried: Tried) -> list[Candidate]:
+    def allowed_candidates(self, tried: SearchHistory) -> list[Candidate]:
         """The candidates that were not rejected."""
         return [c for c in self.pool if tried.allows([c.label])]
 
@@ -116,19 +117,21 @@ class HypothesisMoves:
     def accepts(self, simple: Fitted, rich: Fitted) -> bool:
         """Whether the gain of the richer hypothesis exceeds the acceptance threshold on −2Δln L."""
         more, gain = max(rich.n_parameters - simple.n_parameters, 1), simple.deviance - rich.deviance
-        return self.data.limits.decides(lambda t: gain > self.threshold(more, t))
+        return self.data.thresholds.decides(lambda t: gain > self.threshold(more, t))
 
-    def threshold(self, parameters: int, limits: Thresholds | None = None) -> float:
+    def threshold(self, parameters: int, thresholds: Thresholds | None = None) -> float:
         """Least gain of deviance for an effect with so many parameters, by the data's limits or others."""
-        t = limits or self.data.limits
+        t = thresholds or self.data.thresholds
         by_chance = float(chi2.isf(t.significance / max(len(self.pool), 1), parameters))
         return max(by_chance, t.simulation_error * self.data.n) + self.scatter(t)
 
-    def scatter(self, limits: Thresholds) -> float:
+    def scatter(self, thresholds: Thresholds) -> float:
         """By how much deviances differ with where fits end."""
-        return limits.minima_scatter if self.settings.many_minima else 0.0
+        return thresholds.minima_scatter if self.settings.many_minima else 0.0
 
-    def challenge(self, tried: Tried, fitted: Fitted, replacing: str = "") -> tuple[list[Fitted], Tried]:
+    def challenge(
+        self, tried: SearchHistory, fitted: Fitted, replacing: str = ""
+    ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part, the most promising ones fitted until converged.
 
         Args:
@@ -145,8 +148,8 @@ class HypothesisMoves:
         return options, replace(tried, extended={**tried.extended, **entry})
 
     def extensions(
-        self, tried: Tried, fitted: Fitted, replaced: str = "", known: Sequence[str] | None = None
-    ) -> tuple[list[Fitted], Tried]:
+        self, tried: SearchHistory, fitted: Fitted, replaced: str = "", known: Sequence[str] | None = None
+    ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part: the promising ones, or with some that are known all others.
 
         Args:
@@ -155,7 +158,7 @@ class HypothesisMoves:
             replaced: label of a candidate that is not tried.
             known: labels of those that are known; None where only promising ones are to be fitted.
         """
-        pool = [c for c in self.left(tried) if c.label not in {replaced, *(known or ())}]
+        pool = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
         most = min(self.settings.tried, FEW_ALTERNATIVES) if replaced else self.settings.tried
         most = most if known is None else len(pool)
         weights = white_noise(fitted.fit.residuals)
@@ -182,7 +185,7 @@ class HypothesisMoves:
 
     def _promising(
         self,
-        tried: Tried,
+        tried: SearchHistory,
         fitted: Fitted,
         pool: Sequence[Candidate],
         screened: Sequence[Screened],
@@ -217,7 +220,7 @@ class HypothesisMoves:
         base = len(self.data.free.free)
         own = [part.candidate.label for part in fitted.hypothesis]
         met: set[str] = set()
-        for other in sorted(self.elsewhere, key=self.score):
+        for other in sorted(self.fits_on_short_intervals, key=self.score):
             parts = {part.candidate.label: part for part in other.hypothesis}
             more = parts.keys() - set(own)
             if len(parts) != len(own) + 1 or len(more) != 1 or more & met or not more <= set(labels):
@@ -232,9 +235,9 @@ class HypothesisMoves:
     @cached_property
     def given(self) -> Fitted:
         """The nominal model."""
-        return self.data.as_it_came()
+        return self.data.nominal_fit()
 
-    def _splits(self, tried: Tried, fitted: Fitted) -> list[tuple[tuple[Part, ...], Begin]]:
+    def _splits(self, tried: SearchHistory, fitted: Fitted) -> list[tuple[tuple[Part, ...], Begin]]:
         """For each part that acts alike at several places, the same with separate parameters."""
         found: list[tuple[tuple[Part, ...], Begin]] = []
         base = len(self.data.free.free)
@@ -251,7 +254,7 @@ class HypothesisMoves:
             found.append((hypothesis, (theta, fitted.fit.starts)))
         return found
 
-    def exchanged(self, found: Searched) -> Searched:
+    def exchanged(self, found: SearchState) -> SearchState:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
         best, tried = found.best, found.tried
         for _ in range(MOST_ROUNDS):
@@ -278,7 +281,9 @@ class HypothesisMoves:
                 )
         return self.moved(replace(found, tried=tried), best)
 
-    def refitted(self, tried: Tried, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[list[Fitted], Tried]:
+    def refitted(
+        self, tried: SearchHistory, fitted: Fitted, hypothesis: tuple[Part, ...]
+    ) -> tuple[list[Fitted], SearchHistory]:
         """As ``refit``; nothing where parts exclude each other or it cannot have happened."""
         try:
             found, tried = self.refit(tried, fitted, hypothesis)
@@ -286,7 +291,7 @@ class HypothesisMoves:
             return [], tried
         return [found], tried
 
-    def moved(self, found: Searched, best: Fitted) -> Searched:
+    def moved(self, found: SearchState, best: Fitted) -> SearchState:
         """A search moved to another hypothesis, with what it would be without each part."""
         parts, tried = best.hypothesis, found.tried
         withouts: list[Fitted] = []
@@ -296,7 +301,7 @@ class HypothesisMoves:
         # The alternatives were fitted beside other parts, so they are found anew, see ``alternatives.listed``.
         return replace(found, best=best, without=tuple(withouts), alternatives=tuple(() for _ in parts), tried=tried)
 
-    def refit(self, tried: Tried, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[Fitted, Tried]:
+    def refit(self, tried: SearchHistory, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[Fitted, SearchHistory]:
         """A part of a fitted hypothesis, fitted to the end from there.
 
         Where it diverges without the rest, with what the model came with.

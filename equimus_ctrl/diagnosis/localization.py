@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import Where
+from equimus_ctrl.diagnosis.results import ResidualLocation
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
@@ -48,7 +48,9 @@ def excess_variances(residuals: Sequence[Array], noise: Noise) -> Array:
     return np.asarray(np.maximum((np.concatenate(residuals) ** 2).mean(axis=0) / sigma**2 - 1.0, 0.0))
 
 
-def where_off(model: Model, segments: Sequence[Segment], residuals: Sequence[Array], noise: Noise) -> tuple[Where, ...]:
+def localise(
+    model: Model, segments: Sequence[Segment], residuals: Sequence[Array], noise: Noise
+) -> tuple[ResidualLocation, ...]:
     """Joints by their share of the excess residual variance, each with the phase and the region where it is densest.
 
     Args:
@@ -67,7 +69,7 @@ def where_off(model: Model, segments: Sequence[Segment], residuals: Sequence[Arr
         when = _densest(_phases(model, segments, j), squares)
         region = _densest(_regions(model, segments, j), squares)
         share = float(per_joint[j]) / whole if whole > 0 else 0.0
-        found.append(Where(joints[j], share, when, region))
+        found.append(ResidualLocation(joints[j], share, when, region))
     return tuple(found)
 
 

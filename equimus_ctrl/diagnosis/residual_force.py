@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import seen_places
+from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.diagnosis.explained_variance import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group, groups, harmonics, responses
@@ -18,7 +18,7 @@ from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.projection import Nuisance
-from equimus_ctrl.identification.weighing import Weighing, weigh
+from equimus_ctrl.identification.whitened_fit import WhitenedFit, whiten_fit
 from equimus_ctrl.types import Array
 
 SLOWEST, FASTEST = 0.2, 4.0
@@ -42,7 +42,7 @@ class ForceCandidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearisedFit:
     """A fitted hypothesis to first order, with all candidate residual forces, whitened by one noise.
 
     Attributes:
@@ -56,7 +56,7 @@ class Linear:
     """
 
     fitted: Fitted
-    weighing: Weighing
+    whitened_fit: WhitenedFit
     groups: list[Group]
     columns: list[Array]
     folds: list[list[slice]]
@@ -64,16 +64,16 @@ class Linear:
     motions: list[Motion]
 
 
-def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> Linear | None:
+def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> LinearisedFit | None:
     """The linear model about a fit; None where its motion cannot be followed."""
     model = fitted.fit.model
-    weighing = weigh(data.times, fitted.fit, noise)
+    whitened_fit = whiten_fit(data.times, fitted.fit, noise)
     starts = [behind_sensors([model], start[None, :])[0] for start in fitted.fit.starts]
     trials = [segment.trial for segment in data.segments]
 
     def scale() -> Array:
-        seen = seen_places(model, data.segments)
-        return np.array([seen[name].force for name in model.robot.joint_names])
+        excitation = excitation_of(model, data.segments)
+        return np.array([excitation[name].force for name in model.robot.joint_names])
 
     try:
         linearised = force_response(data.simulator.engine, model, trials, starts, scale, dt)
@@ -86,11 +86,11 @@ def linear(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> Linear
     forces = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
     with np.errstate(over="ignore", invalid="ignore"):
         answers = [followed(trials) for trials in responses(linearised, forces)]
-    columns = [weighing.columns(data.times, trials) for trials in answers]
+    columns = [whitened_fit.columns(data.times, trials) for trials in answers]
     edges = np.cumsum([0, *[s.measured.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
-    return Linear(fitted, weighing, forces, columns, folds if len(slices) > 1 else [], noise, motions)
+    return LinearisedFit(fitted, whitened_fit, forces, columns, folds if len(slices) > 1 else [], noise, motions)
 
 
 def followed(answers: Sequence[Array]) -> list[Array]:
@@ -99,22 +99,22 @@ def followed(answers: Sequence[Array]) -> list[Array]:
     return [np.where(bounded, a, 0.0) for a in answers]
 
 
-def force_candidates(at: Linear, extra: Array | None = None) -> list[ForceCandidate]:
+def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[ForceCandidate]:
     """What every candidate force explains beside the free parameters, the best on held-out trials first.
 
     Args:
         at: the linear model.
         extra: (N, k) columns that are free as well.
     """
-    slopes = at.weighing.slopes if extra is None else np.column_stack([at.weighing.slopes, extra])
+    slopes = at.whitened_fit.slopes if extra is None else np.column_stack([at.whitened_fit.slopes, extra])
     beside = Nuisance.of(slopes)
     found = [
-        ForceCandidate(group, explained(at.weighing.residual, beside, columns, folds=at.folds))
+        ForceCandidate(group, explained(at.whitened_fit.residual, beside, columns, folds=at.folds))
         for group, columns in zip(at.groups, at.columns, strict=True)
     ]
     return sorted(found, key=lambda f: -f.found.held_out)
 
 
-def judged(found: Explained, at: Linear) -> float:
+def judged(found: Explained, at: LinearisedFit) -> float:
     """Gain in cross-validation; of a single trial, the gain minus that expected of so many parameters on noise."""
     return found.held_out if at.folds else found.gain - 3.0 * found.rank

@@ -18,7 +18,7 @@ from equimus_ctrl.types import Array
 
 SCHEMA = "equimus-ctrl/diagnosis/2"
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
-PARTS: tuple[Literal["train"], Literal["validation"], Literal["test"]] = ("train", "validation", "test")
+SETS: tuple[Literal["train"], Literal["validation"], Literal["test"]] = ("train", "validation", "test")
 """Of the trials: fitted, by which effects were confirmed or rejected, and not touched before the report."""
 STATES = ("nominal", "refitted", "corrected")
 """The nominal model, the refitted (re-identified) model, and the augmented model with the effects found."""
@@ -124,7 +124,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Where:
+class ResidualLocation:
     """A place of the refitted model's residuals.
 
     Attributes:
@@ -340,7 +340,7 @@ class Diagnosis:
     validation: tuple[Segment, ...]
     test: tuple[Segment, ...]
     residuals: Mapping[str, Residuals]
-    where: tuple[Where, ...]
+    where: tuple[ResidualLocation, ...]
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...]
     rejected: tuple[Named, ...]
@@ -385,7 +385,7 @@ class Diagnosis:
             "noise_correlation_s": {
                 j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.best.noise, strict=True)
             },
-            "rmse_rad": {part: {state: self._by_joint(self.rmse(state, part)) for state in STATES} for part in PARTS},
+            "rmse_rad": {part: {state: self._by_joint(self.rmse(state, part)) for state in STATES} for part in SETS},
             "excess_residual_variance": dict(self.excess_variance),
             "parameters": {
                 name: {

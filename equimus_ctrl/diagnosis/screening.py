@@ -16,7 +16,7 @@ from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.projection import Nuisance
-from equimus_ctrl.identification.weighing import Weighing, weigh
+from equimus_ctrl.identification.whitened_fit import WhitenedFit, whiten_fit
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
@@ -36,7 +36,7 @@ class Screened:
         candidate: what.
         hypothesis: the one screened against, with the candidate added.
         begin: parameters of the model (p,) that go with it, to first order.
-        gains: by how much χ² would fall, for each way to weigh the residuals.
+        gains: by how much χ² would fall, for each whitening of the residuals.
         tried: the guesses that could be added.
         strength: for each of them χ² of its change's component orthogonal to the parameters' Jacobian.
     """
@@ -50,7 +50,7 @@ class Screened:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _FirstOrder:
     """An initial guess.
 
     Attributes:
@@ -92,22 +92,24 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
                 continue
     if not entries:
         return []
-    weighings = [weigh(data.times, fitted.fit, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)]
+    whitened_fits = [
+        whiten_fit(data.times, fitted.fit, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)
+    ]
     changes = _changes(data, fitted, entries)
-    if data.policy.rescaled_guesses and (smaller := _smaller(data, weighings[0], entries, changes)):
+    if data.policy.rescaled_guesses and (smaller := _smaller(data, whitened_fits[0], entries, changes)):
         more = _changes(data, fitted, smaller)
         entries = [*entries, *smaller]
         changes = [np.concatenate(pair, axis=2) for pair in zip(changes, more, strict=True)]
-    columns = [w.columns(data.times, changes) for w in weighings]
+    columns = [w.columns(data.times, changes) for w in whitened_fits]
     owners = _owners(len(data.free.free), fitted.hypothesis)
-    found: dict[Candidate, list[_Tried]] = {}
+    found: dict[Candidate, list[_FirstOrder]] = {}
     for kept in {_kept(owners, fitted.hypothesis, hypothesis) for _, hypothesis in entries}:
         rows = [k for k, (_, h) in enumerate(entries) if _kept(owners, fitted.hypothesis, h) == kept]
-        results = [_gains(w, c[:, rows], np.array(kept)) for w, c in zip(weighings, columns, strict=True)]
+        results = [_gains(w, c[:, rows], np.array(kept)) for w, c in zip(whitened_fits, columns, strict=True)]
         for place, k in enumerate(rows):
             theta = np.array(fitted.fit.theta)[list(kept)]
             theta += results[0][3][:, place] * fitted.fit.parameters.scale[list(kept)]
-            tried_now = _Tried(
+            tried_now = _FirstOrder(
                 k,
                 float(results[0][1][place]),
                 tuple(float(gain[place]) for gain, *_ in results),
@@ -117,7 +119,7 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
                 kept,
             )
             found.setdefault(entries[k][0], []).append(tried_now)
-    _again(data, fitted, entries, weighings, columns, found)
+    _again(data, fitted, entries, whitened_fits, columns, found)
     screened = []
     for candidate in pool:
         tried = sorted(found.get(candidate, []), key=lambda t: t.index)
@@ -140,7 +142,7 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
                 candidate,
                 scaled,
                 np.concatenate([best.theta, list(values.values())]),
-                tuple(max(t.gains[w] for t in tried) for w in range(len(weighings))),
+                tuple(max(t.gains[w] for t in tried) for w in range(len(whitened_fits))),
                 tuple(dict(entries[t.index][1][-1].values) for t in tried),
                 np.array([t.strength for t in tried]),
             )
@@ -149,19 +151,19 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
 
 
 def _smaller(
-    data: Data, weighing: Weighing, entries: Sequence[tuple[Candidate, Hypothesis]], changes: Sequence[Array]
+    data: Data, whitened_fit: WhitenedFit, entries: Sequence[tuple[Candidate, Hypothesis]], changes: Sequence[Array]
 ) -> list[tuple[Candidate, Hypothesis]]:
     """Guesses that change far more than is left, with first parameters that change about as much as that.
 
     Along a trial small causes add up: what one so large does says little of what one of the right size would.
     """
-    beside = Nuisance.of(weighing.slopes)
-    left = beside.left(weighing.residual)
-    columns = weighing.columns(data.times, changes)
+    beside = Nuisance.of(whitened_fit.slopes)
+    left = beside.squares_beyond(whitened_fit.residual)
+    columns = whitened_fit.columns(data.times, changes)
     found = []
     for k, (candidate, hypothesis) in enumerate(entries):
         nothing = candidate.effect.grows_from()
-        factor = math.sqrt(left / max(beside.left(columns[:, k]), 1e-300))
+        factor = math.sqrt(left / max(beside.squares_beyond(columns[:, k]), 1e-300))
         if nothing is None or factor > LEAST:
             continue
         values = dict(hypothesis[-1].values)
@@ -185,9 +187,9 @@ def _again(
     data: Data,
     fitted: Fitted,
     entries: Sequence[tuple[Candidate, Hypothesis]],
-    weighings: Sequence[Weighing],
+    whitened_fits: Sequence[WhitenedFit],
     columns: Sequence[Array],
-    found: dict[Candidate, list[_Tried]],
+    found: dict[Candidate, list[_FirstOrder]],
 ) -> None:
     """Screen again guesses that free parameters nearly cancel, at changed parameters; better ones replace ``found``."""
     base = len(data.free.free)
@@ -197,28 +199,31 @@ def _again(
         (tried, place)
         for tried in found.values()
         for place, t in enumerate(tried)
-        if len(t.kept) >= base and data.limits.decides(partial(_absorbed, float(size[t.index]), t.left))
+        if len(t.kept) >= base and data.thresholds.decides(partial(_absorbed, float(size[t.index]), t.left))
     ]
     if not chosen:
         return
-    w = weighings[0]
+    w = whitened_fits[0]
     # Weak directions would be bent far to fit the curvature.
     strong = np.linalg.pinv(w.slopes[:, :base], rcond=STRONG)
     kinds = {tried[place].kept for tried, place in chosen}
-    beside = [{kept: Nuisance.of(v.slopes[:, list(kept)]) for kept in kinds} for v in weighings]
-    totals = [{kept: own.left(v.residual) for kept, own in q.items()} for v, q in zip(weighings, beside, strict=True)]
+    beside = [{kept: Nuisance.of(v.slopes[:, list(kept)]) for kept in kinds} for v in whitened_fits]
+    totals = [
+        {kept: own.squares_beyond(v.residual) for kept, own in q.items()}
+        for v, q in zip(whitened_fits, beside, strict=True)
+    ]
     thetas = []
     for tried, place in chosen:
         change = strong @ (w.residual - columns[0][:, tried[place].index])
         thetas.append(data.free.moved(fitted.fit.theta[:base], change * scale))
     for _ in range(LOOKS):
         changes = _changes(data, fitted, [entries[tried[place].index] for tried, place in chosen], thetas)
-        moved = [v.columns(data.times, changes) for v in weighings]
+        moved = [v.columns(data.times, changes) for v in whitened_fits]
         for k, (tried, place) in enumerate(chosen):
             t = tried[place]
             gains = tuple(
-                totals[way][t.kept] - beside[way][t.kept].left(v.residual - moved[way][:, k])
-                for way, v in enumerate(weighings)
+                totals[way][t.kept] - beside[way][t.kept].squares_beyond(v.residual - moved[way][:, k])
+                for way, v in enumerate(whitened_fits)
             )
             theta = data.free.moved(thetas[k], strong @ (w.residual - moved[0][:, k]) * scale)
             if gains[0] > t.gains[0]:
@@ -285,16 +290,16 @@ def _kept(owners: Sequence[int], old: Hypothesis, new: Hypothesis) -> tuple[int,
     return tuple(i for i, owner in enumerate(owners) if owner in left)
 
 
-def _gains(weighing: Weighing, columns: Array, kept: Array) -> tuple[Array, Array, Array, Array]:
+def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> tuple[Array, Array, Array, Array]:
     """Gain of χ², best factor, χ² of the change itself, (p, k) change of the scaled parameters.
 
     The column is taken at a factor between LEAST and MOST, with the best change of the parameters.
     """
-    beside = Nuisance.of(weighing.slopes[:, kept])
-    residual, left = beside.without(weighing.residual), beside.without(columns)
+    beside = Nuisance.of(whitened_fit.slopes[:, kept])
+    residual, left = beside.project_out(whitened_fit.residual), beside.project_out(columns)
     strength = (left**2).sum(axis=0)
     agreement = residual @ left
     factor = np.clip(agreement / np.maximum(strength, 1e-300), LEAST, MOST)
     gain = 2 * factor * agreement - factor**2 * strength
-    moved = beside.coefficients(weighing.residual[:, None] - columns * factor, WEAK)
+    moved = beside.lstsq(whitened_fit.residual[:, None] - columns * factor, WEAK)
     return gain, factor, strength, moved

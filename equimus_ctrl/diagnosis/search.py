@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from equimus_ctrl.diagnosis.alternatives import contested, narrowed, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, whitened
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, Searched, Tried
-from equimus_ctrl.diagnosis.residual_force import force_candidates, linear
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchState
+from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.screening import screen
 
 SECOND = 2
@@ -23,22 +23,22 @@ SECOND = 2
 class Search(HypothesisMoves):
     """A search over sets of candidates, from where one begins to where it ends."""
 
-    def run(self, base: Fitted) -> Searched:
+    def run(self, base: Fitted) -> SearchState:
         """Search from a model without effects that was refitted."""
-        return self.go_on(Searched(base, base))
+        return self.go_on(SearchState(base, base))
 
-    def beginning(self, base: Fitted, start: Fitted) -> Searched:
+    def beginning(self, base: Fitted, start: Fitted) -> SearchState:
         """A hypothesis without the parts that are not needed, and with better fitting ones in its parts' places."""
-        first = Tried(first=tuple(screen(self.data, base, self.pool)))
-        return simplified(self, self.exchanged(Searched(base, start, tried=first)))
+        first = SearchHistory(first=tuple(screen(self.data, base, self.pool)))
+        return simplified(self, self.exchanged(SearchState(base, start, tried=first)))
 
-    def go_on(self, found: Searched, rejected: Sequence[str] = (), further: bool = True) -> Searched:
+    def go_on(self, found: SearchState, rejected: Sequence[str] = (), further: bool = True) -> SearchState:
         """Search from where one ended; see ``steps``."""
         for now in self.steps(found, rejected, further):
             found = now
         return found
 
-    def steps(self, found: Searched, rejected: Sequence[str] = (), further: bool = True) -> Iterator[Searched]:
+    def steps(self, found: SearchState, rejected: Sequence[str] = (), further: bool = True) -> Iterator[SearchState]:
         """Search from where one ended, step by step; the last step is the end.
 
         Args:
@@ -80,7 +80,7 @@ class Search(HypothesisMoves):
             yield replace(sure, tried=now.tried)
         yield narrowed(self, contested(self, replace(sure, base=now.base, tried=now.tried)))
 
-    def _with_one_more(self, now: Searched, options: Sequence[Fitted]) -> Searched:
+    def _with_one_more(self, now: SearchState, options: Sequence[Fitted]) -> SearchState:
         """A search with the best of some larger hypotheses, its parts exchanged where others fit better."""
         before, best = now.best, min(options, key=self.score)
         others = tuple(o for o in options if o is not best)
@@ -97,7 +97,7 @@ class Search(HypothesisMoves):
         now = self.exchanged(now) if had else now
         return simplified(self, now) if self.settings.many_minima else now
 
-    def _small(self, options: Sequence[Fitted], tried: Tried) -> tuple[list[Fitted], Tried]:
+    def _small(self, options: Sequence[Fitted], tried: SearchHistory) -> tuple[list[Fitted], SearchHistory]:
         """Options that have no more parts than are looked for."""
         return [o for o in options if len(o.hypothesis) <= self.settings.most_parts], tried
 
@@ -110,13 +110,13 @@ class Search(HypothesisMoves):
     def _may_try_all(self, best: Fitted) -> bool:
         return self.settings.many_minima and len(best.hypothesis) < self.settings.most_parts and self.data.strong(best)
 
-    def _beside(self, now: Searched) -> tuple[list[Fitted], Tried]:
+    def _beside(self, now: SearchState) -> tuple[list[Fitted], SearchHistory]:
         """What the second part could be beside others than the best first one: of two together the lesser may lead."""
         tried, base = now.tried, self.score(now.base)
 
         def near_the_best(alternative: Fitted) -> bool:
             gain, most = base - self.score(alternative), base - self.score(now.best)
-            return self.data.limits.decides(lambda t: gain > t.runner_up * most)
+            return self.data.thresholds.decides(lambda t: gain > t.runner_up * most)
 
         close = [r for r in sorted(now.alternatives[0], key=self.score) if near_the_best(r)]
         found: list[Fitted] = []
@@ -128,7 +128,7 @@ class Search(HypothesisMoves):
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
         """Whether a residual force explains far more than the next effect: then that effect is not the missing one."""
-        at = linear(self.data, best, best.noise)
+        at = linearise_fit(self.data, best, best.noise)
         if at is None:
             return False
         before, after = (
@@ -136,4 +136,4 @@ class Search(HypothesisMoves):
         )
         force = force_candidates(at)[0].found
         most = force.held_out if at.folds else force.gain
-        return self.data.limits.decides(lambda t: before - after < t.outdone * most)
+        return self.data.thresholds.decides(lambda t: before - after < t.outdone * most)

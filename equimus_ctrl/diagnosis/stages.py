@@ -19,7 +19,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.alternatives import listed, without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
-from equimus_ctrl.diagnosis.confirmation import Judge, confirmed
+from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, confirmed
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
 from equimus_ctrl.diagnosis.experiment import Designs, separating
 from equimus_ctrl.diagnosis.findings import (
@@ -34,8 +34,8 @@ from equimus_ctrl.diagnosis.findings import (
 )
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis_moves import LONG, Searched
-from equimus_ctrl.diagnosis.localization import excess_variances, where_off
+from equimus_ctrl.diagnosis.hypothesis_moves import LONG, SearchState
+from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.results import STATES, Decision, Diagnosis, Named, Ranked, Residuals
 from equimus_ctrl.diagnosis.search import Search
@@ -82,7 +82,7 @@ class DiagnosisSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class DiagnosisInputs:
     """What is asked.
 
     Attributes:
@@ -107,7 +107,7 @@ class State:
     """What is known after a stage.
 
     Attributes:
-        question: what is asked.
+        inputs: what is asked.
         search: that goes on from where it is.
         found: where it ended so far.
         rest: what that leaves unexplained.
@@ -119,9 +119,9 @@ class State:
         ended_in: the stage in which the budget ended; "" where it did not.
     """
 
-    question: Question
+    inputs: DiagnosisInputs
     search: Search
-    found: Searched
+    found: SearchState
     rest: ResidualAnalysis
     rejected: tuple[Named, ...] = ()
     ranking: tuple[Ranked, ...] = ()
@@ -147,7 +147,7 @@ class State:
 
     def report(self, stage: str, share: float) -> None:
         """Say which stage begins, and what is best so far."""
-        self.question.progress(stage, share, self.label)
+        self.inputs.progress(stage, share, self.label)
 
     def ended(self, stage: str) -> State:
         """The same, its budget having ended in a stage."""
@@ -160,7 +160,7 @@ class State:
         return replace(self, decisions=(*self.decisions, Decision(stage, decision, reason)))
 
 
-def refit(question: Question) -> tuple[State, Fitted | None]:
+def refit(inputs: DiagnosisInputs) -> tuple[State, Fitted | None]:
     """The model without any effect, its parameters refitted, and the same fitted to short shooting intervals.
 
     Where residuals are large, and errors grow along the shooting intervals, the refit is also begun at the fit to
@@ -172,22 +172,22 @@ def refit(question: Question) -> tuple[State, Fitted | None]:
     Raises:
         SimulationDiverged: where the model diverges on every trial.
     """
-    data, split = question.data, question.split
-    question.progress("refitting the model", 0.02, "")
+    data, split = inputs.data, inputs.split
+    inputs.progress("refitting the model", 0.02, "")
     base = data.base()
     short: Fitted | None = None
     with suppress(BudgetSpent):  # the search's first step meets it again
         short = _short_base(data, split) if data.far_above_noise(base) else None
         base = base if short is None else data.base_from(short, base)
-    looked_for = {name: effect for name, effect in REGISTRY.items() if name not in question.settings.exclude}
+    looked_for = {name: effect for name, effect in REGISTRY.items() if name not in inputs.settings.exclude}
     pool = candidates(data.free.model, split.train, looked_for)
     shares: Iterator[float] = iter(np.linspace(0.15, 0.8, ROUNDS))
 
     def notify(stage: str, best: str) -> None:
-        question.progress(stage, float(next(shares, 0.8)), best)
+        inputs.progress(stage, float(next(shares, 0.8)), best)
 
-    search = Search(data, pool, data.policy.applied(question.settings.search), notify)
-    state = State(question, search, Searched(base, base), ResidualAnalysis((), ()))
+    search = Search(data, pool, data.policy.applied(inputs.settings.search), notify)
+    state = State(inputs, search, SearchState(base, base), ResidualAnalysis((), ()))
     excess_variance = ", ".join(
         f"{joint} {own:.3g}"
         for joint, own in zip(
@@ -211,7 +211,7 @@ def search(state: State, short: Fitted | None) -> State:
         for now in own.steps(found):
             found = now
         if short is not None and state.data.far_above_noise(found.best):
-            own, found = _from_short(own, found, state.question.split, short)
+            own, found = _from_short(own, found, state.inputs.split, short)
     except BudgetSpent:
         return _searched(replace(state, found=found), "search").ended("search")
     return _searched(replace(state, search=own, found=found), "search")
@@ -241,7 +241,7 @@ def _searched(state: State, stage: str) -> State:
 def confirmation(state: State) -> State:
     """The effects that held-out trials bear out; where they refuse one, another that they do bear out."""
     state.report("held-out trials", 0.82)
-    found = confirmed(state.search, state.found, state.question.split)
+    found = confirmed(state.search, state.found, state.inputs.split)
     after = replace(state, found=found)
     for label in sorted(state.found.best.labels - found.best.labels):
         after = after.decided("confirmation", f"{label} rejected", "held-out trials do not improve enough with it")
@@ -266,7 +266,7 @@ def unexplained(state: State) -> State:
         found = without_parts(own, found, rest.redundant)
         if found.best.hypothesis:
             names = [part.candidate.label for part in dropped]
-            found = confirmed(own, own.go_on(found, names, further=again > 0), state.question.split)
+            found = confirmed(own, own.go_on(found, names, further=again > 0), state.inputs.split)
             again -= 1
         rest = residual_analysis(state.data, found.base, found.best, found.without)
     after = replace(state, found=found, rest=rest, rejected=rejected)
@@ -285,7 +285,7 @@ def unexplained(state: State) -> State:
 
 def discretization(state: State) -> State:
     """The same without the discretisation error, where that changes findings or unexplained residuals."""
-    exact = without_step_error(state.search, state.found, state.rest, state.question.settings.threads)
+    exact = without_step_error(state.search, state.found, state.rest, state.inputs.settings.threads)
     if exact is None:
         return state
     own, found, rest, coarse = exact
@@ -298,8 +298,10 @@ def validation(state: State) -> State:
     """Joints whose residuals on held-out trials are far above the noise, whatever the parameters of the effects."""
     if state.rest.unexplained:
         return state
-    split, best = state.question.split, state.found.best
-    rest = not_confirmed(state.data, best, split.validation, Judge(state.data, split, state.found).left(best.fit.model))
+    split, best = state.inputs.split, state.found.best
+    rest = not_confirmed(
+        state.data, best, split.validation, HoldoutResiduals(state.data, split, state.found).residuals(best.fit.model)
+    )
     for left in rest.unexplained:
         reason = f"held-out error {left.gain:.3g} times the noise's variance"
         state = state.decided("validation", f"unexplained at {left.location}", reason)
@@ -311,25 +313,27 @@ def alternatives(state: State) -> State:
     state.report("evidence", 0.94)
     found = listed(state.search, state.found)
     if not state.coarse:
-        found = step_counted(state.data, found, state.question.settings.threads)
+        found = step_counted(state.data, found, state.inputs.settings.threads)
     finely = cache(state.data.converge_finely)
-    alike = equivalents(state.search, found, bool(state.rest.unexplained), finely)
-    return replace(state, found=found, equivalent=alike)
+    equivalent = equivalents(state.search, found, bool(state.rest.unexplained), finely)
+    return replace(state, found=found, equivalent=equivalent)
 
 
 def report(state: State) -> Diagnosis:
     """The findings with evidence and intervals, and the rest of the report."""
-    question, own, found, rest = state.question, state.search, state.found, state.rest
-    data, split, model = state.data, question.split, question.data.free.model
-    judge = Judge(data, split, found)
-    named = findings(own, found, judge, state.equivalent)
-    experiment = None if state.ended_in else separating(data, found, named, question.designs)
+    inputs, own, found, rest = state.inputs, state.search, state.found, state.rest
+    data, split, model = state.data, inputs.split, inputs.data.free.model
+    holdout = HoldoutResiduals(data, split, found)
+    named = findings(own, found, holdout, state.equivalent)
+    experiment = None if state.ended_in else separating(data, found, named, inputs.designs)
     residuals = {
-        name: Residuals(train, tuple(judge.left(own_model)), tuple(residuals_of(own_model, split.test, data.simulator)))
+        name: Residuals(
+            train, tuple(holdout.residuals(own_model)), tuple(residuals_of(own_model, split.test, data.simulator))
+        )
         for name, own_model, train in zip(
             STATES,
             (model, found.base.fit.model, found.best.fit.model),
-            (tuple(judge.nominal()), found.base.fit.residuals, found.best.fit.residuals),
+            (tuple(holdout.nominal()), found.base.fit.residuals, found.best.fit.residuals),
             strict=True,
         )
     }
@@ -339,7 +343,7 @@ def report(state: State) -> Diagnosis:
         for left in rest.unexplained:
             reason = f"error on the test set {left.gain:.3g} times the noise's variance"
             state = state.decided("report", f"unexplained at {left.location}", reason)
-    question.progress("done", 1.0, found.best.label)
+    inputs.progress("done", 1.0, found.best.label)
     return Diagnosis(
         verdict(named, rest, state.ended_in in ("", "alternatives")),
         model,
@@ -351,7 +355,7 @@ def report(state: State) -> Diagnosis:
         tuple(split.validation),
         tuple(split.test),
         residuals,
-        where_off(model, split.train, found.base.fit.residuals, noise),
+        localise(model, split.train, found.base.fit.residuals, noise),
         named,
         rest.unexplained,
         state.rejected,
@@ -360,31 +364,31 @@ def report(state: State) -> Diagnosis:
         experiment,
         {name: float(excess_variances(residuals[name].train, noise).mean()) for name in STATES},
         (
-            *notes(found, split, question.settings.exclude, state.not_done),
+            *notes(found, split, inputs.settings.exclude, state.not_done),
             *beyond_range(model, split),
             *([state.coarse] if state.coarse else []),
         ),
-        time.perf_counter() - question.begun,
+        time.perf_counter() - inputs.begun,
         state.decisions,
         state.not_done,
     )
 
 
-def other_question(question: Question) -> Question | None:
+def other_inputs(inputs: DiagnosisInputs) -> DiagnosisInputs | None:
     """The same with other trials held out, where nobody said which; None where somebody did."""
-    other = question.split.other
+    other = inputs.split.other
     if other is None:
         return None
 
     def notify(stage: str, share: float, best: str) -> None:
-        question.progress(f"{stage}, other trials held out", 0.94 + 0.05 * share, best)
+        inputs.progress(f"{stage}, other trials held out", 0.94 + 0.05 * share, best)
 
-    return replace(question, data=replace(question.data, segments=other.train), split=other, progress=notify)
+    return replace(inputs, data=replace(inputs.data, segments=other.train), split=other, progress=notify)
 
 
-def on_others(question: Question, other: Question, found: Diagnosis) -> Diagnosis:
+def on_others(inputs: DiagnosisInputs, other: DiagnosisInputs, found: Diagnosis) -> Diagnosis:
     """A diagnosis with other trials held out, which says so."""
-    before, now = (", ".join(_trials(q.split.validation)) for q in (question, other))
+    before, now = (", ".join(_trials(q.split.validation)) for q in (inputs, other))
     note = f"{before}, held out at first, showed what the other trials do not; so they were fitted, and {now} judged."
     return replace(found, notes=(*found.notes, note))
 
@@ -407,7 +411,7 @@ def _short_base(data: Data, split: Split) -> Fitted | None:
         return None
 
 
-def _from_short(search: Search, found: Searched, split: Split, base: Fitted) -> tuple[Search, Searched]:
+def _from_short(search: Search, found: SearchState, split: Split, base: Fitted) -> tuple[Search, SearchState]:
     """The search's end, or that of one begun at the result of short shooting intervals, if that fits better.
 
     Errors do not grow in short intervals, so the cost is close to quadratic there.

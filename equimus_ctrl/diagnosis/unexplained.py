@@ -8,14 +8,14 @@ from functools import partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import seen_places
+from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.diagnosis.confounding import confounded, restates
 from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.policy import Thresholds
-from equimus_ctrl.diagnosis.residual_force import ForceCandidate, Linear, force_candidates, judged, linear
+from equimus_ctrl.diagnosis.residual_force import ForceCandidate, LinearisedFit, force_candidates, judged, linearise_fit
 from equimus_ctrl.diagnosis.results import Unexplained
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
@@ -59,7 +59,7 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
         best: the hypothesis.
         without: for each of its parts the fit that does without it.
     """
-    at = linear(data, best, best.noise)
+    at = linearise_fit(data, best, best.noise)
     if at is None:
         return ResidualAnalysis((), ())
     all_redundant = ResidualAnalysis((), tuple(range(len(best.hypothesis))))
@@ -69,7 +69,7 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
         # Enough effects reproduce anything; a single force that does so is the simpler explanation.
         return all_redundant
     taken = _squares(data, base, best) - _squares(data, best, best)
-    limits, n = data.limits, data.n
+    thresholds, n = data.thresholds, data.n
 
     def least(t: Thresholds) -> float:
         return max(t.residual_gain, t.residual_share * n)
@@ -80,7 +80,7 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
         ranked = force_candidates(at, extra)
         top = ranked[0]
         whole = max(taken, 0.0) + sum(f.found.gain for f, _ in found) + top.found.gain
-        if limits.decides(partial(_but_a_trace, judged(top.found, at), top.found.gain, whole, least)):
+        if thresholds.decides(partial(_but_a_trace, judged(top.found, at), top.found.gain, whole, least)):
             break
         columns = at.columns[next(k for k, g in enumerate(at.groups) if g is top.group)]
         found.append((top, columns))
@@ -89,7 +89,7 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
     if held_in_place:
         own = _squares(data, best, best)
         confounded_places = confounded(
-            at, [_squares(data, fitted, best) - own for fitted in without], taken, least, limits
+            at, [_squares(data, fitted, best) - own for fitted in without], taken, least, thresholds
         )
     if not found:
         return ResidualAnalysis(_much(data, best), confounded_places)
@@ -100,7 +100,7 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
     redundant = tuple(sorted({*confounded_places, *replaced, *_barely(data, best)}))
     total = sum(f.found.gain for f, _ in found)
     residual_forces = tuple(
-        _residual_force(data, at, f, columns, f.found.gain / total, least(limits)) for f, columns in found
+        _residual_force(data, at, f, columns, f.found.gain / total, least(thresholds)) for f, columns in found
     )
     return ResidualAnalysis(residual_forces, redundant)
 
@@ -163,14 +163,15 @@ def not_on_test(data: Data, best: Fitted, test: Sequence[Segment], residuals: Se
 
 
 def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Unexplained, ...]:
-    excess, limits = excess_variances(residuals, noise), data.limits
+    excess, thresholds = excess_variances(residuals, noise), data.thresholds
     nothing = np.empty(0)
     return tuple(
         Unexplained(
-            joint, float(own / excess.sum()), "", (joint,), own, limits.far_off, "", "", "", nothing, nothing, nothing,
+            joint, float(own / excess.sum()), "", (joint,), own, thresholds.far_off, "", "", "",
+            nothing, nothing, nothing,
         )
         for joint, own in zip(data.free.model.robot.joint_names, map(float, excess), strict=True)
-        if limits.decides(partial(_above, own))
+        if thresholds.decides(partial(_above, own))
     )  # fmt: skip
 
 
@@ -191,13 +192,13 @@ def _stands_in(
     data: Data, without: Fitted, best: Fitted, gap: float, share: Callable[[Thresholds], float], tried: int
 ) -> bool:
     """Whether one of the best residual forces, added to a hypothesis, explains this share of a fall of χ²."""
-    at = linear(data, without, best.noise)
+    at = linearise_fit(data, without, best.noise)
     if at is None:
         return False
     at_joints = not data.free.model.robot.traits.forces_along_actuators
     forces = [(force.found.gain, restates(force.group, best.hypothesis, at_joints)) for force in force_candidates(at)]
     others = [(gain, restated) for gain, restated in forces if restated != "same"][:tried]
-    return data.limits.decides(
+    return data.thresholds.decides(
         lambda t: any(gain > (t.replaces_restated if restated else share(t)) * gap for gain, restated in others)
     )
 
@@ -231,17 +232,17 @@ def _redundant(data: Data, best: Fitted, without: Sequence[Fitted], left: float)
 
 
 def _barely(data: Data, best: Fitted) -> tuple[int, ...]:
-    """Parts at parameters that strain their laws, see ``Effect.barely``."""
-    seen = seen_places(data.free.model, data.segments)
+    """Parts at parameters that strain their laws, see ``Effect.degenerate``."""
+    excitation = excitation_of(data.free.model, data.segments)
     return tuple(
         k
         for k, part in enumerate(best.hypothesis)
-        if any(part.candidate.effect.barely(part.values, seen[place]) for place in part.candidate.locations)
+        if any(part.candidate.effect.degenerate(part.values, excitation[place]) for place in part.candidate.locations)
     )
 
 
 def _residual_force(
-    data: Data, at: Linear, top: ForceCandidate, columns: Array, share: float, threshold: float
+    data: Data, at: LinearisedFit, top: ForceCandidate, columns: Array, share: float, threshold: float
 ) -> Unexplained:
     group = top.group
     joint = _joint(at, group, top.found)
@@ -276,7 +277,7 @@ def _unit(force: str, group: Group) -> str:
     )
 
 
-def _joint(at: Linear, group: Group, found: Explained) -> str:
+def _joint(at: LinearisedFit, group: Group, found: Explained) -> str:
     """The joint on which the force does the most work, of those it acts on."""
     joints = at.fitted.fit.model.robot.joint_names
     work = np.zeros(len(joints))
@@ -288,18 +289,18 @@ def _joint(at: Linear, group: Group, found: Explained) -> str:
     return joints[max(allowed, key=lambda j: work[j])]
 
 
-def _curve(at: Linear, columns: Array, axis: Axis, x: Array) -> tuple[Array, Array]:
+def _curve(at: LinearisedFit, columns: Array, axis: Axis, x: Array) -> tuple[Array, Array]:
     """(n,) the force over its coordinate and half the width of its 95 % interval, both without their means.
 
     Both are without the component along the parameters' Jacobian, which the data do not identify.
     """
-    beside = Nuisance.of(at.weighing.slopes)
-    free = beside.without(columns)
+    beside = Nuisance.of(at.whitened_fit.slopes)
+    free = beside.project_out(columns)
     strength, turn = np.linalg.eigh(free.T @ free)
     whole = float(np.linalg.eigvalsh(columns.T @ columns)[-1])
-    seen = strength > UNTOLD * max(whole, 1e-300)
-    residual = beside.without(at.weighing.residual)
-    found = (turn[:, seen].T @ (free.T @ residual)) / strength[seen]
+    determined = strength > UNTOLD * max(whole, 1e-300)
+    residual = beside.project_out(at.whitened_fit.residual)
+    found = (turn[:, determined].T @ (free.T @ residual)) / strength[determined]
     rows = axis.basis(x)
-    rows = (rows - rows.mean(axis=0)) @ turn[:, seen]
-    return rows @ found, np.asarray(CONFIDENT * np.linalg.norm(rows / np.sqrt(strength[seen]), axis=1))
+    rows = (rows - rows.mean(axis=0)) @ turn[:, determined]
+    return rows @ found, np.asarray(CONFIDENT * np.linalg.norm(rows / np.sqrt(strength[determined]), axis=1))

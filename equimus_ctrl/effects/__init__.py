@@ -15,6 +15,7 @@ from equimus_ctrl.effects.drives import (
     TorqueSaturation,
     ViscousFriction,
 )
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import (
     CoulombFriction,
     Creep,
@@ -25,7 +26,6 @@ from equimus_ctrl.effects.force import (
     ParallelSpring,
     StribeckFriction,
 )
-from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sensors import Backlash, SensorDelay, SensorEffect, SensorOffset, SensorScale
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.effects.valves import (
@@ -60,6 +60,7 @@ __all__ = [
     "DriveCompliance",
     "DrivePlay",
     "Effect",
+    "Excitation",
     "FillingFlow",
     "FirstOrderLag",
     "ForceEffect",
@@ -74,7 +75,6 @@ __all__ = [
     "QuadraticDamping",
     "RateLimit",
     "Saturation",
-    "Seen",
     "SensorDelay",
     "SensorEffect",
     "SensorOffset",

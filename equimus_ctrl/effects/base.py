@@ -10,7 +10,7 @@ from numbers import Real
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 from equimus_ctrl.effects.description import Curve, Description
-from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.sizes import LAWS, WHOLES, Share, Size
 from equimus_ctrl.errors import ConfigError, unknown_name
 
@@ -94,7 +94,7 @@ class Effect:
         return float(meta["low"]), float(meta["high"])
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         """Parameter sets from which a search for this effect can begin, from weak to strong and of each kind it has.
 
         By default all combinations of a few values that go with the parameters' units; a class that knows better says
@@ -103,7 +103,7 @@ class Effect:
         choices = []
         for meta in cls.parameter_info().values():
             low, high = float(meta["low"]), float(meta["high"])
-            values = seen.sizes(meta["unit"])
+            values = excitation.sizes(meta["unit"])
             if not values:
                 least = max(low, 1e-4 * high)
                 values = tuple(least * (high / least) ** share for share in (0.2, 0.4, 0.6, 0.8))
@@ -124,7 +124,7 @@ class Effect:
         return {} if nothing is None else {next(iter(cls.parameter_info())): nothing}
 
     @classmethod
-    def barely(cls, values: Mapping[str, float], seen: Seen) -> bool:
+    def degenerate(cls, values: Mapping[str, float], excitation: Excitation) -> bool:
         """Whether these parameter values strain its law so far that any generalised force would fit as well.
 
         A diagnosis then accepts it only where it leaves nothing unexplained.
@@ -132,7 +132,7 @@ class Effect:
         return False
 
     @classmethod
-    def simpler(cls, values: Mapping[str, float]) -> bool:
+    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
         """Whether with these values of its parameters it would rightly be called by a simpler effect's name."""
         return False
 
@@ -142,12 +142,12 @@ class Effect:
         what = cls.summary[:1].upper() + cls.summary[1:].rstrip(".")
         return f"{what}, at {t.at}: {t.numbers}."
 
-    def curves(self, robot: Any, seen: Seen) -> tuple[Curve, ...]:
+    def curves(self, robot: Any, excitation: Excitation) -> tuple[Curve, ...]:
         """What a report draws of it; by default none, and it draws what follows from the law.
 
         Args:
             robot: as it is modelled.
-            seen: what recordings show of the effect's place.
+            excitation: what recordings show of the effect's place.
         """
         return ()
 

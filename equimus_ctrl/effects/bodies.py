@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 
 from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.description import Description
-from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.sizes import Share, Size
 
 
@@ -104,7 +104,7 @@ class GravityTilt(BodyEffect):
     angle: float = parameter("rad", -1.6, 1.6, "of gravity, from the base's downward axis")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         return [{"angle": angle} for angle in (0.03, -0.03, 0.15, -0.15)]
 
     def changes(self, robot: Robot) -> dict[str, float]:
@@ -142,11 +142,11 @@ class JointStop(BodyEffect):
     damping: float = parameter("N·m·s/rad", 0.0, 100.0, "of its damper, while it is pressed")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        places = [seen.low + share * seen.span for share in (0.02, 0.1, 0.25, 0.75, 0.9, 0.98)]
-        slope = seen.force / seen.span
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        places = [excitation.low + share * excitation.span for share in (0.02, 0.1, 0.25, 0.75, 0.9, 0.98)]
+        slope = excitation.force / excitation.span
         return [
-            {"angle": angle, "stiffness": hard * slope, "damping": 0.1 * hard * seen.force / seen.speed}
+            {"angle": angle, "stiffness": hard * slope, "damping": 0.1 * hard * excitation.force / excitation.speed}
             for angle in places
             for hard in (3.0, 30.0)
         ]
@@ -156,9 +156,9 @@ class JointStop(BodyEffect):
         return {"stiffness": 0.0, "damping": 0.0}  # short of the stop that it replaces
 
     @classmethod
-    def barely(cls, values: Mapping[str, float], seen: Seen) -> bool:
+    def degenerate(cls, values: Mapping[str, float], excitation: Excitation) -> bool:
         # Softer than what holds the joint anyway it stops nothing: a spring that sets in.
-        return values["stiffness"] * seen.span < seen.force
+        return values["stiffness"] * excitation.span < excitation.force
 
     def slot(self, robot: Any) -> str:
         return f"{self.location}, {self._side(robot)} side"

@@ -15,8 +15,8 @@ import casadi as ca
 from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.description import Description
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect, Parameters
-from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import Share
 
 SOFT = 1.0
@@ -120,10 +120,10 @@ class AsymmetricFriction(ForceEffect):
     backward: float = parameter("N·m", 0.0, 100.0, "of backward motion")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         return [
             {"forward": size * share, "backward": size * (2 - share)}
-            for size in seen.sizes("N·m")
+            for size in excitation.sizes("N·m")
             for share in (0.5, 0.9, 1.1, 1.5)
         ]
 
@@ -136,7 +136,7 @@ class AsymmetricFriction(ForceEffect):
         return (p["forward"] + p["backward"]) / 2
 
     @classmethod
-    def simpler(cls, values: Mapping[str, float]) -> bool:
+    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
         return max(values.values()) < UNLIKE * min(values.values())
 
     @classmethod
@@ -212,10 +212,11 @@ class DriveCompliance(BodyEffect):
     damping: float = parameter("N·m·s/rad", 0.0, 1e4, "of its damper")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        stiff = seen.force / seen.span
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        stiff = excitation.force / excitation.span
         return [
-            {"stiffness": hard * stiff, "damping": 0.02 * hard * seen.force / seen.speed} for hard in (3.0, 10.0, 30.0)
+            {"stiffness": hard * stiff, "damping": 0.02 * hard * excitation.force / excitation.speed}
+            for hard in (3.0, 10.0, 30.0)
         ]
 
     def bounds(self, key: str, robot: Any) -> tuple[float, float]:
@@ -276,7 +277,7 @@ class ActuatorGain(BodyEffect):
     factor: float = parameter("1", 0.1, 10.0, "on the forces")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         return [{"factor": factor} for factor in (0.95, 1.05, 0.8, 1.25)]
 
     @classmethod
@@ -308,8 +309,8 @@ class TorqueSaturation(BodyEffect):
     level: float = parameter("N·m", 1e-6, 1e6, "the greatest force there is")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        return [{"level": share * seen.drive} for share in (0.95, 0.85, 0.7, 0.55, 0.4)]
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        return [{"level": share * excitation.drive} for share in (0.95, 0.85, 0.7, 0.55, 0.4)]
 
     @classmethod
     def depends(cls) -> set[str]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, Robots, parameter, register
 from equimus_ctrl.effects.description import Curve, Description
-from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.errors import ConfigError
 
@@ -109,12 +109,12 @@ class ForceEffect(Effect):
         if any(float(size) != 0.0 for size in law(*PROBE, ca.DM.ones(cls.n_states) * 0.41, idle)[:3]):
             raise ConfigError(f"{who}: it still exerts a force with its neutral parameters {dict(cls.neutral)}")
 
-    def curves(self, robot: Any, seen: Seen) -> tuple[Curve, ...]:
+    def curves(self, robot: Any, excitation: Excitation) -> tuple[Curve, ...]:
         """The effective area over the length, of an effect that scales it; of others no curve of its own."""
         if not self.scales:
             return ()
         rest = next(a for a in robot.actuators if a.name == self.location).rest_length
-        x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
+        x = np.linspace(excitation.low - BEYOND * excitation.span, excitation.high + BEYOND * excitation.span, POINTS)
         length, p = ca.SX.sym("length"), {key: ca.SX(value) for key, value in self.parameters().items()}
         share = 1 + ca.SX(self.more_area(length, ca.SX(rest), p))
         area = np.array(ca.Function("area", [length], [share])(x[None, :])).ravel()
@@ -234,11 +234,11 @@ class StribeckFriction(ForceEffect):
     velocity: float = parameter("rad/s", 1e-3, 10.0, "speed at which half of that is gone")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         return [
             {"friction": size, "breakaway": size, "velocity": speed}
-            for size in seen.sizes("N·m")
-            for speed in seen.sizes("rad/s")
+            for size in excitation.sizes("N·m")
+            for speed in excitation.sizes("rad/s")
         ]
 
     @classmethod
@@ -246,7 +246,7 @@ class StribeckFriction(ForceEffect):
         return p["friction"] + p["breakaway"] / (1 + (speed / p["velocity"]) ** 2)
 
     @classmethod
-    def simpler(cls, values: Mapping[str, float]) -> bool:
+    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
         return values["breakaway"] < values["friction"] / 3
 
     @classmethod
@@ -283,8 +283,12 @@ class ParallelSpring(ForceEffect):
     rest: float = parameter("rad", -6.3, 6.3, "angle at which it pulls nowhere")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        return [{"stiffness": size, "rest": rest} for size in seen.sizes("N·m/rad") for rest in (seen.low, seen.high)]
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        return [
+            {"stiffness": size, "rest": rest}
+            for size in excitation.sizes("N·m/rad")
+            for rest in (excitation.low, excitation.high)
+        ]
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
@@ -315,10 +319,10 @@ class NonlinearStiffness(ForceEffect):
     centre: float = parameter("m", 0.0, 10.0, "length about which it stiffens")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         return [
-            {"cubic": sign * size, "centre": seen.low + share * seen.span}
-            for size in seen.sizes("N/m³")
+            {"cubic": sign * size, "centre": excitation.low + share * excitation.span}
+            for size in excitation.sizes("N/m³")
             for sign in (1.0, -1.0)
             for share in (0.15, 0.5, 0.85)
         ]
@@ -353,7 +357,7 @@ class NarrowingArea(ForceEffect):
     )
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         return [{"loss": loss} for loss in (0.2, 0.5, 1.0, 2.0, -0.2, -0.5)]
 
     @classmethod
@@ -394,10 +398,10 @@ class Creep(ForceEffect):
     time_constant: float = parameter("s", 0.02, 100.0, "of the relaxation")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         return [
-            {"stiffness": size, "time_constant": share * seen.duration}
-            for size in seen.sizes("N/m")
+            {"stiffness": size, "time_constant": share * excitation.duration}
+            for size in excitation.sizes("N/m")
             for share in (0.03, 0.1, 0.4)
         ]
 
@@ -439,8 +443,10 @@ class Hysteresis(ForceEffect):
     width: float = parameter("m", 5e-4, 1.0, "way over which it builds up")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        return [{"size": size, "width": share * seen.span} for size in seen.sizes("N") for share in (0.03, 0.15)]
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        return [
+            {"size": size, "width": share * excitation.span} for size in excitation.sizes("N") for share in (0.03, 0.15)
+        ]
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:

@@ -12,7 +12,7 @@ from numba import njit
 
 from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.description import Description
-from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.types import Array
 
@@ -73,7 +73,7 @@ class SensorScale(SensorEffect):
     scale: float = parameter("1", 0.1, 10.0, "factor on the angle")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         return [{"scale": scale} for scale in (0.98, 1.02, 0.9, 1.1)]
 
     def apply(self, sensor: Array) -> None:

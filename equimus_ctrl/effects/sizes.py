@@ -19,7 +19,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.excitation import Excitation
 
 Law = Literal["log", "linear", "either sign", "about one"]
 Whole = Literal["unit", "drive", "range", "none"]
@@ -75,8 +75,8 @@ class Share:
         low: smallest share.
         high: largest.
         law: as of ``Size``.
-        of: what it is a share of: what goes with the parameter's unit (``Seen.scale``), the drive's largest force, the
-            range that the coordinate covers (from its lower end on), or nothing, so that it is a number [SI].
+        of: what it is a share of: what goes with the parameter's unit (``Excitation.scale``), the drive's largest
+            force, the range that the coordinate covers (from its lower end on), or nothing: a number [SI].
     """
 
     parameter: str
@@ -85,18 +85,18 @@ class Share:
     law: Law = "log"
     of: Whole = "unit"
 
-    def size(self, unit: str, seen: Seen, at: str) -> Size:
+    def size(self, unit: str, excitation: Excitation, at: str) -> Size:
         """The size at a place.
 
         Args:
             unit: of the parameter.
-            seen: what recordings show of the place.
+            excitation: what recordings show of the place.
             at: its name.
         """
         if self.of == "range":
-            low, high = seen.low + self.low * seen.span, seen.high - (1 - self.high) * seen.span
+            low, high = excitation.low + self.low * excitation.span, excitation.high - (1 - self.high) * excitation.span
             return Size(self.parameter, low, high, "within the range that is covered", self.law, at)
-        whole = {"unit": seen.scale(unit), "drive": seen.drive, "none": 1.0}[self.of]
+        whole = {"unit": excitation.scale(unit), "drive": excitation.drive, "none": 1.0}[self.of]
         return Size(self.parameter, self.low * whole, self.high * whole, "of what is seen there", self.law, at)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.command import COUPLING, CUTOFF, DEAD_ZONE, REFERENCE, SATURATION, shape_column
 from equimus_ctrl.effects.description import Description
-from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.types import Array
 
@@ -151,8 +151,8 @@ class AsymmetricLag(ValveEffect):
         return {"fill": 0.0, "vent": 0.0}
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        short, middle, long = seen.sizes("s")
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        short, middle, long = excitation.sizes("s")
         pairs = ((short, middle), (middle, short), (middle, long), (long, middle), (short, long), (long, short))
         return [{"fill": fill, "vent": vent} for fill, vent in pairs]
 
@@ -160,7 +160,7 @@ class AsymmetricLag(ValveEffect):
         valve[FILL], valve[VENT] = self.fill, self.vent
 
     @classmethod
-    def simpler(cls, values: Mapping[str, float]) -> bool:
+    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
         return abs(math.log(values["fill"] / values["vent"])) < math.log(1.5)
 
     @classmethod
@@ -212,10 +212,10 @@ class FillingFlow(ValveEffect):
     power: float = parameter("1", 0.0, 3.0, "of the command with which that rate grows")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        whole = seen.command / REFERENCE
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        whole = excitation.command / REFERENCE
         return [
-            {"rate": seen.command / (time * whole**power), "power": power}
+            {"rate": excitation.command / (time * whole**power), "power": power}
             for time in (0.2, 0.5, 1.0)
             for power in (0.0, 1.0, 1.5)
         ]
@@ -245,9 +245,9 @@ class DeadZone(CompiledShaping):
     threshold: float = parameter("Pa", 0.0, 5e4, "pressure that a command loses, and below which it does nothing")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         # Above the threshold all is as with another rest length: only commands below it identify it.
-        return [{"threshold": share * seen.command} for share in (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.26, 0.34)]
+        return [{"threshold": share * excitation.command} for share in (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.26, 0.34)]
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -291,8 +291,11 @@ class Saturation(CompiledShaping):
     level: float = parameter("Pa", 0.0, 1e6, "the greatest pressure there is")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        return [{"level": share * seen.command} for share in (0.97, 0.92, 0.86, 0.8, 0.72, 0.64, 0.56, 0.48, 0.4, 0.33)]
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        return [
+            {"level": share * excitation.command}
+            for share in (0.97, 0.92, 0.86, 0.8, 0.72, 0.64, 0.56, 0.48, 0.4, 0.33)
+        ]
 
     @classmethod
     def sentence(cls, t: Description) -> str:
@@ -315,8 +318,8 @@ class Cutoff(CompiledShaping):
     least: float = parameter("Pa", 0.0, 5e4, "the smallest command that the valve follows")
 
     @classmethod
-    def guesses(cls, seen: Seen) -> list[dict[str, float]]:
-        return [{"least": share * seen.command} for share in (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32)]
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        return [{"least": share * excitation.command} for share in (0.02, 0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32)]
 
     @classmethod
     def sentence(cls, t: Description) -> str:

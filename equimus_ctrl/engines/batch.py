@@ -31,7 +31,7 @@ from equimus_ctrl.types import Array
 
 STEP = 1e-3
 """Default physics step [s]."""
-PARTS = 4
+BATCHES_A_THREAD = 4
 """In so many parts for each thread work is divided, so that none waits long for the others."""
 
 
@@ -102,7 +102,7 @@ def _simulated(
                 _Block(arrays, np.array(chosen[first : first + LANES]), slice(first, first + LANES), histories)
                 for first in range(0, len(chosen), LANES)
             ]
-            size = max(math.ceil(len(own_trials) * len(blocks) / (PARTS * count)), 1)
+            size = max(math.ceil(len(own_trials) * len(blocks) / (BATCHES_A_THREAD * count)), 1)
             for together in _shared(trials, own_trials):
                 parts = [together[first : first + size] for first in range(0, len(together), size)]
                 tasks += [(block, part) for part in parts for block in blocks]

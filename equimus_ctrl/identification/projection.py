@@ -45,14 +45,14 @@ class Nuisance:
             basis, triangle = basis @ turn[:, :rank], turn[:, :rank].T @ triangle
         return cls(basis, triangle * size)
 
-    def without(self, values: Array) -> Array:
-        """(N,) or (N, k) what of some values the columns cannot do."""
+    def project_out(self, values: Array) -> Array:
+        """(N,) or (N, k) values less their projection onto the columns, v − QQᵀv."""
         return np.asarray(values - self.basis @ (self.basis.T @ values))
 
-    def left(self, values: Array) -> float:
-        """Sum of squares of that, of values (N,)."""
+    def squares_beyond(self, values: Array) -> float:
+        """‖v − QQᵀv‖² of values v (N,)."""
         return float((values**2).sum() - ((self.basis.T @ values) ** 2).sum())
 
-    def coefficients(self, values: Array, cut: float) -> Array:
+    def lstsq(self, values: Array, cut: float) -> Array:
         """(p,) or (p, k) of the columns, of the least-squares fit to values, without directions weaker than ``cut``."""
         return np.asarray(np.linalg.lstsq(self.factor, self.basis.T @ values, rcond=cut)[0])

@@ -13,7 +13,7 @@ from equimus_ctrl.identification.noise import JointNoise, Noise
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.uncertainty import UNSEEN
-from equimus_ctrl.identification.weighing import weigh
+from equimus_ctrl.identification.whitened_fit import whiten_fit
 from equimus_ctrl.types import Array
 
 
@@ -44,9 +44,9 @@ def with_step_error(
     except SimulationDiverged:
         return fit
     times = [s.trial.sample_times for s in segments]
-    weighing = weigh(times, fit, noise or tuple(JointNoise(1.0) for _ in fit.model.robot.joint_names))
-    column = weighing.columns(times, changes)[:, 0]
-    moved = np.linalg.lstsq(weighing.slopes, column, rcond=UNSEEN)[0] * fit.parameters.scale
+    whitened_fit = whiten_fit(times, fit, noise or tuple(JointNoise(1.0) for _ in fit.model.robot.joint_names))
+    column = whitened_fit.columns(times, changes)[:, 0]
+    moved = np.linalg.lstsq(whitened_fit.slopes, column, rcond=UNSEEN)[0] * fit.parameters.scale
     more = np.abs(moved) / abs(ratio - 1.0)
     return replace(
         fit,

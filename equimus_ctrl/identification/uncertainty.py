@@ -157,7 +157,7 @@ def _without(jacobian: Array, nuisance: Array) -> Array:
         return jacobian
     m, nj, p = jacobian.shape
     beside = Nuisance.of(nuisance.reshape(m * nj, -1))
-    return np.asarray(beside.without(jacobian.reshape(m * nj, p)).reshape(m, nj, p))
+    return np.asarray(beside.project_out(jacobian.reshape(m * nj, p)).reshape(m, nj, p))
 
 
 def _sparse(directions: Array) -> Array:

@@ -310,7 +310,7 @@ def attached(rng: np.random.Generator, draws: Draws, cls: type[Effect]) -> tuple
     sizes = [size_of(draws.table, cls.name, key, site.kind, site.location) for key in cls.parameter_info()]
     for _ in range(ATTEMPTS):
         values = {size.parameter: size.draw(rng) for size in sizes}
-        if not cls.simpler(values):
+        if not cls.reduces_to_simpler(values):
             return tuple(cls(location, **values) for location in site.everywhere)
     raise ConfigError(f"{cls.name} at {site.location}: {ATTEMPTS} sizes in turn are those of a simpler effect")
 

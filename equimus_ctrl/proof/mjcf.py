@@ -12,7 +12,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import seen_places, uncertain
+from equimus_ctrl.diagnosis.candidates import default_free_parameters, excitation_of
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError
@@ -61,12 +61,14 @@ class Experiment(CaseSource):
     def draws(self) -> Draws:
         """How ground truths of this robot are drawn."""
         model = self.model
-        seen = seen_places(model, self.segments)
+        excitation = excitation_of(model, self.segments)
         joints = model.robot.joint_names
-        interval = seen[joints[0]].interval
-        spread = {name: LITTLE_KNOWN.get(name.rpartition(".")[2], SPREAD) for name in uncertain(model).names}
-        table = mjcf_table(model, seen)
-        sizes = [(NOISE[0] * seen[joint].span, NOISE[1] * seen[joint].span) for joint in joints]
+        interval = excitation[joints[0]].interval
+        spread = {
+            name: LITTLE_KNOWN.get(name.rpartition(".")[2], SPREAD) for name in default_free_parameters(model).names
+        }
+        table = mjcf_table(model, excitation)
+        sizes = [(NOISE[0] * excitation[joint].span, NOISE[1] * excitation[joint].span) for joint in joints]
         times = CORRELATION[0] * interval, CORRELATION[1] * interval
         return Draws(model, spread, table, _choose, partial(_place, table), sizes, times)
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
@@ -213,7 +213,7 @@ def mjcf_excess(truth: GroundTruth, clean: Sequence[Array], effects: Sequence[Ef
         model = Model(truth.robot, tuple(effects))
         silent = mjcf_recordings(truth, clean, [np.zeros_like(c) for c in clean])
         segments = split(model, silent).train
-        free, noise = uncertain(model), tuple(JointNoise(sigma) for sigma in truth.noise)
+        free, noise = default_free_parameters(model), tuple(JointNoise(sigma) for sigma in truth.noise)
         simulator = Simulator(engine_for(model).without_step_error(), threads=1)
         found = fit(free, segments, simulator=simulator, settings=SEARCH, noise=noise)
         joints = ((np.concatenate(found.residuals) / np.array(truth.noise)) ** 2).mean(axis=0)

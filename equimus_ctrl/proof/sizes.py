@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, Robots
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.effects.seen import Seen
 from equimus_ctrl.effects.sizes import Size
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
@@ -32,19 +32,19 @@ def leg_table() -> dict[str, tuple[Size, ...]]:
     return {name: cls.leg_sizes for name, cls in known().items() if cls.leg_sizes}
 
 
-def mjcf_table(model: Model, seen: Mapping[str, Seen]) -> dict[str, tuple[Size, ...]]:
+def mjcf_table(model: Model, excitation: Mapping[str, Excitation]) -> dict[str, tuple[Size, ...]]:
     """The table for an MJCF robot.
 
     Args:
         model: of the robot.
-        seen: what its recordings show of each place.
+        excitation: what its recordings show of each place.
     """
     found = {}
     for name, cls in known().items():
         where = model.robot.force_places() if issubclass(cls, ForceEffect) else model.robot.places()
         info = cls.parameter_info()
         found[name] = tuple(
-            share.size(info[share.parameter]["unit"], seen[place], place)
+            share.size(info[share.parameter]["unit"], excitation[place], place)
             for place in dict.fromkeys(place for kind in cls.sits_at for place in where[kind])
             for share in cls.mjcf_sizes
         )

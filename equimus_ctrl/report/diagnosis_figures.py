@@ -17,7 +17,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.localization import commands, speeds
-from equimus_ctrl.diagnosis.results import PARTS, STATES, Diagnosis
+from equimus_ctrl.diagnosis.results import SETS, STATES, Diagnosis
 from equimus_ctrl.identification.residuals import DIVERGED
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.report import diagnosis_text, style
@@ -180,7 +180,7 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
     m = diagnosis.model.robot
     states = diagnosis_text.states(diagnosis)[1:]
     segments = (*diagnosis.train, *diagnosis.validation, *diagnosis.test)
-    rows = {s: [r for part in PARTS for r in getattr(diagnosis.residuals[s], part)] for s in states}
+    rows = {s: [r for part in SETS for r in getattr(diagnosis.residuals[s], part)] for s in states}
     model = diagnosis.model
     residuals = {s: np.concatenate(r) for s, r in rows.items()}
     angles = np.concatenate([s.measured for s in segments])

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import PARTS, Diagnosis
+from equimus_ctrl.diagnosis.results import SETS, Diagnosis
 from equimus_ctrl.identification.results import together
 from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
@@ -141,7 +141,7 @@ def _size(diagnosis: Diagnosis) -> str:
     rows: list[tuple[str, ...]] = []
     shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     factors, alike = np.array([u.factor for u in shown]), len({u.unit for u in shown}) == 1
-    for part in PARTS:
+    for part in SETS:
         words = "fitted" if part == "train" else part
         if not getattr(diagnosis, part):
             continue

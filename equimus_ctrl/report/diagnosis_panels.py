@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import seen_places
+from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.effects.seen import Seen
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
@@ -85,13 +85,13 @@ class Scene:
 
     model: Model
     segments: Sequence[Segment]
-    seen: Mapping[str, Seen]
+    seen: Mapping[str, Excitation]
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> Scene:
         """All recordings of a diagnosis."""
         segments = (*diagnosis.train, *diagnosis.validation, *diagnosis.test)
-        return cls(diagnosis.model, segments, seen_places(diagnosis.model, segments))
+        return cls(diagnosis.model, segments, excitation_of(diagnosis.model, segments))
 
     @property
     def angles(self) -> Array:

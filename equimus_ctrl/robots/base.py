@@ -60,7 +60,7 @@ class RobotTraits:
     smooth_motion: bool
     forces_along_actuators: bool
     commands_are_pressures: bool
-    trials_alike: bool
+    same_kind_of_trials: bool
     notes_set_parameters: bool
     has_stance: bool
     damping_known_within: float | None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from equimus_ctrl.diagnosis.budget import Asked, never
-from equimus_ctrl.diagnosis.candidates import uncertain
+from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.holdout import check_settings, split
@@ -17,7 +17,7 @@ from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
-from equimus_ctrl.workflow.identify import choose, with_file
+from equimus_ctrl.workflow.identify import choose, simulator_of, with_file
 from equimus_ctrl.workflow.runs import load_scenario
 from equimus_ctrl.workflow.scores import gather
 
@@ -53,12 +53,13 @@ def diagnose_recordings(
     model = model or nominal_model()
     options = with_file(with_changes(DiagnoseOptions, options, changes), model)
     if options.shoot is not None and model.robot.traits.held_in_place:
-        raise ConfigError("windows to shoot over are for MJCF robots; a leg's trials are fitted whole")
+        raise ConfigError("multiple shooting is for MJCF robots; a leg's trials are fitted whole")
     trials = choose(gather(recordings, model), options.select)
-    chosen = uncertain(model, options.free, options.bounds, options.fix)
+    chosen = default_free_parameters(model, options.free, options.bounds, options.fix)
     parts = split(
         model,
         trials,
+        simulator=lambda: simulator_of(options.engine, None, options.threads, model, trials),
         validation=options.validation,
         test=options.test,
         until=options.until,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Seen:
+class Excitation:
     """What recordings show of a place, from which sizes worth trying there follow.
 
     Attributes:

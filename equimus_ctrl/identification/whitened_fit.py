@@ -1,4 +1,4 @@
-"""Residuals and derivatives of a fit as a noise weighs them."""
+"""Residuals and derivatives of a fit, whitened by a noise, initial states projected out."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from equimus_ctrl.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Weighing:
-    """Residuals and derivatives as one noise weighs them, what starts can do taken out.
+class WhitenedFit:
+    """Residuals and derivatives of a fit, whitened, the derivatives by free initial states projected out.
 
     Attributes:
-        residual: (N,).
-        slopes: (N, p) in units of the parameters' scale.
-        starts: for each segment what its start can do.
+        noise: by which they are whitened.
+        residual: (N,) of standard deviation 1 where the noise is all there is.
+        slopes: (N, p) ∂prediction/∂θ in units of the parameters' scale.
+        starts: for each segment its whitened derivatives by the initial state.
     """
 
     noise: Noise
@@ -29,14 +30,14 @@ class Weighing:
     starts: list[Nuisance]
 
     def columns(self, times: Sequence[Array], changes: Sequence[Array]) -> Array:
-        """(N, k) changes (m, nj, k) of predictions, weighed."""
+        """(N, k) changes (m, nj, k) of predictions, whitened likewise."""
         rows = []
         for time, change, start in zip(times, changes, self.starts, strict=True):
-            rows.append(start.without(whiten(self.noise, time, change).reshape(len(start.basis), -1)))
+            rows.append(start.project_out(whiten(self.noise, time, change).reshape(len(start.basis), -1)))
         return np.concatenate(rows)
 
 
-def weigh(times: Sequence[Array], fit: Fit, noise: Noise) -> Weighing:
+def whiten_fit(times: Sequence[Array], fit: Fit, noise: Noise) -> WhitenedFit:
     """The residuals (m, nj) and derivatives of a fit at each segment's times (m,) [s], under a noise."""
     scale = fit.parameters.scale
     residuals, slopes, starts = [], [], []
@@ -45,8 +46,8 @@ def weigh(times: Sequence[Array], fit: Fit, noise: Noise) -> Weighing:
         count = r.size
         start = Nuisance.of(whiten(noise, time, s).reshape(count, -1))
         both = whiten(noise, time, np.concatenate([r[:, :, None], j * scale], axis=2)).reshape(count, -1)
-        both = start.without(both)
+        both = start.project_out(both)
         residuals.append(both[:, 0])
         slopes.append(both[:, 1:])
         starts.append(start)
-    return Weighing(noise, np.concatenate(residuals), np.concatenate(slopes), starts)
+    return WhitenedFit(noise, np.concatenate(residuals), np.concatenate(slopes), starts)
