@@ -68,19 +68,16 @@ class Memory:
             begin = tuple((theta.tobytes(), _bytes(starts)) for theta, starts in given["begin"])
             earlier, simulator, coarse = given.get("earlier"), given["simulator"], given["coarse"]
             key = (
-                "fit", _free(parameters), _segments(segments), simulator.engine.name, simulator.engine.step,
-                coarse and coarse.engine.step, given["settings"], given["noise"], begin,
+                "fit", _free(parameters), _segments(segments), _engine(simulator), coarse and _engine(coarse),
+                given["settings"], given["noise"], begin,
                 earlier and (earlier.theta.tobytes(), _bytes(earlier.starts)),
             )  # fmt: skip
             return self._of(key, lambda: fit(parameters, segments, **given))
 
         def screened(data: Any, at: Any, pool: Any) -> Any:
             own = (_free(at.fit.parameters), at.fit.theta.tobytes(), _bytes(at.fit.starts), at.noise)
-            engine = (data.coarse or data.simulator).engine
-            key = (
-                "screen", own, _segments(data.segments), engine.name, engine.step, tuple(c.label for c in pool),
-                data.thresholds.absorbed,
-            )  # fmt: skip
+            engine, labels = _engine(data.coarse or data.simulator), tuple(c.label for c in pool)
+            key = ("screen", own, _segments(data.segments), engine, labels, data.thresholds.absorbed)
             return self._of(key, lambda: screen(data, at, pool))
 
         with (
@@ -94,6 +91,11 @@ class Memory:
         if key not in self._known:
             self._known[key] = work()
         return self._known[key]
+
+
+def _engine(simulator: Any) -> Hashable:
+    engine = simulator.engine
+    return engine.name, engine.step if engine.costly else None  # the other's step follows from the model
 
 
 def _free(parameters: Any) -> Hashable:

@@ -11,6 +11,7 @@ from effect_cases import PLAUSIBLE
 
 from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.force_basis import Coordinate, read
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.results import (
     Detectable,
@@ -21,9 +22,9 @@ from equimus_ctrl.diagnosis.results import (
     Finding,
     Named,
     Ranked,
+    ResidualForce,
     ResidualLocation,
     Residuals,
-    Unexplained,
 )
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.engines.batch import simulate
@@ -129,9 +130,10 @@ def assembled(
         (other,),
     )
     x = np.linspace(0.9, 1.7, 61)
-    left = Unexplained(
-        "hip", 0.7, "pos.hip·vel.hip", ("hip",), 88.0, 43.2, "N·m·s/rad", "pos.hip", "rad", x, 0.02 * np.sin(9 * x),
-        np.full(61, 4e-3),
+    force = ResidualForce(
+        location="hip", share=0.7, coordinates=read("pos.hip·vel.hip"), places=("hip",), gain=88.0, threshold=43.2,
+        unit="N·m·s/rad", axis=Coordinate("pos", "hip"), axis_unit="rad", x=x, force=0.02 * np.sin(9 * x),
+        band=np.full(61, 4e-3),
     )  # fmt: skip
     ranking = [
         Ranked(found.named, 500.0, 812.0, 35.0),
@@ -157,7 +159,7 @@ def assembled(
             ResidualLocation("hip", 0.17, "nowhere in particular", "nowhere in particular"),
         ),
         findings=(found,),
-        unexplained=(left,),
+        unexplained=(force,),
         rejected=(Named("creep", ("maa",)),),
         ranking=tuple(ranking),
         detectable=(),

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,12 +22,12 @@ from equimus_ctrl.diagnosis.candidates import (
     with_part,
 )
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
-from equimus_ctrl.diagnosis.experiment import Design
+from equimus_ctrl.diagnosis.experiment import Design, _pair
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout, split
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.localization import localise
-from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis
+from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis, Equivalent, Named
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, parse
@@ -152,14 +154,16 @@ def test_physics_of_no_catalogue_is_unexplained_placed_and_drawn(monkeypatch: py
 
 
 @pytest.mark.slow
-def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_goes_on_once_after_an_effect_was_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     ends: list[list[str]] = []
 
     def refusing(data: Data, base: Fitted, best: Fitted, without: object) -> ResidualAnalysis:
         labels = [part.candidate.label for part in best.hypothesis]
         ends.append(labels)
-        own = "dead_zone:baa"
-        return ResidualAnalysis((), tuple(k for k, label in enumerate(labels) if label != own) if own in labels else ())
+        kept = "dead_zone:baa"
+        return ResidualAnalysis(
+            (), {k: "said so" for k, label in enumerate(labels) if label != kept and kept in labels}
+        )
 
     monkeypatch.setattr("equimus_ctrl.diagnosis.stages.residual_analysis", refusing)
     model = nominal_model()
@@ -171,6 +175,8 @@ def test_a_search_goes_on_once_after_a_name_was_withdrawn(monkeypatch: pytest.Mo
     assert set(ends[1]) == {"dead_zone:baa", "stribeck_friction:knee"} and ends[2:] == [["dead_zone:baa"]]
     assert [str(f.named) for f in found.findings] == ["dead_zone at baa"]
     assert [str(named) for named in found.rejected] == ["coulomb_friction at knee", "stribeck_friction at knee"]
+    reasons = {d.decision: d.reason for d in found.decisions if d.stage == "unexplained"}
+    assert reasons == {f"{kind}_friction:knee rejected": "said so" for kind in ("coulomb", "stribeck")}
 
 
 def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_unexplained() -> None:
@@ -180,7 +186,7 @@ def test_what_holds_of_the_trials_fitted_but_of_no_leg_for_those_held_out_is_une
     parts = split(model, trials, validation=["loaded"])
     found = diagnose(default_free_parameters(model), parts, settings=DiagnosisSettings(threads=2))
     assert found.verdict == "unexplained" and not found.findings
-    assert found.unexplained and all(left.only_on == "validation" and left.gain > 3 for left in found.unexplained)
+    assert found.unexplained and all(left.only_on == "validation" and left.excess > 3 for left in found.unexplained)
     assert np.all(found.rmse("corrected", "train") < 1.2e-3)
     assert "on validation trials, whatever the parameters" in " ".join(remains(found))
     assert found.to_dict()["unexplained"][0]["only_on"] == "validation"
@@ -215,6 +221,9 @@ def test_where_only_trials_held_out_show_it_others_are_held_out_instead() -> Non
     assert {s.trial.name for s in found.validation} == {"trial_2", "trial_6", "trial_10"}
     assert {s.trial.name for s in found.test} == {"trial_11"}
     assert any(note.startswith("trial_3, trial_7, held out at first, showed") for note in found.notes)
+    assert [d.decision for d in found.decisions if d.stage == "other_holdout"] == [
+        "held out instead: trial_2, trial_6, trial_10"
+    ]
     trials = trials[:8]
     said = diagnose(
         default_free_parameters(model),
@@ -358,6 +367,16 @@ def test_equivalents_come_with_the_experiment_that_tells_them_apart() -> None:
     assert {str(n) for n in found.experiment.separates} == {"coulomb_friction at maa", "coulomb_friction at hip"}
 
 
+def test_an_experiment_separates_a_finding_from_the_fit_of_its_equivalent() -> None:
+    first, second, fits = object(), object(), [object(), object()]
+    end: Any = SimpleNamespace(best=SimpleNamespace(hypothesis=(first, second)))
+    findings: Any = [SimpleNamespace(part=second, named="second"), SimpleNamespace(part=first, named="first")]
+    other: Any = [Equivalent(Named("dead_zone", ("baa",)), fit) for fit in fits]  # type: ignore[arg-type]
+    assert _pair(end, findings, [(other[0],), ()]) == ("first", other[0])
+    assert _pair(end, findings, [(other[0],), (other[1],)]) == ("second", other[1])
+    assert _pair(end, findings, [(), ()]) is None and _pair(end, findings, ()) is None
+
+
 def test_which_trials_are_held_out() -> None:
     model = nominal_model()
     trials = recordings((), count=5)
@@ -375,6 +394,7 @@ def test_which_trials_are_held_out() -> None:
         split(model, trials, validation=["trial_1"], test=["trial_[12]"])
     with pytest.raises(ConfigError, match="every trial is for the test"):
         split(model, trials, test=["*"])
+    assert {s.recording_name for s in usual.train} == {"trial_0", "trial_1", "trial_2", "trial_4"}
     (train,), (heldout,) = (getattr(split(model, trials[:1]), key) for key in ("train", "validation"))
     assert train.trial.sample_times[-1] < heldout.trial.sample_times[0]
     assert heldout.trial.start == 0.0  # the motion is followed from the beginning
@@ -397,6 +417,29 @@ def test_which_trials_are_held_out() -> None:
     ):
         with pytest.raises(ConfigError, match=sentence):
             split(model, trials, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("count", "given", "validation", "test", "other"),
+    [
+        (1, {}, "", "", ""),
+        (2, {}, "1", "", ""),
+        (3, {}, "2", "", ""),
+        (4, {}, "3", "", "2"),
+        (8, {}, "3", "7", "26"),
+        (9, {"test": ["0"]}, "48", "0", "37"),
+        (3, {"test": ["2"]}, "1", "2", ""),
+        (2, {"test": ["1"]}, "", "1", ""),
+        (8, {"validation": ["[01]"]}, "01", "", ""),
+        (8, {"by_time": True}, "", "", ""),
+        (8, {"by_time": True, "test": ["3"]}, "", "3", ""),
+    ],
+)
+def test_what_is_held_out_follows_from_the_names(
+    count: int, given: dict[str, Any], validation: str, test: str, other: str
+) -> None:
+    chosen = choose_holdout([str(k) for k in range(count)], **given)
+    assert chosen == Holdout(*(frozenset(map(int, places)) for places in (validation, test, other)))
 
 
 def spoilt(change: str) -> list[Recording]:

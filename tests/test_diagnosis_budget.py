@@ -12,6 +12,7 @@ import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 
 from equimus_ctrl.cli.main import main
+from equimus_ctrl.diagnosis import stages
 from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import Split, split
@@ -58,6 +59,10 @@ def whole(parts: Split) -> tuple[Diagnosis, int]:
     return diagnose(default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1), asked=asked), steps[
         0
     ]
+
+
+def test_the_diagram_of_the_stages_has_them_in_order() -> None:
+    assert " → ".join(("refit", *STAGES, "report")) in str(stages.__doc__)
 
 
 def test_what_is_carried_out_lacks_nothing(whole: tuple[Diagnosis, int]) -> None:

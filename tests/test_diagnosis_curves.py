@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from diagnosed_leg import DRAG, PLAUSIBLE, TRUE, finding_of, part_of, plausible
 
+from equimus_ctrl.diagnosis.force_basis import read
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
 from equimus_ctrl.effects import BodyEffect, ForceEffect, SensorEffect, ShapingEffect, make, parameter, register
 from equimus_ctrl.effects.bodies import Robot
@@ -221,7 +222,7 @@ def test_what_is_already_in_the_model_is_drawn_beside_the_finding(diagnosis: Dia
     assert risen == pytest.approx(1 - math.exp(-1), abs=0.02)
 
 
-def test_something_left_over_is_a_curve_with_a_band(diagnosis: Diagnosis, scene: Scene) -> None:
+def test_a_residual_force_is_a_curve_with_a_band(diagnosis: Diagnosis, scene: Scene) -> None:
     left = diagnosis.unexplained[0]
     panel = unexplained_panel(scene, left)
     assert panel is not None and panel.band is not None and panel.data is not None
@@ -229,11 +230,13 @@ def test_something_left_over_is_a_curve_with_a_band(diagnosis: Diagnosis, scene:
     np.testing.assert_allclose(x, np.degrees(left.x))
     np.testing.assert_allclose(y, left.force)
     np.testing.assert_allclose(panel.band[2] - y, left.band)
-    assert unexplained_panel(scene, replace(left, axis="", x=np.empty(0), force=np.empty(0), band=np.empty(0))) is None
+    assert (
+        unexplained_panel(scene, replace(left, axis=None, x=np.empty(0), force=np.empty(0), band=np.empty(0))) is None
+    )
 
 
 @pytest.mark.parametrize("axis", ["vel.knee", "cmd.maa", "cmd.maa−cmd.baa", "len.baa", "time", "rate.maa"])
-def test_a_push_over_any_coordinate_can_be_drawn(diagnosis: Diagnosis, scene: Scene, axis: str) -> None:
-    panel = unexplained_panel(scene, replace(diagnosis.unexplained[0], axis=axis, axis_unit="furlong"))
+def test_a_residual_force_over_any_coordinate_can_be_drawn(diagnosis: Diagnosis, scene: Scene, axis: str) -> None:
+    panel = unexplained_panel(scene, replace(diagnosis.unexplained[0], axis=read(axis)[0], axis_unit="furlong"))
     assert panel is not None
     assert (panel.data is None) == (axis == "rate.maa")

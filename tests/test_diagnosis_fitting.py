@@ -1,12 +1,12 @@
-"""Fits of hypotheses whose parameters act in steps, on commands that sweep and on commands of few sizes."""
+"""Fits of hypotheses with discontinuous parameters, on commands that sweep and on commands of few sizes."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Candidate, Part, default_free_parameters
-from equimus_ctrl.diagnosis.fitting import WORSE, Data, Fitted
+from equimus_ctrl.diagnosis.fitting import PROFILE_FALL, Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
 from equimus_ctrl.effects.valves import Cutoff
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.trials import Trial
@@ -41,7 +41,7 @@ def fitted(commands: list[Array], guess: float) -> tuple[Data, Fitted]:
     return data, data.converge(data.coarse_fit((part,), [begin], still, 10))
 
 
-def test_a_threshold_that_no_slope_leads_to_is_found_by_looking_around() -> None:
+def test_a_threshold_that_no_slope_leads_to_is_found_by_grid_scans() -> None:
     sweeps = [
         np.column_stack([1e4 + 9e3 * np.sin(2 * np.pi * (f + 0.05 * TIME) * TIME), np.full(len(TIME), 8e3)])
         for f in (0.4, 0.7)
@@ -53,7 +53,7 @@ def test_a_threshold_that_no_slope_leads_to_is_found_by_looking_around() -> None
     assert low <= LEAST <= high and high - low < 0.05 * LEAST
     # The truth's own fit is hardly better.
     _, known = fitted(sweeps, LEAST)
-    assert found.deviance < known.deviance + WORSE
+    assert found.deviance < known.deviance + PROFILE_FALL
 
 
 def test_between_two_sizes_of_commands_every_threshold_is_as_good() -> None:
@@ -64,5 +64,5 @@ def test_between_two_sizes_of_commands_every_threshold_is_as_good() -> None:
     ]
     data, found = fitted(steps, 5e3)
     low, high = data.span(found, *data.discontinuous(found.hypothesis))
-    # Looked at from outside: the first factor beyond either size.
+    # An end is the first value evaluated beyond either size.
     assert 2.5e3 < low <= 4e3 and 8e3 <= high < 12e3

@@ -14,7 +14,7 @@ from rich.console import Console
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
-from equimus_ctrl.report.diagnosis_page import page
+from equimus_ctrl.report.diagnosis_page import _method, page
 from equimus_ctrl.report.diagnosis_text import print_diagnosis, sentence
 from equimus_ctrl.report.diagnosis_words import estimate_text
 
@@ -107,6 +107,12 @@ def test_a_consistent_page_tells_what_would_have_shown(diagnosis: Diagnosis) -> 
     assert "Consistent" in said
     assert "0.061 kPa at baa" in said and "1 ± 0.0020 at hip" in said and "no size that was tried at baa" in said
     assert "corrected" not in said and "Missing physics" not in said
+
+
+def test_the_method_says_how_the_trials_were_fitted(diagnosis: Diagnosis) -> None:
+    assert "by simulating each trial fitted as a whole" in _method(diagnosis)
+    in_two = _method(replace(diagnosis, train=(*diagnosis.train, *diagnosis.train)))
+    assert "by multiple shooting over intervals of" in in_two and "as a whole" not in in_two
 
 
 # Terminal

@@ -8,11 +8,12 @@ import pytest
 from diagnosed_leg import DRAG, finding_of, part_of, plausible
 from effect_cases import CASES, PLAUSIBLE
 
+from equimus_ctrl.diagnosis.force_basis import read
 from equimus_ctrl.diagnosis.results import Estimate
 from equimus_ctrl.effects import REGISTRY, Effect
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.report.diagnosis_text import sentence
-from equimus_ctrl.report.diagnosis_words import coordinate, estimate_text, number, power_of_ten
+from equimus_ctrl.report.diagnosis_words import coordinates_text, estimate_text, number, power_of_ten
 from equimus_ctrl.workflow import load_plugins
 
 # Numbers
@@ -73,11 +74,10 @@ def test_chances_are_powers_of_ten(exponent: float, text: str) -> None:
         ("time at 0.5 Hz", "the time since a trial's start at 0.5 Hz"),
         ("time·cmd.maa", "the time since a trial's start and the pressure of maa"),
         ("path.maa", "the path that the length of maa has taken"),
-        ("something.else", "something.else"),
     ],
 )
 def test_coordinates_are_told_in_words(given: str, told: str) -> None:
-    assert coordinate(given) == told
+    assert coordinates_text(read(given)) == told
 
 
 # Sentences

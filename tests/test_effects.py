@@ -6,6 +6,7 @@ import math
 from dataclasses import FrozenInstanceError
 from typing import get_args
 
+import casadi as ca
 import numpy as np
 import pytest
 import tomlkit
@@ -14,7 +15,9 @@ from effect_cases import CASES
 from equimus_ctrl import effects
 from equimus_ctrl.effects import (
     REGISTRY,
+    AsymmetricFriction,
     AsymmetricLag,
+    CoulombFriction,
     Cutoff,
     DeadZone,
     Effect,
@@ -22,6 +25,8 @@ from equimus_ctrl.effects import (
     FirstOrderLag,
     ForceEffect,
     GravityTilt,
+    LoadFriction,
+    ParallelSpring,
     RateLimit,
     Saturation,
     SupplyCoupling,
@@ -31,6 +36,7 @@ from equimus_ctrl.effects import (
     parse,
 )
 from equimus_ctrl.effects.base import Side, check_locations
+from equimus_ctrl.effects.force import force_effects, laws_of
 from equimus_ctrl.effects.valves import DELAY, FILL, FLOW, POWER, RATE, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.encoding import KNOWN_KINDS
@@ -69,6 +75,8 @@ def test_an_effect_says_what_it_is(name: str) -> None:
     assert cls.sits_at and set(cls.sits_at) <= set(PLACES)
     assert isinstance(cls.sits_at, tuple)
     assert issubclass(cls, KNOWN_KINDS), "the reduced engine knows no such kind of effect"
+    assert cls.simulated, "so it is no candidate"
+    assert issubclass(cls, ForceEffect) or not (cls.rubs or cls.loads)
     assert cls.summary
     assert cls.__doc__
     info = cls.parameter_info()
@@ -80,6 +88,23 @@ def test_an_effect_says_what_it_is(name: str) -> None:
         assert math.isfinite(meta["low"])
         assert math.isfinite(meta["high"])
         assert meta["low"] < meta["high"]
+
+
+def test_dry_friction_opposes_the_motion() -> None:
+    x, rate = ca.SX.sym("x"), ca.SX.sym("rate")
+    p = {"forward": ca.SX(0.3), "backward": ca.SX(0.2)}
+    force = ca.Function("force", [x, rate], [AsymmetricFriction.sliding_force(x, rate, [], ca.SX(0), p)])
+    assert [float(force(0.1, r)) for r in (-2.0, 2.0)] == pytest.approx([0.2, -0.3])
+    load = ca.Function("load", [rate], [LoadFriction.sliding_force(x, rate, [], ca.SX(5), {"share": ca.SX(0.1)})])
+    assert [float(load(r)) for r in (-2.0, 0.0, 2.0)] == pytest.approx([0.5, 0.0, -0.5])
+
+
+def test_the_laws_of_effects_come_once_each_and_by_name() -> None:
+    rubbing = CoulombFriction("hip", 0.1), CoulombFriction("knee", 0.1)
+    others = ParallelSpring("knee", 0.1, 0.5), DeadZone("baa", 100.0)
+    assert laws_of((others[0], *rubbing, others[1])) == (CoulombFriction, ParallelSpring)
+    assert force_effects((others[1], others[0], *rubbing)) == (others[0], *rubbing)
+    assert laws_of((others[1],)) == ()
 
 
 @every_effect

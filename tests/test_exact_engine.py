@@ -288,6 +288,23 @@ def test_a_step_of_the_engines_own_choice_hides_below_any_noise() -> None:
     assert chosen[1] < chosen[0] <= 3e-3
 
 
+def test_the_first_model_simulated_decides_the_step() -> None:
+    """Two hypotheses are to differ by their physics alone: whatever comes later has the same step."""
+    drive = '<position name="motor" joint="pivot" kp="{}" kv="{}"/>'
+    soft, stiff = (Model(MjcfRobot("p", pendulum(drive=drive.format(*gains)))) for gains in ((5, 0.5), (20000, 60)))
+    times = np.arange(0.0, 0.5, 0.1)
+    commands = 0.3 * np.sign(np.sin(9 * times))[:, None]
+    trial = Trial("t", times, commands, commands[0], 0.0, np.zeros(1), np.linspace(0.0, 0.5, 51))
+    steps = []
+    for order in ((soft, stiff), (stiff, soft)):
+        engine = ReducedEngine()
+        assert engine.step is None
+        chosen = [engine.simulate([model], [trial], [np.zeros((1, 2))]) and engine.step for model in order]
+        assert chosen[0] == chosen[1]
+        steps.append(chosen[0])
+    assert steps[1] < steps[0]
+
+
 def test_numbers_of_a_trial_are_its_own() -> None:
     trial = swinging()
     heavy = replace(trial, factors={"rod.mass": 2.0})

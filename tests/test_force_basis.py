@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,12 +20,16 @@ from equimus_ctrl.diagnosis.force_basis import (
     AT_JOINTS,
     MEMORIES,
     Axis,
+    Coordinate,
     Group,
     groups,
     harmonics,
+    read,
     responses,
+    written,
 )
 from equimus_ctrl.diagnosis.linear_response import Linearised, along_actuator, linearise
+from equimus_ctrl.diagnosis.residual_force import LinearisedFit, force_candidates, judged
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.motion import Motion, motion
 from equimus_ctrl.engines.trials import Trial
@@ -96,7 +102,7 @@ def centres(axis: Axis) -> Array:
 def test_an_axis_has_smooth_functions_that_add_up_to_one() -> None:
     rng = np.random.default_rng(0)
     values = [rng.normal(size=300) ** 3, rng.normal(size=200)]
-    axis = Axis.over("pos.hip", "rad", values, 9)
+    axis = Axis.over(read("pos.hip")[0], "rad", values, 9)
     x = np.linspace(*axis.range, 400)
     basis = axis.basis(x)
     assert basis.shape == (400, 9) and len(centres(axis)) == 9
@@ -112,14 +118,36 @@ def test_an_axis_has_smooth_functions_that_add_up_to_one() -> None:
 
 def test_knots_are_where_the_data_are_and_nowhere_too_far_apart() -> None:
     dense = np.concatenate([np.full(300, 2.0), np.linspace(-1, 9, 100)])
-    inner = np.unique(Axis.over("vel.hip", "rad/s", [dense], 11).knots)
+    inner = np.unique(Axis.over(read("vel.hip")[0], "rad/s", [dense], 11).knots)
     assert len(inner) == 9
     even = 10 / 8
     assert np.diff(inner).min() > 0.49 * even
     near = np.abs(inner - 2.0).argmin()
     assert np.diff(inner)[near] < 0.6 * even < even < np.diff(inner)[-1]
-    still = Axis.over("cmd.maa", "Pa", [np.full(50, 2e4)])
+    still = Axis.over(read("cmd.maa")[0], "Pa", [np.full(50, 2e4)])
     assert np.all(np.isfinite(still.basis(np.full(3, 2e4))))
+
+
+# --- coordinates -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "coordinates"),
+    [
+        ("", ()),
+        ("pos.hip·sign(vel.hip)", (Coordinate("pos", "hip"), Coordinate("vel", "hip", sign=True))),
+        ("cmd.maa−cmd.baa", (Coordinate("cmd", "maa", less="baa"),)),
+        ("time at 0.5 Hz", (Coordinate("time", frequency=0.5),)),
+        ("time·len.left.knee", (Coordinate("time"), Coordinate("len", "left.knee"))),
+    ],
+)
+def test_coordinates_are_written_as_they_are_read(text: str, coordinates: tuple[Coordinate, ...]) -> None:
+    assert read(text) == coordinates and written(coordinates) == text
+
+
+def test_what_is_no_coordinate_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"'angle\.hip' is no coordinate; expected one such as pos\.hip"):
+        read("vel.hip·angle.hip")
 
 
 # --- groups ------------------------------------------------------------------------------------------------------
@@ -222,11 +250,12 @@ def test_a_curve_is_the_function_without_its_factor() -> None:
     g = group("hip", "pos.hip·vel.hip")
     wanted = (centres(g.axes[0]) - 1.0) * 0.3
     x = np.linspace(*g.axes[0].range, 30)
-    assert (g.factor, g.axes[0].name, g.axes[0].unit) == ("vel.hip", "pos.hip", "rad")
+    assert (g.factor, g.axes[0].coordinate) == (Coordinate("vel", "hip"), Coordinate("pos", "hip"))
+    assert g.axes[0].unit == "rad"
     assert g.curve(wanted, x) == pytest.approx((x - 1.0) * 0.3)
     both = group("knee", "pos.knee·pos.hip")
     a, b = both.axes
-    assert (a.name, b.name) == ("pos.knee", "pos.hip")
+    assert (a.coordinate, b.coordinate) == read("pos.knee·pos.hip")
     coefficients = np.outer(centres(a), centres(b)).ravel()
     y = np.linspace(*b.range, 30)
     x = np.linspace(*a.range, 30)
@@ -362,6 +391,19 @@ def test_a_price_holds_back_what_is_hardly_seen() -> None:
     assert priced.gain < bare.gain
     left = r - q @ (q.T @ r) - (c - q @ (q.T @ c)) @ priced.coefficients
     assert priced.total - priced.gain == pytest.approx(left @ left)
+
+
+def test_of_one_trial_the_force_that_explains_most_for_its_parameters_is_the_best() -> None:
+    r, q, c = problem(6)
+    cause = c[:, :1] / np.linalg.norm(c[:, 0])
+    nothing: list[list[slice]] = []  # a single trial has no folds
+    columns = [c[:, 1:2], cause, np.column_stack([cause, c[:, 2:]])]
+    forces = [Group(name, ("hip",), "time", None, (), {}) for name in ("other", "cause", "too many")]
+    whitened_fit: Any = SimpleNamespace(residual=r + 30 * cause[:, 0], slopes=q)
+    at = LinearisedFit(None, whitened_fit, forces, columns, nothing, (), [])  # type: ignore[arg-type]
+    ranked = force_candidates(at)
+    assert [f.group.location for f in ranked] == ["cause", "too many", "other"]
+    assert ranked[0].found.gain < ranked[1].found.gain and judged(ranked[0].found, at) > judged(ranked[1].found, at)
 
 
 def test_rows_must_agree() -> None:

@@ -9,13 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import gammaincc
 
 from equimus_ctrl.diagnosis import confirmation, stages
 from equimus_ctrl.diagnosis.alternatives import in_place, listed, replacement, simplified, without_parts
-from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.findings import _smallest
-from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchSettings, SearchState
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.hypothesis_moves import (
+    HypothesisMoves,
+    SearchHistory,
+    SearchSettings,
+    SearchState,
+    StopReason,
+)
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.effects import REGISTRY
@@ -46,6 +53,7 @@ class Known:
     """Deviances of sets of effects."""
 
     of: Mapping[tuple[str, ...], float]
+    outdone: Sequence[frozenset[str]] = ()
 
     def __call__(self, *labels: str) -> Fitted:
         return self.fits[frozenset(labels)]
@@ -82,21 +90,21 @@ class OnPaper(Search):
             if labels > fitted.labels and len(labels) == len(fitted.labels) + 1 and out.isdisjoint(labels)
         ], tried
 
-    def _beside(self, now: SearchState) -> tuple[list[Fitted], SearchHistory]:
-        return [], now.tried
+    def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:
+        return [], state.tried
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
-        return False
+        return top.labels in self.known.outdone
 
 
-def judged(monkeypatch: pytest.MonkeyPatch, refused: Sequence[tuple[frozenset[str], frozenset[str]]]) -> Any:
-    """What was held out refuses these steps from one set to another; a split."""
+def held_out_rejects(monkeypatch: pytest.MonkeyPatch, rejected: Sequence[tuple[frozenset[str], frozenset[str]]]) -> Any:
+    """Held-out trials reject these steps from one set to another; a split."""
 
-    def borne_out(search: Search, judge: object, simple: Fitted, rich: Fitted) -> float:
-        return float((simple.labels, rich.labels) not in refused)
+    def carried_over(search: Search, holdout: object, simple: Fitted, rich: Fitted) -> confirmation.Confirmation:
+        return confirmation.Confirmation("gain", float((simple.labels, rich.labels) not in rejected))
 
     monkeypatch.setattr(confirmation, "HoldoutResiduals", lambda *a: None)
-    monkeypatch.setattr(confirmation, "_carried_over", borne_out)
+    monkeypatch.setattr(confirmation, "_carried_over", carried_over)
     return SimpleNamespace(validation=[1], train=(), short_segments=(), other=None)
 
 
@@ -127,7 +135,7 @@ def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none
     assert [r.labels for r in end.alternatives[0]] == [{RUB}]
 
 
-def test_what_is_left_of_two_parts_has_alternatives_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_part_that_stays_of_two_has_alternatives_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known({(): 5000.0, (DEAD,): 1500.0, (FULL,): 1502.0, (OFF,): 4000.0, (DEAD, OFF): 1000.0,
                    (FULL, OFF): 1003.0})  # fmt: skip
     search, found = OnPaper(known), ended(known, DEAD, OFF)
@@ -135,16 +143,16 @@ def test_what_is_left_of_two_parts_has_alternatives_of_its_own(monkeypatch: pyte
     kept = without_parts(search, found, [1])
     assert kept.best.labels == {DEAD} and kept.alternatives == ((),)
     assert {r.label for r in listed(search, kept).alternatives[0]} == {OFF, FULL}
-    # Held out refuses the offset beside the dead zone and this alone, and bears out a saturation in its place.
+    # Held-out trials reject the offset beside the dead zone and this alone, and confirm a saturation in its place.
     dead, nothing = frozenset({DEAD}), frozenset[str]()
-    end = confirmation.confirmed(search, found, judged(monkeypatch, [(dead, dead | {OFF}), (nothing, dead)]))
+    end = confirmation.confirmed(search, found, held_out_rejects(monkeypatch, [(dead, dead | {OFF}), (nothing, dead)]))
     assert end.best.labels == {FULL}
     assert len(end.best.hypothesis) == len(end.without) == len(end.alternatives) == 1
 
 
-def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rejected_effect_does_not_come_back_with_an_mjcf_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (RUB, OFF): 1000.0})
-    split = judged(monkeypatch, [(frozenset(), frozenset({RUB}))])
+    split = held_out_rejects(monkeypatch, [(frozenset(), frozenset({RUB}))])
     search = OnPaper(known, SearchSettings(many_minima=True))
     begun = ended(known, RUB, OFF)
     alone = without_parts(search, replace(begun, tried=begun.tried.having(*known.fits.values())), [1])
@@ -152,7 +160,7 @@ def test_a_withdrawn_name_does_not_come_back_with_an_mjcf_robot(monkeypatch: pyt
     assert confirmation.confirmed(search, alone, split).best.labels == {RUB, OFF}
 
 
-def test_a_withdrawn_name_is_no_simpler_one_and_none_that_fits_as_well() -> None:
+def test_a_rejected_effect_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
     search = OnPaper(known, SearchSettings(many_minima=True))
     found = replace(ended(known, STICK), alternatives=((),), tried=SearchHistory(tuple(known.fits.values())))
@@ -171,7 +179,7 @@ def test_parts_are_known_by_what_they_are_and_where() -> None:
     assert other is not None and other.candidate.label == FULL
 
 
-def test_what_diverges_over_whole_trials_is_not_what_short_windows_tell(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_diverges_over_whole_trials_is_not_what_short_intervals_tell(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known({(): 5000.0, (RUB,): 1000.0})
     search, found = OnPaper(known), ended(known)
 
@@ -181,10 +189,10 @@ def test_what_diverges_over_whole_trials_is_not_what_short_windows_tell(monkeypa
     monkeypatch.setattr(stages, "replace", lambda data, **changed: data)
     monkeypatch.setattr(stages, "Search", lambda *a: OnPaper(known))
     search.data.coarse_fit, search.data.segments = diverged, ()  # type: ignore[attr-defined, method-assign, misc]
-    assert stages._from_short(search, found, judged(monkeypatch, []), found.base) == (search, found)
+    assert stages._from_short(search, found, held_out_rejects(monkeypatch, []), found.base) == (search, found)
 
 
-def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_came_with() -> None:
+def test_what_diverges_from_where_a_larger_set_ended_begins_at_the_nominal_parameters() -> None:
     begun: list[float] = []
 
     def coarse_fit(hypothesis: object, begin: Any, *rest: object) -> Fitted:
@@ -196,6 +204,7 @@ def test_what_diverges_from_where_a_larger_set_ended_begins_with_what_the_model_
     model = nominal_model()
     data: Any = SimpleNamespace(
         free=SimpleNamespace(free=[None], start=np.ones(1), model=model),
+        theta_of=lambda theta, hypothesis: Data.theta_of(data, theta, hypothesis),
         coarse_fit=coarse_fit,
         converge=lambda f: f,
         segments=(),
@@ -221,3 +230,89 @@ def test_of_what_grows_from_nowhere_the_weakest_guess_that_shows_is_told() -> No
     screened: Any = SimpleNamespace(candidate=POOL[FULL], tried=tried, strength=np.array([90.0, 30.0, 4.0]))
     assert _smallest(screened, 18.7) == 2e4
     assert np.isnan(_smallest(screened, 100.0))
+
+
+ALONE = frozenset({RUB})
+REASONS: list[tuple[StopReason, dict[tuple[str, ...], float], SearchSettings, tuple[frozenset[str], ...], set[str]]] = [
+    ("no effect accepted", {(): 5000.0, (RUB,): 4990.0}, SearchSettings(), (), set()),
+    ("no effect accepted", {(): 5000.0, (RUB,): 2000.0}, SearchSettings(), (), {RUB}),
+    ("a residual force explains more", {(): 5000.0, (RUB,): 2000.0}, SearchSettings(), (ALONE,), set()),
+    # A round that is outdone is taken back, unless the next one is not.
+    ("no effect accepted", {(): 5000.0, (RUB,): 2000.0}, SearchSettings(patience=1), (ALONE,), set()),
+    (
+        "no effect accepted",
+        {(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (RUB, OFF): 1000.0},
+        SearchSettings(patience=1),
+        (ALONE,),
+        {RUB, OFF},
+    ),
+    ("most rounds", {(): 5000.0, (RUB,): 2000.0}, SearchSettings(most_parts=0), (), set()),
+]
+
+
+@pytest.mark.parametrize(("reason", "deviances", "settings", "outdone", "labels"), REASONS)
+def test_a_search_says_why_it_stopped(
+    reason: StopReason,
+    deviances: dict[tuple[str, ...], float],
+    settings: SearchSettings,
+    outdone: Sequence[frozenset[str]],
+    labels: set[str],
+) -> None:
+    known = Known(deviances, outdone)
+    end = OnPaper(known, settings).run(known())
+    assert end.stopped == reason and end.best.labels == labels
+
+
+def test_where_no_more_parts_are_asked_for_the_search_says_so() -> None:
+    known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 1000.0})
+    end = OnPaper(known).go_on(SearchState(known(), known(RUB)), further=False)
+    assert end.stopped == "no more parts asked for" and end.best.labels == {OFF}
+
+
+@pytest.mark.parametrize("many_minima", [False, True])
+@pytest.mark.parametrize(("n", "k"), [(1000, 1), (1000, 3), (100_000, 1)])
+def test_the_threshold_is_the_larger_of_chance_and_simulation_error(n: int, k: int, many_minima: bool) -> None:
+    """P(χ² > threshold) is the significance over the number of candidates, by the regularised gamma function."""
+    t = Thresholds()
+    search = HypothesisMoves(SimpleNamespace(n=n, thresholds=t), list(POOL.values()), SearchSettings(many_minima=many_minima))  # type: ignore[arg-type]  # fmt: skip
+    least = search.threshold(k) - (t.minima_scatter if many_minima else 0.0)
+    chance = float(gammaincc(k / 2, least / 2))
+    if n == 1000:
+        assert chance == pytest.approx(t.significance / len(POOL))
+    else:
+        assert least == t.simulation_error * n and chance < t.significance / len(POOL)
+
+
+def test_theta_is_the_models_parameters_and_then_the_values_part_by_part() -> None:
+    data: Any = SimpleNamespace(free=SimpleNamespace(free=[None, None]))
+    hypothesis = fitted(0.0, STICK, OFF).hypothesis
+    theta = Data.theta_of(data, np.array([1.0, 2.0, 77.0]), hypothesis)
+    np.testing.assert_array_equal(theta, [1.0, 2.0, 0.01, 0.012, 0.1, 0.1])
+    np.testing.assert_array_equal(Data.theta_of(data, np.array([1.0, 2.0]), ()), [1.0, 2.0])
+
+
+GAINS: list[tuple[confirmation.Reason, float, float, float, bool, float]] = [
+    # reason, gain and χ² distance on held-out trials, gain on fitted ones, trials of one kind; the ratio
+    ("gain", 60.0, 1000.0, 200.0, False, 0.6),
+    ("gain", 10.0, 20.0, 200.0, True, 0.1),
+    ("distance", 10.0, 20.0, 200.0, False, 0.5),
+    ("evident", 1.0, 2.0, 200.0, False, np.inf),
+    ("uninformative", 1.0, 2.0, 50.0, False, 0.04),
+]
+
+
+@pytest.mark.parametrize(("reason", "held_out", "distance", "gain", "same_kind", "ratio"), GAINS)
+def test_what_held_out_trials_say_of_a_part_has_a_reason(
+    reason: confirmation.Reason, held_out: float, distance: float, gain: float, same_kind: bool, ratio: float
+) -> None:
+    """Half as many samples are held out as fitted."""
+    search = OnPaper(Known({(): 1000.0}))
+    robot = SimpleNamespace(traits=SimpleNamespace(same_kind_of_trials=same_kind))
+    search.data.free.model = SimpleNamespace(robot=robot)  # type: ignore[misc, assignment]
+    holdout: Any = SimpleNamespace(
+        carried_over=lambda simple, rich: held_out / (0.5 * gain),
+        gain=lambda simple, rich: held_out,
+        distance=lambda simple, rich: distance,
+    )
+    said = confirmation._carried_over(search, holdout, fitted(1000.0), fitted(1000.0 - gain, RUB))
+    assert said == confirmation.Confirmation(reason, pytest.approx(ratio))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from morphologies import integrate
 
 from equimus_ctrl import presets
 from equimus_ctrl.cli.main import main
-from equimus_ctrl.effects import REGISTRY, Effect, make, register
+from equimus_ctrl.effects import REGISTRY, Effect, ShapingEffect, make, parameter, register
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
@@ -250,8 +251,31 @@ def test_an_effect_of_no_kind_is_refused_by_those_that_simulate() -> None:
     class Odd(Effect):
         name, side, sits_at, summary = "odd", "force", ("joint",), "of no kind"
 
+    assert not Odd.simulated
     with pytest.raises(ConfigError, match="effect class Odd: is no dataclass"):
         register(Odd)
+
+
+def test_a_discontinuous_parameter_is_one_of_the_effects_and_positive() -> None:
+    """A grid that is even in its logarithm has no values below 0."""
+
+    @dataclass(frozen=True)
+    class Jump(ShapingEffect):
+        name, summary, order, discontinuous = "jump", "commands below a level are lost", 7, ("level",)
+        level: float = parameter("Pa", -1.0, 1e4, "of a command")
+
+    with pytest.raises(
+        ConfigError, match="discontinuous parameter 'level' has a lower bound of -1, expected at least 0"
+    ):
+        register(Jump)
+
+    @dataclass(frozen=True)
+    class Other(ShapingEffect):
+        name, summary, order, discontinuous = "other", "commands below a level are lost", 7, ("lewel",)
+        level: float = parameter("Pa", 0.0, 1e4, "of a command")
+
+    with pytest.raises(ConfigError, match="there is no discontinuous parameter 'lewel'; did you mean"):
+        register(Other)
 
 
 def test_the_documents_show_the_example() -> None:

@@ -2,8 +2,8 @@
 
 The reference is differentiated, the equations of motion with all effects give the pressures P (``models.inverse``), and
 valves are undone in turn: a command leads P by the transport delay and, where the valve lags, by τ dP/dt, and is what
-dead zone, supply coupling, saturation and cutoff leave P of. Held commands have a mean delay of half a period and lead
-by that, too. Rate limits and filling flows cannot be undone. What is measured is compared with what offset, scale,
+dead zone, supply coupling, saturation and threshold leave P of. Held commands have a mean delay of half a period and
+lead by that, too. Rate limits and filling flows cannot be undone. What is measured is compared with what offset, scale,
 delay and play of the sensors make of the reference.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from equimus_ctrl.controllers.pid_kernel import blend
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, behind, follow, sensor_settings, shown
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, command_for, shaped_commands, useful_commands, valve_settings
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
@@ -79,7 +79,7 @@ class Inverse:
 
     def __init__(self, model: Model, control_dt: float, start_time: float) -> None:
         robot, effects = changed_bodies(model.effects, model.morphology), model.effects
-        laws = tuple(sorted({type(e) for e in effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+        laws = laws_of(effects)
         slots = augmented_model(structure(robot), model.phase, laws).slots
         self._law = inverse_dynamics(structure(robot), model.phase, laws)
         own = law_parameters(slots, effects, robot.joint_names, robot.actuator_names)
@@ -130,8 +130,8 @@ class Inverse:
             after the last of them.
         """
         feed, states = self._feed(reference, times, state)
-        seen, held = self._seen(reference, times if stamps is None else stamps, state)
-        return seen, self.commands(feed), replace(state, states=states, held=held)
+        measured, held = self._shown(reference, times if stamps is None else stamps, state)
+        return measured, self.commands(feed), replace(state, states=states, held=held)
 
     def target(self, reference: Reference, time: float, state: InverseState) -> tuple[Target, InverseState]:
         """Where a robot that follows is when a command that is given now first arrives.
@@ -159,7 +159,7 @@ class Inverse:
             q, v, a = self.motion(reference, arrival, state)
             z, states[k] = self.states(q, v, state.states[k])
             pressure[:, own] = self.pressures(q, v, a, z)[:, own]
-            if np.any(self._valve[own, FILL : VENT + 1] > 0):
+            if np.any(self._valve[own][:, [FILL, VENT]] > 0):
                 around = [self.motion(reference, arrival + side * self._dt, state) for side in (-1, 1)]
                 before, after = (self.pressures(*motion, z)[:, own] for motion in around)
                 rate = np.zeros_like(pressure)
@@ -219,7 +219,7 @@ class Inverse:
         call()
         return np.array(call.results[0])[None]
 
-    def _seen(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
+    def _shown(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
         """(n, nj) what the sensors show, and (nj,) where those with play are held in the end."""
         angles, held = np.empty((len(times), len(state.pose))), state.held.copy()
         for sensor_delay in np.unique(self._sensor[:, SENSOR_DELAY]):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchState
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
+from equimus_ctrl.diagnosis.hypothesis_moves import EXCHANGE_MARGIN, HypothesisMoves, SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
 
 Kind = tuple[str, tuple[str, ...]]
@@ -16,23 +16,36 @@ CONTESTS, CONTENDERS = 2, 2
 """How often, and how many of each part's best alternatives are fitted beside the other parts."""
 
 
-def contested(search: HypothesisMoves, found: SearchState) -> SearchState:
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A part in a hypothesis that was fitted.
+
+    Attributes:
+        score: of the hypothesis.
+        part: with its values there.
+    """
+
+    score: float
+    part: Part
+
+
+def contested(search: HypothesisMoves, state: SearchState) -> SearchState:
     """The closest alternatives of each part, refitted beside the others from their present values; the best of all.
 
     Without the part the others converged elsewhere. An alternative that is fitted from there may end in another local
     minimum. Where fits have many local minima, more alternatives are tried, see ``in_place``.
     """
-    if len(found.best.hypothesis) < 2 or search.settings.many_minima:
-        return found
+    if len(state.best.hypothesis) < 2 or search.settings.many_minima:
+        return state
     for _ in range(CONTESTS):
-        found = _with_contenders(search, found, found)
-        size = len(found.best.hypothesis)
-        same_size = [r for own in found.alternatives for r in own if len(r.hypothesis) <= size]
-        top = min(same_size, key=search.score, default=found.best)
-        if search.score(top) >= search.score(found.best) - 1.0:
+        state = _with_contenders(search, state, state)
+        size = len(state.best.hypothesis)
+        no_larger = [a for fits in state.alternatives for a in fits if len(a.hypothesis) <= size]
+        top = min(no_larger, key=search.score, default=state.best)
+        if search.score(top) >= search.score(state.best) - EXCHANGE_MARGIN:
             break
-        found = search.exchanged(replace(found, best=top))
-    return found
+        state = search.exchanged(replace(state, best=top))
+    return state
 
 
 def _with_contenders(search: HypothesisMoves, to: SearchState, contested: SearchState) -> SearchState:
@@ -44,150 +57,161 @@ def _with_contenders(search: HypothesisMoves, to: SearchState, contested: Search
         contested: the search whose parts' alternatives are taken.
     """
     tried, alternatives = to.tried, []
-    for k, own in enumerate(contested.alternatives):
-        more, tried = _beside_others(search, tried, to.best, k, contested.without[k], own)
+    for k, fits in enumerate(contested.alternatives):
+        closest = [replacement(a, contested.without[k]) for a in sorted(fits, key=search.score)]
+        more, tried = _beside_others(search, replace(to, tried=tried), k, closest)
         alternatives.append((*to.alternatives[k], *more))
     return replace(to, alternatives=tuple(alternatives), tried=tried)
 
 
 def _beside_others(
-    search: HypothesisMoves, tried: SearchHistory, best: Fitted, k: int, without: Fitted, alternatives: Sequence[Fitted]
+    search: HypothesisMoves, state: SearchState, k: int, closest: Sequence[Part | None]
 ) -> tuple[list[Fitted], SearchHistory]:
-    """The closest alternatives of a part, refitted from the values of a hypothesis' other parts.
+    """Alternatives of the k-th part, refitted from the values of a hypothesis' other parts.
 
     Args:
-        search: that found it.
-        tried: so far.
-        best: the hypothesis.
+        search: that found the hypothesis.
+        state: with the hypothesis.
         k: the part's place.
-        without: the hypothesis that the alternatives were added to.
-        alternatives: with another in the part's place.
+        closest: what could be there, the best first; those with more parameters than the hypothesis has are not taken.
     """
-    others = (replacement(alternative, without) for alternative in sorted(alternatives, key=search.score))
+    best = state.best
     room = best.n_parameters - sum(p.candidate.n_parameters for j, p in enumerate(best.hypothesis) if j != k)
-    nearest = [other for other in others if other is not None and other.candidate.n_parameters <= room]
-    fits = [(*best.hypothesis[:k], other, *best.hypothesis[k + 1 :]) for other in nearest[:CONTENDERS]]
-    return _all_refitted(search, tried, best, fits)
+    parts = [part for part in closest if part is not None and part.candidate.n_parameters <= room]
+    hypotheses = [(*best.hypothesis[:k], part, *best.hypothesis[k + 1 :]) for part in parts[:CONTENDERS]]
+    return _all_refitted(search, state.tried, best, hypotheses)
 
 
 def _all_refitted(
-    search: HypothesisMoves, tried: SearchHistory, best: Fitted, hypotheses: Iterable[tuple[Part, ...]]
+    search: HypothesisMoves, tried: SearchHistory, best: Fitted, hypotheses: Iterable[Hypothesis]
 ) -> tuple[list[Fitted], SearchHistory]:
     """Those of some hypotheses that can be fitted from where one is."""
-    found: list[Fitted] = []
+    fits: list[Fitted] = []
     for hypothesis in hypotheses:
         more, tried = search.refitted(tried, best, hypothesis)
-        found += more
-    return found, tried
+        fits += more
+    return fits, tried
 
 
 def in_place(
-    search: HypothesisMoves, found: SearchState, k: int, margin: Callable[[Thresholds], float]
+    search: HypothesisMoves, state: SearchState, k: int, margin: Callable[[Thresholds], float]
 ) -> tuple[list[Fitted], SearchHistory]:
-    """Hypotheses with another in a part's place.
+    """Hypotheses with another part in the k-th one's place: ``state.alternatives[k]``.
 
-    Where fits have many local minima, alternatives that fitted about as well beside other parts are fitted beside the
-    final ones too, from their present values.
+    Where fits have many local minima, these are completed: a part that fitted about as well as the k-th one, beside
+    whatever other parts, is fitted beside the final other parts too, from their present values.
 
     Args:
         search: that ended.
-        found: the end.
+        state: the end.
         k: place of the part.
         margin: largest difference of score that counts as fitting about as well.
     """
-    alternatives = list(found.alternatives[k])
+    alternatives = list(state.alternatives[k])
     if not search.settings.many_minima:
-        return alternatives, found.tried
-    parts = found.best.hypothesis
-    own, rest = _kind(parts[k]), {_kind(part) for j, part in enumerate(parts) if j != k}
-    score = search.score(found.best)
-
-    def within(away: float) -> bool:
-        return search.data.thresholds.decides(lambda t: away < margin(t))
-
-    others: dict[Kind, Part] = {}
-    for alternative in alternatives:
-        left = [part for part in alternative.hypothesis if _kind(part) not in rest]
-        if len(left) == 1 and within(search.score(alternative) - score):
-            others[_kind(left[0])] = left[0]
-    met = [
-        known
-        for fitted in (found.tried.fitted, search.fits_with_other_engine)
-        for known in _beside_the_same(search, fitted).values()
-    ]
-    for known in met:
-        for kind, (fit, part) in known.items():
-            if own in known and kind not in rest and within(abs(fit - known[own][0])):
-                others.setdefault(kind, part)
-    others.pop(own, None)
-    allowed = [other for other in others.values() if found.tried.allows([other.candidate.label])]
+        return alternatives, state.tried
+    parts = state.best.hypothesis
+    others = _about_as_good(search, state, k, margin)
+    allowed = [other for other in others if state.tried.allows([other.candidate.label])]
     hypotheses = [(*parts[:k], *parts[k + 1 :], other) for other in allowed]
-    more, tried = _all_refitted(search, found.tried, found.best, hypotheses)
+    more, tried = _all_refitted(search, state.tried, state.best, hypotheses)
     return [*alternatives, *more], tried
 
 
-def _beside_the_same(
-    search: HypothesisMoves, fits: Sequence[Fitted]
-) -> dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]]:
-    """For kinds of parts that were fitted together what else was fitted beside them, its best score and itself."""
-    found: dict[tuple[Kind, ...], dict[Kind, tuple[float, Part]]] = {}
+def _about_as_good(
+    search: HypothesisMoves, state: SearchState, k: int, margin: Callable[[Thresholds], float]
+) -> list[Part]:
+    """Parts B that fitted about as well as the k-th part A, one of each kind.
+
+    B is in an alternative's place of A with a score within the margin of the final one; or A and B were both fitted
+    beside the same kinds of other parts, with scores within the margin of each other. B is of no kind that the final
+    hypothesis has.
+    """
+    parts = state.best.hypothesis
+    replaced, others = _kind(parts[k]), {_kind(part) for j, part in enumerate(parts) if j != k}
+    score = search.score(state.best)
+
+    def within(difference: float) -> bool:
+        return search.data.thresholds.decides(lambda t: difference < margin(t))
+
+    good: dict[Kind, Part] = {}
+    for alternative in state.alternatives[k]:
+        new = [part for part in alternative.hypothesis if _kind(part) not in others]
+        if len(new) == 1 and within(search.score(alternative) - score):
+            good[_kind(new[0])] = new[0]
+    for fits in (state.tried.fitted, search.fits_with_other_engine):
+        for beside_same in _best_beside_same(search, fits).values():
+            for kind, fit in beside_same.items():
+                if (
+                    replaced in beside_same
+                    and kind not in others
+                    and within(abs(fit.score - beside_same[replaced].score))
+                ):
+                    good.setdefault(kind, fit.part)
+    good.pop(replaced, None)
+    return list(good.values())
+
+
+def _best_beside_same(search: HypothesisMoves, fits: Sequence[Fitted]) -> dict[tuple[Kind, ...], dict[Kind, _Fit]]:
+    """For the kinds of other parts C that hypotheses have, for each kind of one part B beside them its best fit."""
+    best: dict[tuple[Kind, ...], dict[Kind, _Fit]] = {}
     for fitted in sorted(fits, key=search.score):
         kinds = [_kind(part) for part in fitted.hypothesis]
         for place, part in enumerate(fitted.hypothesis):
             rest = tuple(sorted(kinds[:place] + kinds[place + 1 :]))
-            found.setdefault(rest, {}).setdefault(kinds[place], (search.score(fitted), part))
-    return found
+            best.setdefault(rest, {}).setdefault(kinds[place], _Fit(search.score(fitted), part))
+    return best
 
 
-def listed(search: HypothesisMoves, found: SearchState) -> SearchState:
+def listed(search: HypothesisMoves, state: SearchState) -> SearchState:
     """The end, with alternatives of those parts that have none after others were rejected.
 
     Where fits have many local minima they are found among all hypotheses fitted, see ``in_place``.
     """
     if search.settings.many_minima:
-        return found
-    tried, alternatives = found.tried, list(found.alternatives)
-    for k, (part, without) in enumerate(zip(found.best.hypothesis, found.without, strict=True)):
+        return state
+    tried, alternatives = state.tried, list(state.alternatives)
+    for k, (part, without) in enumerate(zip(state.best.hypothesis, state.without, strict=True)):
         if not alternatives[k]:
-            own, tried = search.challenge(tried, without, part.candidate.label)
-            alternatives[k] = tuple(own)
-    return replace(found, alternatives=tuple(alternatives), tried=tried)
+            others, tried = search.challenge(tried, without, part.candidate.label)
+            alternatives[k] = tuple(others)
+    return replace(state, alternatives=tuple(alternatives), tried=tried)
 
 
-def narrowed(search: HypothesisMoves, found: SearchState) -> SearchState:
+def narrowed(search: HypothesisMoves, state: SearchState) -> SearchState:
     """The effect at the fewest places that is not distinguishable; the one at more places becomes an alternative.
 
     Not where fits have many local minima: deviances scatter by more than that.
     """
     if search.settings.many_minima:
-        return found
-    score = search.score(found.best)
+        return state
+    score = search.score(state.best)
     while True:
-        found, moved = _in_fewer_places(search, found, score)
+        state, moved = _in_fewer_places(search, state, score)
         if not moved:
-            return found
+            return state
 
 
-def _in_fewer_places(search: HypothesisMoves, found: SearchState, score: float) -> tuple[SearchState, bool]:
+def _in_fewer_places(search: HypothesisMoves, state: SearchState, score: float) -> tuple[SearchState, bool]:
     """A search with one of its effects in one place less, if one fits as well, and whether one does."""
-    hypothesis = found.best.hypothesis
+    hypothesis = state.best.hypothesis
     for k, part in enumerate(hypothesis):
-        kind, sites = part.candidate.effect, part.candidate.locations
-        smaller = [
-            own
-            for own in search.allowed_candidates(found.tried)
-            if own.effect is kind and len(own.locations) == len(sites) - 1 and set(own.locations) < set(sites)
+        fits = [
+            (*hypothesis[:k], Part(smaller, part.values), *hypothesis[k + 1 :])
+            for smaller in search.allowed_candidates(state.tried)
+            if smaller.effect is part.candidate.effect
+            and len(smaller.locations) == len(part.candidate.locations) - 1
+            and set(smaller.locations) < set(part.candidate.locations)
         ]
-        fits = [(*hypothesis[:k], Part(own, part.values), *hypothesis[k + 1 :]) for own in smaller]
-        fewer, tried = _all_refitted(search, found.tried, found.best, fits)
-        found = replace(found, tried=tried)
-        least = min(fewer, key=search.score, default=None)
-        if least is None or not indistinguishable(search, least, score) or not search.accepts(found.without[k], least):
+        fewer, tried = _all_refitted(search, state.tried, state.best, fits)
+        state = replace(state, tried=tried)
+        top = min(fewer, key=search.score, default=None)
+        if top is None or not indistinguishable(search, top, score) or not search.accepts(state.without[k], top):
             continue
-        moved = _with_contenders(search, search.moved(found, least), found)
-        alternatives = [*moved.alternatives[:k], (found.best, *found.alternatives[k]), *moved.alternatives[k + 1 :]]
+        moved = _with_contenders(search, search.moved(state, top), state)
+        alternatives = [*moved.alternatives[:k], (state.best, *state.alternatives[k]), *moved.alternatives[k + 1 :]]
         return replace(moved, alternatives=tuple(alternatives)), True
-    return found, False
+    return state, False
 
 
 def indistinguishable(search: HypothesisMoves, fitted: Fitted, score: float) -> bool:
@@ -196,45 +220,43 @@ def indistinguishable(search: HypothesisMoves, fitted: Fitted, score: float) -> 
     return search.data.thresholds.decides(lambda t: more < t.indistinguishable)
 
 
-def simplified(search: HypothesisMoves, found: SearchState) -> SearchState:
+def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
     """The simplest of effects that exclude each other at a place, unless a richer one is needed.
 
     Such as Coulomb friction in the place of Stribeck friction. Where the cost has many kinks, searches rank such pairs
     at random.
     """
-    hypothesis = found.best.hypothesis
+    hypothesis = state.best.hypothesis
     for k, part in enumerate(hypothesis):
-        own = part.candidate
-        for other in search.allowed_candidates(found.tried):
-            same = other.effect.exclusive == own.effect.exclusive is not None and other.locations == own.locations
-            if not same or other.n_parameters >= own.n_parameters:
+        rich = part.candidate
+        for other in search.allowed_candidates(state.tried):
+            same = other.effect.exclusive == rich.effect.exclusive is not None and other.locations == rich.locations
+            if not same or other.n_parameters >= rich.n_parameters:
                 continue
-            begins = [dict(guess) for guess in other.guesses]
-            shared = {key: part.values[key] for key in begins[0] if key in part.values}
-            values = {**begins[len(begins) // 2], **shared}
-            fit = (*hypothesis[:k], Part(other, values), *hypothesis[k + 1 :])
-            simple, tried = search.refit(found.tried, found.best, fit)
-            found = replace(found, tried=tried)
-            if not search.accepts(simple, found.best):
-                return simplified(search, search.moved(found, simple))
-    return found
+            guess = dict(other.guesses[len(other.guesses) // 2])
+            shared = {key: part.values[key] for key in other.guesses[0] if key in part.values}
+            fit = (*hypothesis[:k], Part(other, {**guess, **shared}), *hypothesis[k + 1 :])
+            simple, tried = search.refit(state.tried, state.best, fit)
+            state = replace(state, tried=tried)
+            if not search.accepts(simple, state.best):
+                return simplified(search, search.moved(state, simple))
+    return state
 
 
-def without_parts(search: HypothesisMoves, found: SearchState, places: Sequence[int]) -> SearchState:
+def without_parts(search: HypothesisMoves, state: SearchState, places: Sequence[int]) -> SearchState:
     """The search's end without some parts, and without those that are accepted no more then."""
     while places:
-        kept = tuple(p for k, p in enumerate(found.best.hypothesis) if k not in places)
-        fit, tried = search.refit(found.tried, found.best, kept) if kept else (found.base, found.tried)
-        found = search.moved(replace(found, tried=tried), fit)
-        pairs = enumerate(found.without)
-        places = [k for k, without in pairs if not search.accepts(without, found.best)][:1]
-    return found
+        kept = tuple(p for k, p in enumerate(state.best.hypothesis) if k not in places)
+        fit, tried = search.refit(state.tried, state.best, kept) if kept else (state.base, state.tried)
+        state = search.moved(replace(state, tried=tried), fit)
+        pairs = enumerate(state.without)
+        places = [k for k, without in pairs if not search.accepts(without, state.best)][:1]
+    return state
 
 
 def replacement(alternative: Fitted, without: Fitted) -> Part | None:
     """The one part that a hypothesis has beside those of another; None where that is not one."""
-    rest = without.labels
-    more = [part for part in alternative.hypothesis if part.candidate.label not in rest]
+    more = [part for part in alternative.hypothesis if part.candidate.label not in without.labels]
     return more[0] if len(more) == 1 else None
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Hypothesis
+from equimus_ctrl.diagnosis.candidates import Hypothesis, Part
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import Group
 from equimus_ctrl.diagnosis.policy import Thresholds
@@ -24,36 +24,54 @@ COORDINATES = {
 """What a place's coordinates are, in the words of the laws there."""
 
 
+def same_place(group: Group, part: Part, drives_at_joints: bool) -> bool:
+    """Whether a residual force acts where a part does.
+
+    Args:
+        group: the force.
+        part: of a hypothesis.
+        drives_at_joints: whether a force counts that acts at none but the part's joints, wherever it comes from.
+    """
+    places = set(part.candidate.locations)
+    return group.location in places or (drives_at_joints and set(group.joints) <= places)
+
+
+def coordinate_relation(part: Part, group: Group) -> Literal["none", "subset", "equal"]:
+    """How the coordinates of a part's law, see ``Effect.depends``, relate to those of a residual force."""
+    law, force = part.candidate.effect.depends(), _quantities(group)
+    if law is None:
+        return "none"
+    return "equal" if law == force else "subset" if law < force else "none"
+
+
 def restates(group: Group, hypothesis: Hypothesis, drives_at_joints: bool) -> Literal["", "same", "more"]:
     """Whether a residual force restates a part of a hypothesis: at its place, over the coordinates of its law.
 
     A curve over the speed is friction of the same joint. A share of the pressure that depends on the length is a
-    length-dependent area. Such forces are no simpler explanations. Drives with a fixed gear are at their joints; a
-    force there that depends on more than the law says "more", one that depends on what the laws of several parts
-    there depend on together says "same".
+    length-dependent area. Such forces are no simpler explanations.
+
+    Args:
+        group: the force.
+        hypothesis: with the parts.
+        drives_at_joints: whether drives act at joints, with a fixed gear. A force there that depends on more than the
+            law says "more"; one that depends on what the laws of several parts there depend on together says "same".
     """
-    keys = re.findall(r"\b(pos|vel|len|rate|cmd|past|path|time)\b", group.depends_on)
-    depends_on = {COORDINATES[key] for key in keys}
-    found: Literal["", "same", "more"] = ""
-    together: set[str] = set()
-    for part in hypothesis:
-        own, places = part.candidate.effect.depends(), set(part.candidate.locations)
-        here = group.location in places or (drives_at_joints and set(group.joints) <= places)
-        if own == depends_on and here:
-            return "same"
-        if drives_at_joints and here and own is not None and own < depends_on:
-            found, together = "more", together | own
-    return "same" if found and together == depends_on else found
+    here = [part for part in hypothesis if same_place(group, part, drives_at_joints)]
+    if any(coordinate_relation(part, group) == "equal" for part in here):
+        return "same"
+    contained = [part for part in here if coordinate_relation(part, group) == "subset"]
+    if not drives_at_joints or not contained:
+        return ""
+    laws = [part.candidate.effect.depends() or set() for part in contained]
+    return "same" if set().union(*laws) == _quantities(group) else "more"
 
 
-def _stands_in(more: float, rank: int, fall: float, least: Callable[[Thresholds], float], t: Thresholds) -> bool:
-    """Whether a residual force explains so much more than an effect that it may replace it."""
-    return more > t.residual_gain + t.residual_price * rank and fall >= least(t)
-
-
-def _adds_little(beside: float, rise: float, t: Thresholds) -> bool:
-    """Whether an effect is hardly needed beside a residual force."""
-    return beside < min(t.residual_gain, t.confounded_keeps * rise)
+def contains_law(group: Group, hypothesis: Hypothesis) -> bool:
+    """Whether a residual force at a part's joints depends on all that the part's law does: so it can do the same."""
+    return any(
+        same_place(group, part, drives_at_joints=True) and coordinate_relation(part, group) != "none"
+        for part in hypothesis
+    )
 
 
 def confounded(
@@ -79,45 +97,106 @@ def confounded(
     Returns:
         All parts, where they are confounded with one force together, or the one that is least needed beside a force.
     """
-    fitted = at.fitted
-    slopes, residual, scale = at.whitened_fit.slopes, at.whitened_fit.residual, fitted.fit.parameters.scale
-    beside_all = Nuisance.of(slopes)
-    own = beside_all.squares_beyond(residual)
-    first = len(scale) - fitted.n_parameters
-    columns_of: list[range] = []
-    to_nothing: list[Array | None] = []
-    for part in fitted.hypothesis:
-        end = part.candidate.effect.fades_to()
-        steps = [end.get(key, value) - value for key, value in part.values.items()]
-        columns_of.append(range(first, first + len(steps)))
-        to_nothing.append(slopes[:, columns_of[-1]] @ (steps / scale[columns_of[-1]]) if end else None)
-        first += len(steps)
-
-    def needed(chosen: Sequence[int], fall: float) -> float:
-        """Least that some parts explain beside a force that replaces them; infinite where none does."""
-        changes = [change for k in chosen if (change := to_nothing[k]) is not None]
-        if len(changes) < len(chosen):
-            return np.inf
-        left = residual - np.sum(changes, axis=0)
-        kept = Nuisance.of(np.delete(slopes, [i for k in chosen for i in columns_of[k]], axis=1))
-        rise = kept.squares_beyond(left) - own
-        if thresholds.decides(lambda t: rise < t.linear_share * fall):
-            return np.inf
-        hypothesis, smallest = tuple(fitted.hypothesis[k] for k in chosen), np.inf
-        for group, columns in zip(at.groups, at.columns, strict=True):
-            # A force over more coordinates than the law contains the law: it would always explain as much.
-            if restates(group, hypothesis, drives_at_joints=True):
-                continue
-            force = explained(left, kept, columns, folds=at.folds)
-            if not thresholds.decides(partial(_stands_in, force.gain - rise, force.rank, judged(force, at), least)):
-                continue
-            beside = explained(residual, beside_all, columns).gain - (force.gain - rise)
-            if thresholds.decides(partial(_adds_little, beside, rise)):
-                smallest = min(smallest, beside)
-        return float(smallest)
-
-    places = range(len(fitted.hypothesis))
-    if len(places) > 1 and needed(places, together) < np.inf:
+    removal = _Removal.of(at, least, thresholds)
+    places = range(len(at.fitted.hypothesis))
+    if len(places) > 1 and removal.needed(places, together) < np.inf:
         return tuple(places)
-    each = [needed([k], fall) for k, fall in enumerate(falls)]
+    each = [removal.needed([k], fall) for k, fall in enumerate(falls)]
     return (int(np.argmin(each)),) if each and min(each) < np.inf else ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Removal:
+    """Parts of a fitted hypothesis reduced to nothing, to first order.
+
+    Attributes:
+        at: the hypothesis.
+        columns: for each part which columns of the Jacobian are its own.
+        changes: for each part (N,) the change of the predictions without it; None where no value of it is nothing.
+        least: see ``confounded``.
+        thresholds: that decide.
+        beside_all: the span of the whole Jacobian.
+        chi2: of the residual without its projection onto that.
+    """
+
+    at: LinearisedFit
+    columns: tuple[range, ...]
+    changes: tuple[Array | None, ...]
+    least: Callable[[Thresholds], float]
+    thresholds: Thresholds
+    beside_all: Nuisance
+    chi2: float
+
+    @classmethod
+    def of(cls, at: LinearisedFit, least: Callable[[Thresholds], float], thresholds: Thresholds) -> _Removal:
+        """Of every part of a hypothesis."""
+        fitted, slopes = at.fitted, at.whitened_fit.slopes
+        scale = fitted.fit.parameters.scale
+        beside_all = Nuisance.of(slopes)
+        first = len(scale) - fitted.n_parameters
+        columns: list[range] = []
+        changes: list[Array | None] = []
+        for part in fitted.hypothesis:
+            end = part.candidate.effect.fades_to()
+            steps = [end.get(key, value) - value for key, value in part.values.items()]
+            columns.append(range(first, first + len(steps)))
+            changes.append(slopes[:, columns[-1]] @ (steps / scale[columns[-1]]) if end else None)
+            first += len(steps)
+        chi2 = beside_all.squares_beyond(at.whitened_fit.residual)
+        return cls(at, tuple(columns), tuple(changes), least, thresholds, beside_all, chi2)
+
+    def needed(self, places: Sequence[int], fall: float) -> float:
+        """Least that some parts explain beside a force that replaces them; infinite where none does.
+
+        Args:
+            places: of the parts.
+            fall: of χ² with them, fitted.
+        """
+        changes = [change for k in places if (change := self.changes[k]) is not None]
+        if len(changes) < len(places):
+            return np.inf
+        without = self.at.whitened_fit.residual - np.sum(changes, axis=0)
+        removed = [i for k in places for i in self.columns[k]]
+        kept = Nuisance.of(np.delete(self.at.whitened_fit.slopes, removed, axis=1))
+        rise = kept.squares_beyond(without) - self.chi2
+        if self.thresholds.decides(lambda t: rise < t.linear_share * fall):
+            return np.inf
+        hypothesis = tuple(self.at.fitted.hypothesis[k] for k in places)
+        gains = [
+            self._beside(columns, without, kept, rise)
+            for group, columns in zip(self.at.groups, self.at.columns, strict=True)
+            # A force over more coordinates than the law contains the law: it would always explain as much.
+            if not contains_law(group, hypothesis)
+        ]
+        return min(gains, default=np.inf)
+
+    def _beside(self, columns: Array, without: Array, kept: Nuisance, rise: float) -> float:
+        """What parts explain beside a force; infinite where it does not replace them.
+
+        Args:
+            columns: (N, k) of the force.
+            without: (N,) residual without the parts.
+            kept: the span of the other parameters.
+            rise: of χ² without the parts.
+        """
+        force = explained(without, kept, columns, folds=self.at.folds)
+        more = force.gain - rise
+        if not self.thresholds.decides(partial(_replaces_effect, more, force.rank, judged(force, self.at), self.least)):
+            return np.inf
+        beside = explained(self.at.whitened_fit.residual, self.beside_all, columns).gain - more
+        return float(beside) if self.thresholds.decides(partial(_adds_little, beside, rise)) else np.inf
+
+
+def _replaces_effect(more: float, rank: int, fall: float, least: Callable[[Thresholds], float], t: Thresholds) -> bool:
+    """Whether a residual force explains so much more than an effect that it may replace it."""
+    return more > t.residual_gain + t.residual_price * rank and fall >= least(t)
+
+
+def _adds_little(beside: float, rise: float, t: Thresholds) -> bool:
+    """Whether an effect is hardly needed beside a residual force."""
+    return beside < min(t.residual_gain, t.confounded_keeps * rise)
+
+
+def _quantities(group: Group) -> set[str]:
+    """What a residual force depends on, in the words of laws."""
+    return {COORDINATES[coordinate.kind] for coordinate in group.coordinates}

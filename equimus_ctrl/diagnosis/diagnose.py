@@ -20,7 +20,7 @@ from equimus_ctrl.diagnosis.stages import DiagnosisSettings as DiagnosisSettings
 from equimus_ctrl.diagnosis.stages import Progress as Progress
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
+from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.simulators import Simulator
 
@@ -54,53 +54,48 @@ def diagnose(
     """
     begun = time.perf_counter()
     settings = settings or DiagnosisSettings()
-    if settings.budget is not None and not 0 < settings.budget < math.inf:
-        raise ConfigError(f"the budget is {settings.budget:g} s, expected a time above 0")
+    _check(settings)
     budget = Budget(begun + (settings.budget or math.inf), asked)
-    for name in settings.exclude:
-        if name not in REGISTRY:
-            raise ConfigError(unknown_name("effect", name, REGISTRY))
     with threadpool_limits(limits=1, user_api="blas"):  # sums in another order would change the last bits
-        if simulator is not None:
-            policy = SearchPolicy.of(free.model.robot.traits, simulator.engine)
-            # What was handed in is taken for exact and cheap.
-            policy = replace(policy, coarse_derivatives=False, rescaled_guesses=False)
-            data = Data(free, split.train, simulator, policy=policy, budget=budget, thresholds=settings.thresholds)
+        if simulator is None:
+            data = _with_default_engine(free, split, settings)
         else:
-            positions = [s.measured for s in (*split.train, *split.validation, *split.test)]
-            engine = engine_for(free.model, settings.engine, positions=positions)
-            own, others = Simulator(engine, settings.threads), (engine.coarser(), engine.finer())
-            coarse, fine = (None if e is None else replace(own, engine=e) for e in others)
-            policy = SearchPolicy.of(free.model.robot.traits, engine)
-            data = Data(free, split.train, own, coarse, fine, policy, budget, settings.thresholds)
+            data = _with_engine_given(free, split, simulator)
+        data = replace(data, budget=budget, thresholds=settings.thresholds)
         inputs = DiagnosisInputs(data, split, settings, designs, progress, begun)
         try:
-            left = _worked_out(inputs)
+            state = stages.carried_out(inputs)
         except BudgetSpent:
             if asked():
                 raise KeyboardInterrupt from None
             raise ConfigError(
                 f"the budget of {settings.budget:g} s ended before the model was refitted once; expected more time"
             ) from None
-        state = stages.or_ended(stages.validation, left)
-        if state.rest.unexplained and not left.rest.unexplained and (other := stages.other_inputs(inputs)):
-            try:
-                second = _reported(stages.or_ended(stages.validation, _worked_out(other)))
-            except (SimulationDiverged, BudgetSpent):  # so the first stands
-                return _reported(state)
-            if not second.unexplained and not second.not_done:
-                return stages.on_others(inputs, other, second)
-        return _reported(state)
+        return stages.report(state)
 
 
-def _worked_out(inputs: DiagnosisInputs) -> stages.State:
-    """What is known before held-out trials are asked whether anything is left."""
-    state, short = stages.refit(inputs)
-    state = stages.search(state, short)
-    for stage in (stages.confirmation, stages.unexplained, stages.discretization):
-        state = stages.or_ended(stage, state)
-    return state
+def _check(settings: DiagnosisSettings) -> None:
+    """Raise ConfigError where settings cannot be used."""
+    if settings.budget is not None and not 0 < settings.budget < math.inf:
+        raise ConfigError(f"the budget is {settings.budget:g} s, expected a time above 0")
+    for name in settings.exclude:
+        if name not in REGISTRY:
+            raise ConfigError(unknown_name("effect", name, REGISTRY))
 
 
-def _reported(state: stages.State) -> Diagnosis:
-    return stages.report(stages.or_ended(stages.alternatives, state))
+def _with_default_engine(free: FreeParameters, split: Split, settings: DiagnosisSettings) -> Data:
+    """What is fitted, with the engine for the model, and a coarser and a finer one beside it where there are."""
+    positions = [s.measured for s in (*split.train, *split.validation, *split.test)]
+    engine = engine_for(free.model, settings.engine, positions=positions)
+    simulator = Simulator(engine, settings.threads)
+    others = (engine.coarser(), engine.finer())
+    coarse, fine = (None if other is None else replace(simulator, engine=other) for other in others)
+    policy = SearchPolicy.of(free.model.robot.traits, engine)
+    return Data(free, split.train, simulator, coarse, fine, policy)
+
+
+def _with_engine_given(free: FreeParameters, split: Split, simulator: Simulator) -> Data:
+    """What is fitted, with an engine that is taken for exact and cheap."""
+    policy = SearchPolicy.of(free.model.robot.traits, simulator.engine)
+    policy = replace(policy, coarse_derivatives=False, rescaled_guesses=False)
+    return Data(free, split.train, simulator, policy=policy)

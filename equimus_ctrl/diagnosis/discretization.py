@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState, extra_parameters
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
+from equimus_ctrl.engines.base import Discretisation
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.projection import Nuisance
@@ -17,75 +18,107 @@ from equimus_ctrl.identification.step_error import changes_between, with_step_er
 from equimus_ctrl.identification.whitened_fit import whiten_fit
 
 
-def without_step_error(
-    search: Search, found: SearchState, rest: ResidualAnalysis, threads: int | None
-) -> tuple[Search, SearchState, ResidualAnalysis, str] | None:
-    """The search's end without the discretisation error, where less physics is missing then, and a sentence on it.
+@dataclass(frozen=True, eq=False)
+class WithoutStepError:
+    """A search's end without the discretisation error.
 
-    A robot's own step belongs to the simulation that is being corrected, but residuals of its error are no physics.
-    Nothing is done where the engine's discretisation error does not count.
+    Attributes:
+        search: with the exact engine.
+        end: of the search.
+        analysis: of the residuals.
+        sentence: on the step.
     """
-    engine, best = search.data.simulator.engine, found.best
-    if (own_step := engine.discretisation) is None or not (best.hypothesis or rest.unexplained):
+
+    search: Search
+    end: SearchState
+    analysis: ResidualAnalysis
+    sentence: str
+
+
+def without_step_error(search: Search, end: SearchState, analysis: ResidualAnalysis) -> WithoutStepError | None:
+    """The search's end without the discretisation error, where less physics is missing then.
+
+    A robot's own step belongs to the simulation that the model is compared with, but residuals of its error are no
+    physics. None where the engine's discretisation error does not count.
+
+    Args:
+        search: with the engine's own step.
+        end: of the search.
+        analysis: of the residuals.
+    """
+    engine, best = search.data.simulator.engine, end.best
+    if (step := engine.discretisation) is None or not (best.hypothesis or analysis.unexplained):
         return None
-    step = own_step.step / own_step.finer
-    data = replace(search.data, simulator=Simulator(engine.without_step_error(), threads), coarse=None)
+    simulator = replace(search.data.simulator, engine=engine.without_step_error())
+    data = replace(search.data, simulator=simulator, coarse=None)
+    uncertain = _parts_of_the_step(search.data, simulator, end)
+    if uncertain is None:
+        return None
+    finely = replace(data, fine=simulator).converge_finely
+    exact_best = finely(best)
+    needless = [k for k in uncertain if not search.accepts(finely(end.without[k]), exact_best)]
+    if not needless and not analysis.unexplained:
+        return None
+    exact_search = Search(data, search.pool, search.settings, fits_with_other_engine=end.tried.fitted)
+    base = finely(end.base)
+    # Alternatives were fitted with the XML's step, so their likelihoods are not comparable with what follows.
+    anew = SearchHistory(first=end.tried.first, rejected=end.tried.rejected)
+    start = replace(end, base=base, alternatives=tuple(() for _ in best.hypothesis), tried=anew)
+    exact = exact_search.moved(start, exact_best if best.hypothesis else base)
+    exact = without_parts(exact_search, exact, needless[:1])
+    if exact.best.deviance - best.deviance > search.threshold(extra_parameters(exact.best, best)):
+        return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
+    after = residual_analysis(data, base, exact.best, exact.without)
+    if not needless and after.unexplained:
+        return None
+    return WithoutStepError(exact_search, exact, after, _sentence(step))
+
+
+def _parts_of_the_step(data: Data, exact: Simulator, end: SearchState) -> list[int] | None:
+    """Places of parts that may explain the step's error alone; None where neither they nor the error matter.
+
+    Args:
+        data: with the engine's own step.
+        exact: without its error.
+        end: of the search.
+    """
+    noise, thresholds = end.best.noise, data.thresholds
     try:
-        left_by_best, error = _step_error(search.data, data.simulator, best, best.noise)
-        others = [_step_error(search.data, data.simulator, f, best.noise) for f in found.without]
+        with_all, error = _step_error(data, exact, end.best, noise)
+        others = [_step_error(data, exact, fitted, noise) for fitted in end.without]
     except SimulationDiverged:
         return None
-    thresholds, n = data.thresholds, data.n
 
-    def may_be_the_steps(left: float, own_error: float) -> bool:
-        return thresholds.decides(lambda t: left - left_by_best < t.step_explains * own_error)
+    def explains_the_step(without: float, error_without: float) -> bool:
+        return thresholds.decides(lambda t: without - with_all < t.step_explains * error_without)
 
-    uncertain_parts = [k for k, of in enumerate(others) if may_be_the_steps(*of)]
-    if not uncertain_parts and thresholds.decides(lambda t: error < t.step_matters * n):
+    places = [k for k, (without, error_without) in enumerate(others) if explains_the_step(without, error_without)]
+    if not places and thresholds.decides(lambda t: error < t.step_matters * data.n):
         return None
-    own = replace(data, fine=data.simulator)
-    exact_best = own.converge_finely(best)
-    needless = [k for k in uncertain_parts if not search.accepts(own.converge_finely(found.without[k]), exact_best)]
-    if not needless and not rest.unexplained:
-        return None
-    other = Search(data, search.pool, search.settings, fits_with_other_engine=found.tried.fitted)
-    base = own.converge_finely(found.base)
-    # Alternatives were fitted with the XML's step, so their likelihoods are not comparable with what follows.
-    anew = SearchHistory(first=found.tried.first, rejected=found.tried.rejected)
-    start = replace(found, base=base, alternatives=tuple(() for _ in best.hypothesis), tried=anew)
-    exact = other.moved(start, exact_best if best.hypothesis else base)
-    exact = without_parts(other, exact, needless[:1])
-    saved = max(best.n_parameters - exact.best.n_parameters, 1)
-    if exact.best.deviance - best.deviance > search.threshold(saved):
-        return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
-    left = residual_analysis(data, base, exact.best, exact.without)
-    if not needless and left.unexplained:
-        return None
+    return places
+
+
+def _sentence(step: Discretisation) -> str:
     return (
-        other,
-        exact,
-        left,
-        (
-            f"The physics step of the XML, {1e3 * own_step.step:g} ms, is too long for these recordings: its error "
-            "would be taken for missing physics. All of this but the ranking was worked out without that error, from "
-            f"simulations with {1e3 * step:g} ms too."
-        ),
+        f"The physics step of the XML, {1e3 * step.step:g} ms, is too long for these recordings: its error would be "
+        "taken for missing physics. All of this but the ranking was worked out without that error, from simulations "
+        f"with {1e3 * (step.step / step.finer):g} ms too."
     )
 
 
-def step_counted(data: Data, found: SearchState, threads: int | None) -> SearchState:
+def step_counted(data: Data, end: SearchState) -> SearchState:
     """The end with intervals that the error of the engine's physics step is counted in."""
     engine = data.simulator.engine
     if (step := engine.discretisation) is None:
-        return found
-    other, ratio = Simulator(engine.with_finer_step(), threads), 1 / step.finer
+        return end
+    finer, ratio = replace(data.simulator, engine=engine.with_finer_step()), 1 / step.finer
 
     def counted(fitted: Fitted) -> Fitted:
-        fit = with_step_error(fitted.fit, data.segments, data.simulator, other, ratio, fitted.noise)
+        fit = with_step_error(fitted.fit, data.segments, data.simulator, finer, ratio, fitted.noise)
         return replace(fitted, fit=fit)
 
-    best = counted(found.best)
-    return replace(found, best=best, base=best if found.base is found.best else counted(found.base))
+    best = counted(end.best)
+    return replace(end, best=best, base=best if end.base is end.best else counted(end.base))
 
 
 def _step_error(data: Data, finer: Simulator, fitted: Fitted, noise: Noise) -> tuple[float, float]:

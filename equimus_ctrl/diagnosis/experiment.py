@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
-from equimus_ctrl.diagnosis.results import Experiment, Finding, Named
+from equimus_ctrl.diagnosis.results import Equivalent, Experiment, Finding, Named
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise, whiten
 from equimus_ctrl.identification.projection import Nuisance
@@ -29,7 +29,7 @@ class Design:
         scenario: its name.
         settings: of the scenario, as they are given on the command line.
         times: (n,) from when each command holds [s].
-        commands: (n, na) [Pa].
+        commands: (n, na), in the unit of each actuator's command.
     """
 
     scenario: str
@@ -42,33 +42,46 @@ Designs = Callable[[], Sequence[Design]]
 """Experiments to choose from, made where one is looked for."""
 
 
-def separating(data: Data, found: SearchState, findings: Sequence[Finding], designs: Designs) -> Experiment | None:
+def separating(
+    data: Data,
+    end: SearchState,
+    findings: Sequence[Finding],
+    equivalent: Sequence[Sequence[Equivalent]],
+    designs: Designs,
+) -> Experiment | None:
     """The design in which the strongest finding that has an equivalent differs most from it.
 
     The distance is that of the two predictions after the second model's free parameters are refitted to the first, to
     first order; None where nothing is equivalent.
+
+    Args:
+        data: what was measured.
+        end: of the search.
+        findings: strongest first.
+        equivalent: for each part of the hypothesis what fits as well in its place, see ``findings.equivalents``.
+        designs: to choose from.
     """
-    pair = _pair(found, findings)
+    pair = _pair(end, findings, equivalent)
     if pair is None:
         return None
-    first, second, named = pair
+    named, other = pair
     best: Experiment | None = None
-    sigma = white_noise(found.best.fit.residuals)
+    sigma = np.array([noise.sigma for noise in white_noise(end.best.fit.residuals)])
     for design in designs():
-        distance = _distance(data, first, second, design, np.array([s.sigma for s in sigma]))
+        distance = _distance(data, end.best, other.fitted, design, sigma)
         if best is None or distance > best.distance:
-            best = Experiment(design.scenario, design.settings, named, distance)
+            best = Experiment(design.scenario, design.settings, (named, other.named), distance)
     return best
 
 
-def _pair(found: SearchState, findings: Sequence[Finding]) -> tuple[Fitted, Fitted, tuple[Named, Named]] | None:
+def _pair(
+    end: SearchState, findings: Sequence[Finding], equivalent: Sequence[Sequence[Equivalent]]
+) -> tuple[Named, Equivalent] | None:
+    """The strongest finding that has an equivalent, and that."""
     for finding in findings:
-        for other in finding.equivalent:
-            label = f"{other.effect}:{'+'.join(other.locations)}"
-            for alternatives in found.alternatives:
-                for alternative in alternatives:
-                    if any(part.candidate.label == label for part in alternative.hypothesis):
-                        return found.best, alternative, (finding.named, other)
+        place = next(k for k, part in enumerate(end.best.hypothesis) if part is finding.part)
+        if equivalent and equivalent[place]:
+            return finding.named, equivalent[place][0]
     return None
 
 
@@ -78,16 +91,17 @@ def _distance(data: Data, first: Fitted, second: Fitted, design: Design, sigma: 
     start = Kinematics(second.fit.model.morphology, second.fit.model.phase).equilibrium(before)
     trial = Trial(design.scenario, design.times, design.commands, before, float(design.times[0]), start, design.times)
     shown = np.concatenate([start, np.zeros_like(start)])
-    segment = Segment(trial, np.zeros((len(design.times), len(start))), 0, shown)
+    segment = Segment(trial, np.zeros((len(design.times), len(start))), 0, design.scenario, shown)
     free = second.fit.parameters
     moved = [second.fit.theta + STEP * free.scale * unit for unit in np.eye(len(free.free))]
     models = [second.fit.model, *(free.model_at(np.clip(theta, free.low, free.high)) for theta in moved)]
-    (other,) = data.simulator([first.fit.model], [segment], [shown[None, :]])
-    (own,) = data.simulator(models, [segment], [np.tile(shown, (len(models), 1))])
-    if not (other.sound.all() and own.sound.all()):
+    (first_path,) = data.simulator([first.fit.model], [segment], [shown[None, :]])
+    (varied,) = data.simulator(models, [segment], [np.tile(shown, (len(models), 1))])
+    if not (first_path.sound.all() and varied.sound.all()):
         return 0.0
     noise = white_noise([np.ones((2, len(sigma))) * sigma])
-    difference = whiten(noise, design.times, other.position[0] - own.position[0]).ravel()
-    slopes = np.array([whiten(noise, design.times, p - own.position[0]).ravel() for p in own.position[1:]]).T
-    left = Nuisance.of(slopes).project_out(difference)
-    return float(np.sqrt((left**2).mean()))
+    path = varied.position[0]
+    difference = whiten(noise, design.times, first_path.position[0] - path).ravel()
+    slopes = np.array([whiten(noise, design.times, p - path).ravel() for p in varied.position[1:]]).T
+    distinct = Nuisance.of(slopes).project_out(difference)
+    return float(np.sqrt((distinct**2).mean()))

@@ -57,12 +57,15 @@ def explained(
     were they refitted too, those that the fold itself determines, such as its trials' initial states, would be
     extrapolated, and their errors would mask the columns. As they have seen the fold, the gain there is conservative.
 
+    Along the principal directions of C D⁻¹ less its projection onto Q, with eigenvalues λ and orthonormal B, the price
+    is Σ pᵢcᵢ², p = ridge·s²/λ. So cᵢ = (Bᵀr)ᵢ/(1 + pᵢ), and χ² falls by 2cᵀBᵀr − cᵀc = Σ (1 + 2pᵢ) cᵢ².
+
     Args:
         residual: (n,) white, of the same variance throughout.
         nuisance: with the orthonormal basis Q of the nuisances' Jacobian.
         columns: (n, k) C.
         ridge: see above; 0 for none.
-        folds: each the rows that are held out together, those of some trials.
+        folds: each the rows that are held out together, those of some shooting intervals.
 
     Raises:
         ConfigError: where numbers of rows differ.
@@ -82,12 +85,27 @@ def explained(
     seen = strength > CUT**2 * strongest
     turn = turn[:, seen] / np.sqrt(strength[seen])
     basis, price = free @ turn, ridge * strongest / strength[seen]
-    found = basis.T @ r / (1 + price)
-    held_out = 0.0
+    c = basis.T @ r / (1 + price)
+    gain = float((1 + 2 * price) * c @ c)
+    return Explained(float(r @ r), gain, _held_out(r, basis, price, folds), turn @ c / size, int(seen.sum()))
+
+
+def _held_out(r: Array, basis: Array, price: Array, folds: Sequence[Sequence[slice]]) -> float:
+    """By how much χ² of the folds falls, each with coefficients that were fitted without it.
+
+    With G = B_fᵀB_f and t = B_fᵀr_f of a fold's rows, c solves (1 + p − G) c = Bᵀr − t, and ‖r_f‖² − ‖r_f − B_f c‖² =
+    2cᵀt − cᵀG c.
+
+    Args:
+        r: (n,) residual without the nuisances.
+        basis: (n, k) B, orthonormal.
+        price: (k,) p of the coefficients.
+        folds: see ``explained``.
+    """
+    fall = 0.0
     grams = [sum(basis[rows].T @ basis[rows] for rows in fold) for fold in folds]
     targets = [sum(basis[rows].T @ r[rows] for rows in fold) for fold in folds]
     for gram, target in zip(grams, targets, strict=True):
         c = np.linalg.lstsq(np.diag(1 + price) - gram, basis.T @ r - target, rcond=CUT)[0]
-        held_out += float(2 * c @ target - c @ gram @ c)
-    gain = float((1 + 2 * price) * found @ found)
-    return Explained(float(r @ r), gain, held_out, turn @ found / size, int(seen.sum()))
+        fall += float(2 * c @ target - c @ gram @ c)
+    return fall

@@ -16,97 +16,99 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
-from equimus_ctrl.diagnosis.results import Detectable, Estimate, Evidence, Finding, Named, Ranked, Verdict
+from equimus_ctrl.diagnosis.results import (
+    Detectable,
+    Equivalent,
+    Estimate,
+    Evidence,
+    Finding,
+    Named,
+    Ranked,
+    Verdict,
+)
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import Model
 
-IN_WORDS = {
-    "search": "more effects",
-    "confirmation": "whether held-out trials confirm the effects",
-    "unexplained": "what remains unexplained",
-    "discretization": "the error of the physics step",
-    "validation": "whether the error on held-out trials is above the noise",
-    "alternatives": "what fits as well in an effect's place",
-}
-"""What each stage of a diagnosis looks at."""
 Finely = Callable[[Fitted], Fitted]
+"""Fits with a smaller discretisation error, from where a fit ended."""
 
 
-def verdict(findings: Sequence[Finding], rest: ResidualAnalysis, decided: bool) -> Verdict:
+def verdict(findings: Sequence[Finding], analysis: ResidualAnalysis, settled: bool) -> Verdict:
     """In one word.
 
     Args:
         findings: effects named.
-        rest: what they leave.
-        decided: whether everything that decides findings and unexplained residuals was carried out.
+        analysis: of what they leave.
+        settled: whether all stages that findings and unexplained residuals depend on were carried out.
     """
-    if not decided:
+    if not settled:
         return "unfinished"
-    if rest.unexplained:
+    if analysis.unexplained:
         return "partly_explained" if findings else "unexplained"
     return "explained" if findings else "consistent"
 
 
 def named_part(part: Part) -> Named:
-    """What a part is and where."""
+    """The effect of a part and its places."""
     return Named(part.candidate.effect.name, part.candidate.locations)
 
 
-def equivalents(search: Search, found: SearchState, left: bool, finely: Finely) -> tuple[tuple[Named, ...], ...]:
+def equivalents(
+    search: Search, end: SearchState, unexplained: bool, finely: Finely
+) -> tuple[tuple[Equivalent, ...], ...]:
     """For each part of the hypothesis what fits as well in its place.
 
     Args:
         search: that ended there.
-        found: its end.
-        left: whether something stays unexplained beside them.
+        end: of the search.
+        unexplained: whether something stays unexplained beside the parts.
         finely: fits with a smaller discretisation error.
     """
     equivalent = []
-    for k in range(len(found.without)):
-        own, tried = _equivalent(search, found, k, left, finely)
-        found = replace(found, tried=tried)
-        equivalent.append(own)
+    for k in range(len(end.without)):
+        others, tried = _equivalent(search, end, k, unexplained, finely)
+        end = replace(end, tried=tried)
+        equivalent.append(others)
     return tuple(equivalent)
 
 
 def findings(
-    search: Search, found: SearchState, holdout: HoldoutResiduals, equivalent: Sequence[tuple[Named, ...]]
+    search: Search, end: SearchState, holdout: HoldoutResiduals, equivalent: Sequence[Sequence[Equivalent]]
 ) -> tuple[Finding, ...]:
     """The parts of the hypothesis with their intervals and their evidence, the one that gains most first.
 
     Args:
         search: that ended there.
-        found: its end.
+        end: of the search.
         holdout: residuals on held-out trials.
         equivalent: see ``equivalents``; empty where nobody looked.
     """
-    parts = enumerate(found.best.hypothesis)
-    named = [
+    unsorted = [
         Finding(
-            part,
-            _estimates(search.data, found.best, k),
-            _evidence(search, found, holdout, k),
-            equivalent[k] if equivalent else (),
+            part=part,
+            parameters=_estimates(search.data, end.best, k),
+            evidence=_evidence(search, end, holdout, k),
+            equivalent=tuple(other.named for other in equivalent[k]) if equivalent else (),
         )
-        for k, part in parts
+        for k, part in enumerate(end.best.hypothesis)
     ]
-    return tuple(sorted(named, key=lambda f: -f.evidence.gain))
+    return tuple(sorted(unsorted, key=lambda f: -f.evidence.gain))
 
 
-def _evidence(search: Search, found: SearchState, holdout: HoldoutResiduals, k: int) -> Evidence:
-    best, without = found.best, found.without[k]
+def _evidence(search: Search, end: SearchState, holdout: HoldoutResiduals, k: int) -> Evidence:
+    best, without = end.best, end.without[k]
     gain, count = without.deviance - best.deviance, best.hypothesis[k].candidate.n_parameters
     log10_p_value = (_log_p_value(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
     return Evidence(
-        gain,
-        search.threshold(count),
-        min(log10_p_value, 0.0),
-        holdout.gain(without, best),
-        holdout.share(without.fit.residuals, best.fit.residuals, found.base.fit.residuals),
-        holdout.share(*(holdout.residuals(f.fit.model) for f in (without, best, found.base))),
+        gain=gain,
+        threshold=search.threshold(count),
+        log10_p_value=min(log10_p_value, 0.0),
+        validation_gain=holdout.gain(without, best),
+        share=holdout.share(without.fit.residuals, best.fit.residuals, end.base.fit.residuals),
+        validation_share=holdout.share(*(holdout.residuals(f.fit.model) for f in (without, best, end.base))),
     )
 
 
@@ -119,8 +121,9 @@ def _log_p_value(gain: float, count: int) -> float:
 
 
 def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
+    """The parameters of a part of the hypothesis with 95 % intervals, which end at the parameters' bounds."""
     first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
-    found = {}
+    estimates = {}
     for i, key in enumerate(best.hypothesis[k].values):
         free = best.fit.parameters.free[first + i]
         value, width = float(best.fit.theta[first + i]), float(best.fit.uncertainty.half_width[first + i])
@@ -129,23 +132,25 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
             low, high = data.span(best, first + i)
         low = max(low, free.low) if math.isfinite(low) else -math.inf
         high = min(high, free.high) if math.isfinite(high) else math.inf
-        found[key] = Estimate(value, low, high, free.unit)
-    return found
+        estimates[key] = Estimate(value, low, high, free.unit)
+    return estimates
 
 
 def _equivalent(
-    search: Search, found: SearchState, k: int, left: bool, finely: Finely
-) -> tuple[tuple[Named, ...], SearchHistory]:
+    search: Search, end: SearchState, k: int, unexplained: bool, finely: Finely
+) -> tuple[tuple[Equivalent, ...], SearchHistory]:
     """Alternatives that fit as well; none with more parameters, which reproduces anything simpler.
 
     Close ones are compared with short steps: where commands jump, discretisation errors can separate equivalent
     effects.
     """
-    thresholds, gain = search.data.thresholds, found.without[k].deviance - found.best.deviance
+    thresholds, gain = search.data.thresholds, end.without[k].deviance - end.best.deviance
 
     def margin(t: Thresholds) -> float:
-        equivalent = max(t.indistinguishable, t.indistinguishable_share * gain) if left else t.indistinguishable
-        return max(equivalent + search.scatter(t), t.simulation_error * search.data.n)
+        equally_good = (
+            max(t.indistinguishable, t.indistinguishable_share * gain) if unexplained else t.indistinguishable
+        )
+        return max(equally_good + search.scatter(t), t.simulation_error * search.data.n)
 
     def within_scatter(t: Thresholds) -> float:
         return margin(t) + t.step_scatter
@@ -154,30 +159,30 @@ def _equivalent(
         more = search.score(alternative) - search.score(best)
         return thresholds.decides(lambda t: more < most(t))
 
-    own = found.best.hypothesis[k].candidate.label
-    others: dict[str, Named] = {}
-    alternatives, tried = in_place(search, found, k, within_scatter)
+    label = end.best.hypothesis[k].candidate.label
+    others: dict[str, Equivalent] = {}
+    alternatives, tried = in_place(search, end, k, within_scatter)
     for alternative in sorted(alternatives, key=search.score):
-        other = replacement(alternative, found.without[k])
+        part = replacement(alternative, end.without[k])
         if (
-            alternative.n_parameters > found.best.n_parameters
-            or other is None
-            or not within(alternative, found.best, within_scatter)
+            alternative.n_parameters > end.best.n_parameters
+            or part is None
+            or not within(alternative, end.best, within_scatter)
         ):
             continue
-        label = other.candidate.label
-        if label != own and label not in others and within(finely(alternative), finely(found.best), margin):
-            others[label] = named_part(other)
+        other = part.candidate.label
+        if other != label and other not in others and within(finely(alternative), finely(end.best), margin):
+            others[other] = Equivalent(named_part(part), alternative)
     return tuple(others.values()), tried
 
 
-def ranking(search: Search, found: SearchState) -> tuple[Ranked, ...]:
+def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
     """All candidates alone, best first."""
     alone: dict[str, float] = {}
-    for fitted in found.tried.fitted:
+    for fitted in end.tried.fitted:
         if len(fitted.hypothesis) == 1:
             label = fitted.label
-            alone[label] = max(alone.get(label, -math.inf), found.base.deviance - fitted.deviance)
+            alone[label] = max(alone.get(label, -math.inf), end.base.deviance - fitted.deviance)
     ranked = [
         Ranked(
             Named(s.candidate.effect.name, s.candidate.locations),
@@ -185,15 +190,15 @@ def ranking(search: Search, found: SearchState) -> tuple[Ranked, ...]:
             alone.get(s.candidate.label),
             search.threshold(s.candidate.n_parameters),
         )
-        for s in found.tried.first
+        for s in end.tried.first
     ]
     return tuple(sorted(ranked, key=lambda r: -max(r.fitted or 0.0, r.screened if r.fitted is None else 0.0)))
 
 
-def detectable(search: Search, found: SearchState) -> tuple[Detectable, ...]:
+def detectable(search: Search, end: SearchState) -> tuple[Detectable, ...]:
     """The smallest size of each effect that would have been accepted."""
     smallest = []
-    for s in found.tried.first:
+    for s in end.tried.first:
         size = _smallest(s, search.threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))
         unit = s.candidate.effect.parameter_info()[key]["unit"]
@@ -217,11 +222,18 @@ def _smallest(screened: Screened, threshold: float) -> float:
     return float(values[seen][np.argmin(strength[seen])])
 
 
-def notes(found: SearchState, split: Split, excluded: Sequence[str], not_done: Sequence[str]) -> list[str]:
-    """What else a person ought to know of how the search went."""
+def notes(end: SearchState, split: Split, excluded: Sequence[str], not_done: Sequence[str]) -> list[str]:
+    """What else a person ought to know of how the search went.
+
+    Args:
+        end: of the search.
+        split: of the trials.
+        excluded: names of effects that were not looked for.
+        not_done: what was not looked at, in words.
+    """
     said = []
     if not_done:
-        said.append(f"Ended before its end; not looked at: {', '.join(IN_WORDS[stage] for stage in not_done)}.")
+        said.append(f"Ended before its end; not looked at: {', '.join(not_done)}.")
     if excluded:
         said.append(f"Not looked for, as was asked: {', '.join(excluded)}.")
     if not split.validation:
@@ -231,7 +243,7 @@ def notes(found: SearchState, split: Split, excluded: Sequence[str], not_done: S
             "There is no test set (from eight trials on, or by --test), so errors are those of validation trials, "
             "which chose too."
         )
-    fit = found.best.fit
+    fit = end.best.fit
     held = [f.name for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
     if held:
         said.append(

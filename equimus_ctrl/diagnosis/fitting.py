@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from equimus_ctrl.diagnosis.budget import Budget
-from equimus_ctrl.diagnosis.candidates import Hypothesis, parameters_of, refined
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, parameters_of, refined
 from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
@@ -31,14 +31,22 @@ from equimus_ctrl.types import Array
 
 ROUNDS = 4
 """How often noise and parameters are estimated in turn, at most."""
-TURNS, GRID_SIZES, WIDTH, NARROWER, LEVELS = 3, (15, 47), 0.4, 5.0, 4
-"""Grid scan of a discontinuous parameter: numbers of values in a quick fit and in a full one, half width of the grid in
-its logarithm, and the factor by which grids around the best value shrink. It is repeated from where the fit goes."""
-FACTORS = 1e-5 * 3.0 ** np.arange(11)
-"""Logarithms of factors at which the profile likelihood of such a parameter is evaluated."""
-WORSE = 3.84
-"""Fall of 2 log L at the ends of a 95 % interval."""
+GRID_SCANS = 3
+"""How often a full fit scans a discontinuous parameter θ and goes on from the best value, at most; a quick one once."""
+QUICK_GRID, FULL_GRID = 15, 47
+"""Numbers of values in one grid scan."""
+GRID_WIDTH = 0.4
+"""Half width of the first grid in ln θ."""
+GRID_LEVELS, GRID_NARROWER = 4, 5.0
+"""Grids in one scan, and the factor by which each is narrower than the one before."""
+PROFILE_STEPS = 1e-5 * 3.0 ** np.arange(11)
+"""Changes of ln θ at which the profile likelihood of a discontinuous parameter is evaluated, to either side."""
+PROFILE_FALL = 3.84
+"""Fall of 2 log L at the ends of a 95 % interval: the 95 % quantile of χ²(1)."""
+COARSE_TOLERANCE = 10
+"""Factor on the tolerance of a quick fit whose derivatives are those of the coarse engine."""
 NO_STEP = FitSettings(1e-5, 0)
+"""The parameters as they are."""
 FROM_SHORT = FitSettings(1e-6, 60)
 """Of a search that begins at the fit to short shooting intervals, towards an ill-conditioned minimum."""
 CONVERGED_GAIN = 0.5
@@ -90,8 +98,8 @@ class Data:
         free: the parameters to estimate without any effect.
         segments: what was measured.
         simulator: the engine.
-        coarse: a faster one for what need not be exact, whose predictions are compared with its own alone; the same
-            by default.
+        coarse: a faster one, see ``screening_simulator`` and ``derivative_simulator``; the same by default. Its
+            predictions are compared with its own alone.
         fine: a slower one with a smaller discretisation error; the same by default.
         policy: how they are fitted and searched.
         budget: after each step of a fit it is asked whether to go on.
@@ -114,16 +122,37 @@ class Data:
 
     @property
     def n(self) -> int:
-        """How many angles were measured."""
+        """How many numbers were measured, of all joints and samples."""
         return sum(s.measured.size for s in self.segments)
+
+    @property
+    def screening_simulator(self) -> Simulator:
+        """The engine of first-order responses: of candidates, and along profiles."""
+        return self.coarse or self.simulator
+
+    @property
+    def derivative_simulator(self) -> Simulator | None:
+        """The engine of a quick fit's derivatives; None where it is that of its residuals."""
+        return self.coarse if self.policy.coarse_derivatives else None
+
+    def theta_of(self, theta: Array, hypothesis: Hypothesis) -> Array:
+        """(p,) θ = (model parameters, effect values).
+
+        Args:
+            theta: any θ of this model, of which the model parameters are taken; effects' values may follow them.
+            hypothesis: whose values are taken, part by part.
+        """
+        values = [value for part in hypothesis for value in part.values.values()]
+        whole: Array = np.concatenate([theta[: len(self.free.free)], values])
+        return whole
 
     def coarse_fit(
         self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, steps: int, tolerance: float = 1e-4
     ) -> Fitted:
-        """A few steps of a search under a noise that is given; the deviance is of the noise that is left."""
-        settings = FitSettings(tolerance * (10 if self.policy.coarse_derivatives else 1), steps)
-        found = self._fit(hypothesis, begin, noise, settings, quick=True)
-        return self._judged(hypothesis, found)
+        """A few steps of a fit under a noise that is given; the deviance is under the noise estimated at its end."""
+        factor = COARSE_TOLERANCE if self.policy.coarse_derivatives else 1
+        after = self._fit(hypothesis, begin, noise, FitSettings(tolerance * factor, steps), quick=True)
+        return self._with_noise(hypothesis, after)
 
     def converge(self, fitted: Fitted, noise: Noise | None = None) -> Fitted:
         """Estimate noise and parameters in turn until the likelihood has converged.
@@ -135,8 +164,8 @@ class Data:
         best = fitted
         for _ in range(ROUNDS):
             steps = FitSettings(1e-5, 12)
-            found = self._fit(best.hypothesis, [best.begin], noise or best.noise, steps, earlier=best.fit)
-            after = self._judged(best.hypothesis, found)
+            refitted = self._fit(best.hypothesis, [best.begin], noise or best.noise, steps, earlier=best.fit)
+            after = self._with_noise(best.hypothesis, refitted)
             gain, noise = best.deviance - after.deviance, None
             if gain > 0:
                 best = after
@@ -148,10 +177,9 @@ class Data:
         """The same with the fine engine, from where it is."""
         if self.fine is None:
             return fitted
-        own = replace(self, simulator=self.fine, coarse=None, fine=None)
-        return own.converge(
-            own._judged(fitted.hypothesis, own._fit(fitted.hypothesis, [fitted.begin], fitted.noise, NO_STEP))
-        )
+        finely = replace(self, simulator=self.fine, coarse=None, fine=None)
+        start = finely._fit(fitted.hypothesis, [fitted.begin], fitted.noise, NO_STEP)
+        return finely.converge(finely._with_noise(fitted.hypothesis, start))
 
     def _fit(
         self,
@@ -162,76 +190,96 @@ class Data:
         quick: bool = False,
         earlier: Fit | None = None,
     ) -> Fit:
+        """Least squares from the best of some beginnings, with grid scans of discontinuous parameters."""
         self.budget.check()
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
-        coarse = self.coarse if self.policy.coarse_derivatives and quick else None
-        found = fit(
+        coarse = self.derivative_simulator if quick else None
+        best = fit(
             parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside,
             coarse=coarse, earlier=earlier, notify=self._after_step,
         )  # fmt: skip
         discontinuous = self.discontinuous(hypothesis)
-        for _ in range((1 if quick else TURNS) if discontinuous else 0):
-            after = self._grid_scan(discontinuous, found, noise, GRID_SIZES[not quick])
-            if np.array_equal(after, found.theta):
+        for _ in range((1 if quick else GRID_SCANS) if discontinuous else 0):
+            theta = self._grid_scan(discontinuous, best, noise, QUICK_GRID if quick else FULL_GRID)
+            if np.array_equal(theta, best.theta):
                 break
-            again = fit(
+            after = fit(
                 parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise,
-                begin=[(after, found.starts)], coarse=coarse, notify=self._after_step,
+                begin=[(theta, best.starts)], coarse=coarse, notify=self._after_step,
             )  # fmt: skip
-            if again.cost >= found.cost:
+            if after.cost >= best.cost:
                 break
-            found = again
-        return found
+            best = after
+        return best
 
     def _after_step(self, evaluations: int, rmse: float) -> None:
         self.budget.check()
 
     def discontinuous(self, hypothesis: Hypothesis) -> list[int]:
-        """Where parameters that act in steps stand among all that are free."""
+        """Indices in θ of the discontinuous parameters, see ``Effect.discontinuous``."""
         keys = [(part.candidate.effect.discontinuous, key) for part in hypothesis for key in part.values]
         return [len(self.free.free) + k for k, (discontinuous, key) in enumerate(keys) if key in discontinuous]
 
     def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
-        """Between what a parameter that acts in steps fits nearly as well, from outside; ±inf where there is no end."""
-        found, value = [], fitted.fit.theta[place]
+        """95 % profile-likelihood interval of a discontinuous parameter; ±inf at a side where it has no end.
+
+        Each end is the nearest of the values evaluated, see ``PROFILE_STEPS``, at which 2 log L has fallen by more than
+        ``PROFILE_FALL``. So the interval holds all values that fit as well, and is somewhat too wide.
+
+        Args:
+            fitted: the hypothesis.
+            place: index of the parameter in θ.
+        """
+        ends, value = [], fitted.fit.theta[place]
         for side in (-1.0, 1.0):
-            values = value * np.exp(side * FACTORS)
+            values = value * np.exp(side * PROFILE_STEPS)
             costs = self._profile(fitted.fit, fitted.noise, place, np.append(value, values))
-            beyond = values[np.flatnonzero(costs[1:] > costs[0] + WORSE)]
-            found.append(float(beyond[0]) if len(beyond) else math.inf * side)
-        return found[0], found[1]
+            beyond = values[np.flatnonzero(costs[1:] > costs[0] + PROFILE_FALL)]
+            ends.append(float(beyond[0]) if len(beyond) else math.inf * side)
+        return ends[0], ends[1]
 
-    def _grid_scan(self, discontinuous: Sequence[int], found: Fit, noise: Noise, looks: int) -> Array:
-        theta = found.theta.copy()
+    def _grid_scan(self, discontinuous: Sequence[int], start: Fit, noise: Noise, count: int) -> Array:
+        """(p,) θ with each discontinuous parameter, one after the other, at the best of values θᵢ·exp(±w), w shrinking.
+
+        Args:
+            discontinuous: indices in θ.
+            start: the fit whose other parameters are refitted to first order.
+            noise: of the residuals.
+            count: of values in a grid.
+        """
+        theta = start.theta.copy()
         for place in discontinuous:
-            width = WIDTH
-            for _ in range(LEVELS):
-                values = theta[place] * np.exp(np.append(0.0, np.linspace(-width, width, looks)))
-                theta[place] = values[int(np.argmin(self._profile(found, noise, place, values)))]
-                width /= NARROWER
-        return np.clip(theta, found.parameters.low, found.parameters.high)
+            width = GRID_WIDTH
+            for _ in range(GRID_LEVELS):
+                values = theta[place] * np.exp(np.append(0.0, np.linspace(-width, width, count)))
+                theta[place] = values[int(np.argmin(self._profile(start, noise, place, values)))]
+                width /= GRID_NARROWER
+        return np.clip(theta, start.parameters.low, start.parameters.high)
 
-    def _profile(self, found: Fit, noise: Noise, place: int, values: Array) -> Array:
-        """(k,) profile of the sum of squares over one parameter, all others refitted to first order."""
+    def _profile(self, start: Fit, noise: Noise, place: int, values: Array) -> Array:
+        """(k,) min over the other parameters of χ² to first order, ‖(I − QQᵀ)(r − Δy(v))‖², for values v (k,) of one.
+
+        Δy(v) is simulated, Q spans the other parameters' Jacobian; inf where a prediction is not finite.
+        """
         self.budget.check()
-        own = found.parameters
-        inside = np.clip(values, own.low[place], own.high[place])
-        models = [own.model_at(np.where(np.arange(len(found.theta)) == place, v, found.theta)) for v in inside]
-        starts = [np.tile(start, (len(models) + 1, 1)) for start in found.starts]
-        predicted = (self.coarse or self.simulator)([found.model, *models], self.segments, starts)
+        parameters = start.parameters
+        inside = np.clip(values, parameters.low[place], parameters.high[place])
+        models = [parameters.model_at(np.where(np.arange(len(start.theta)) == place, v, start.theta)) for v in inside]
+        starts = [np.tile(state, (len(models) + 1, 1)) for state in start.starts]
+        predicted = self.screening_simulator([start.model, *models], self.segments, starts)
         changes = [np.moveaxis(p.position[1:] - p.position[0], 0, -1) for p in predicted]
-        whitened_fit = whiten_fit(self.times, found, noise)
-        left = whitened_fit.residual[:, None] - whitened_fit.columns(self.times, changes)
-        remaining = np.delete(whitened_fit.slopes, place, axis=1)
-        left = Nuisance.of(remaining).project_out(left)
-        return np.where(np.isfinite(left).all(axis=0), (left**2).sum(axis=0), np.inf)
+        whitened_fit = whiten_fit(self.times, start, noise)
+        residuals = whitened_fit.residual[:, None] - whitened_fit.columns(self.times, changes)
+        others = np.delete(whitened_fit.slopes, place, axis=1)
+        beyond = Nuisance.of(others).project_out(residuals)
+        return np.where(np.isfinite(beyond).all(axis=0), (beyond**2).sum(axis=0), np.inf)
 
-    def _judged(self, hypothesis: Hypothesis, found: Fit) -> Fitted:
-        noise = estimate_noise(self.times, found.residuals)
-        deviance = -2.0 * log_likelihood(noise, self.times, found.residuals)
-        values = found.theta[len(self.free.free) :]
-        return Fitted(refined(hypothesis, values), found, noise, deviance)
+    def _with_noise(self, hypothesis: Hypothesis, after: Fit) -> Fitted:
+        """A hypothesis with its estimates, the noise estimated from its residuals, and its deviance under that."""
+        noise = estimate_noise(self.times, after.residuals)
+        deviance = -2.0 * log_likelihood(noise, self.times, after.residuals)
+        return Fitted(refined(hypothesis, after.theta[len(self.free.free) :]), after, noise, deviance)
 
     def base(self) -> Fitted:
         """The model without any hypothesis, refitted.
@@ -244,46 +292,55 @@ class Data:
         again = self._fit((), [(point.theta, point.starts)], white_noise(point.residuals), FitSettings(1e-4, 20))
         if not np.all(np.isfinite(np.concatenate(again.residuals))):
             raise SimulationDiverged(f"{self.free.model.name}: the refitted model diverges")
-        return self.converge(self._judged((), again))
+        return self.converge(self._with_noise((), again))
 
-    def base_from(self, short: Fitted, found: Fitted) -> Fitted:
+    def base_from(self, short: Fitted, base: Fitted) -> Fitted:
         """The model without any effect, refitted from the fit to short shooting intervals, if that fits better.
 
         Args:
             short: the same fitted to shooting intervals so short that errors do not grow in them. Initial states are
                 then carried on along the measurements.
-            found: the fit so far.
+            base: the fit so far.
         """
         starts, _ = followed(short.fit.model, self.segments, self.simulator)
         try:
-            other = self.converge(self._judged((), self._fit((), [(short.fit.theta, starts)], short.noise, FROM_SHORT)))
+            refitted = self._fit((), [(short.fit.theta, starts)], short.noise, FROM_SHORT)
+            other = self.converge(self._with_noise((), refitted))
         except SimulationDiverged:  # so the fit to short intervals is of no use
-            return found
-        return min(found, other, key=lambda f: f.deviance)
+            return base
+        return min(base, other, key=lambda f: f.deviance)
 
     def nominal_fit(self) -> Fitted:
-        """The model without any effect, with its present parameters."""
+        """The nominal model: without any effect, its parameters as they are."""
         start = [s.start for s in self.segments]
-        found = self._fit((), [(self.free.start, start)], self._first_noise(), FitSettings(1e-3, 0))
-        return self._judged((), found)
+        nominal = self._fit((), [(self.free.start, start)], self._first_noise(), FitSettings(1e-3, 0))
+        return self._with_noise((), nominal)
 
     def strong(self, fitted: Fitted) -> bool:
-        """Whether residuals are so much larger than the noise that derivatives say little of what would remove them."""
+        """Whether a joint's residuals are so large that derivatives say little of what would remove them."""
         return self._beyond(fitted, lambda t: t.refit_strong)
 
     def far_above_noise(self, fitted: Fitted) -> bool:
-        """Whether more is left than noise that has no colour."""
+        """Whether a joint's residuals are larger than noise."""
         return self._beyond(fitted, lambda t: t.refit_far_above_noise)
 
     def _beyond(self, fitted: Fitted, times: Callable[[Thresholds], float]) -> bool:
+        """Whether RMSE/σ of a joint exceeds a threshold, σ of white noise by second differences of the measurements."""
         rough = noise_of_differences([s.measured for s in self.segments])
-        largest = max(r / own.sigma for r, own in zip(fitted.fit.rmse, rough, strict=True))
+        largest = max(rmse / noise.sigma for rmse, noise in zip(fitted.fit.rmse, rough, strict=True))
         return self.thresholds.decides(lambda t: largest > times(t))
 
     def _first_noise(self) -> Noise:
+        """White, as large as the motion: each joint counts in units of how far it moves."""
         return white_noise([s.measured - s.measured.mean(axis=0) for s in self.segments])
 
 
 def whitened(data: Data, noise: Noise, values: Sequence[Array]) -> list[Array]:
-    """For each segment (m, nj, ...) values as the noise counts them."""
+    """For each segment (m, nj, ...) values in standard deviations of their innovations, see ``noise.whiten``."""
     return [whiten(noise, t, v) for t, v in zip(data.times, values, strict=True)]
+
+
+def chi_squared(noise: Noise, times: Sequence[Array], values: Sequence[Array]) -> float:
+    """χ² = Σ w² of the whitened values w, for each segment (m, nj) at times (m,) [s]."""
+    whitened_values = (whiten(noise, t, v) for t, v in zip(times, values, strict=True))
+    return sum(float((w**2).sum()) for w in whitened_values)

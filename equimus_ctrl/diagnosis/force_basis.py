@@ -7,8 +7,10 @@ the motions are more often. Groups are not orthogonal to each other, nor to the 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, field
+from typing import Literal, cast, get_args
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -16,12 +18,19 @@ from scipy.interpolate import BSpline
 from equimus_ctrl.diagnosis.linear_response import along_actuator
 from equimus_ctrl.engines.base import ForceResponse
 from equimus_ctrl.engines.motion import Inner, Motion
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, frozen_array
 
-FUNCTIONS, SPOTS, FINE, SURFACE = 8, 16, 40, 5
-"""Basis functions along one coordinate, with spots and with more detail than that, and along each of two."""
+FUNCTIONS = 8
+"""Basis functions along one coordinate,"""
+SPOTS = 16
+"""where dry friction has spots,"""
+FINE = 40
+"""with more detail than that,"""
+SURFACE = 5
+"""and along each of two coordinates."""
 DEGREE = 3
 SLOW = 1e-3
 """Rate over which dry friction turns [rad/s]; the motions are a model's, without noise."""
@@ -33,22 +42,84 @@ MEMORIES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Time constants of what is forgotten [s]."""
 
 
+Kind = Literal["pos", "vel", "cmd", "len", "rate", "path", "past", "time"]
+"""A joint's position and speed; an actuator's command, length and rate of length, the path that its length has taken
+and what it has been; the time since a trial's start."""
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A quantity along a motion that a force may depend on, written as in ``sign(vel.hip)`` or ``cmd.maa−cmd.baa``.
+
+    Attributes:
+        kind: of the quantity.
+        place: joint or actuator that it is of; "" for the time.
+        less: another place, whose quantity of the same kind is subtracted; "" for none.
+        sign: whether its sign alone counts.
+        frequency: of sine and cosine of it [Hz]; None where it is no wave.
+    """
+
+    kind: Kind
+    place: str = ""
+    less: str = ""
+    sign: bool = False
+    frequency: float | None = None
+
+    def __str__(self) -> str:
+        """As a report's data have it."""
+        text = f"{self.kind}.{self.place}" if self.place else self.kind
+        if self.less:
+            text += f"−{self.kind}.{self.less}"
+        if self.frequency is not None:
+            text += f" at {self.frequency:.4g} Hz"
+        return f"sign({text})" if self.sign else text
+
+
+TIME = Coordinate("time")
+_WRITTEN = re.compile(
+    rf"(?P<sign>sign\()?(?P<kind>{'|'.join(get_args(Kind))})(\.(?P<place>[^−()·]+))?"
+    r"(−\w+\.(?P<less>[^−()·]+))?( at (?P<frequency>\S+) Hz)?\)?"
+)
+
+
+def written(coordinates: Sequence[Coordinate]) -> str:
+    """Such as ``pos.hip·sign(vel.hip)``: what a force depends on, as a report's data have it."""
+    return "·".join(map(str, coordinates))
+
+
+def read(text: str) -> tuple[Coordinate, ...]:
+    """The coordinates of a text, see ``written``.
+
+    Raises:
+        ConfigError: where it is none.
+    """
+    coordinates = []
+    for part in text.split("·") if text else []:
+        match = _WRITTEN.fullmatch(part)
+        if match is None:
+            raise ConfigError(f"{part!r} is no coordinate; expected one such as pos.hip, sign(vel.hip) or time")
+        frequency = None if match["frequency"] is None else float(match["frequency"])
+        kind, place, less = cast(Kind, match["kind"]), match["place"] or "", match["less"] or ""
+        coordinates.append(Coordinate(kind, place, less, match["sign"] is not None, frequency))
+    return tuple(coordinates)
+
+
 @dataclass(frozen=True, eq=False)
 class Axis:
     """Basis functions over one coordinate.
 
     Attributes:
-        name: of the coordinate, such as ``pos.hip``.
+        coordinate: over which.
         unit: SI.
         knots: (k + 4,) of its cubic B-splines, the ends repeated.
     """
 
-    name: str
+    coordinate: Coordinate
     unit: str
     knots: Array
 
     @classmethod
-    def over(cls, name: str, unit: str, values: Sequence[Array], functions: int = FUNCTIONS) -> Axis:
+    def over(cls, coordinate: Coordinate, unit: str, values: Sequence[Array], functions: int = FUNCTIONS) -> Axis:
         """Knots half way between evenly spaced ones and such that there is as much data between any two."""
         everything = np.concatenate(values)
         shares = np.linspace(0, 1, functions - DEGREE + 1)
@@ -57,7 +128,7 @@ class Axis:
             high = low + 1.0
         inner = (np.quantile(everything, shares) + low + shares * (high - low))[1:-1] / 2
         ends = DEGREE + 1
-        return cls(name, unit, frozen_array(np.concatenate([[low] * ends, inner, [high] * ends])))
+        return cls(coordinate, unit, frozen_array(np.concatenate([[low] * ends, inner, [high] * ends])))
 
     @property
     def range(self) -> tuple[float, float]:
@@ -82,22 +153,30 @@ class Group:
     Attributes:
         location: the joint or actuator, or several joined by ``+``.
         joints: on which it acts.
-        depends_on: coordinates, joined by ``·`` where it is a product or a surface of them.
-        factor: what the functions are multiplied by, "" for nothing.
+        over: coordinates, the factor among them, or their text.
+        factor: what the functions are multiplied by; None for nothing.
         axes: of the functions, one for a curve, two for a surface (the first one's functions vary slowest), none where
             they are no functions of a coordinate.
         forces: for each place (kind, index) and each trial (m − 1, k) torque [N·m] or force [N], constant between
             samples.
-        kind: the group's key in its table.
+        coordinates: that the force depends on, several where it is a product or a surface of them.
     """
 
     location: str
     joints: tuple[str, ...]
-    depends_on: str
-    factor: str
+    over: InitVar[Sequence[Coordinate] | str]
+    factor: Coordinate | None
     axes: tuple[Axis, ...]
     forces: Mapping[tuple[str, int], tuple[Array, ...]]
-    kind: str = ""
+    coordinates: tuple[Coordinate, ...] = field(init=False)
+
+    def __post_init__(self, over: Sequence[Coordinate] | str) -> None:
+        object.__setattr__(self, "coordinates", read(over) if isinstance(over, str) else tuple(over))
+
+    @property
+    def depends_on(self) -> str:
+        """The coordinates as a report's data have them."""
+        return written(self.coordinates)
 
     @property
     def size(self) -> int:
@@ -107,14 +186,14 @@ class Group:
     def torques(self, motions: Sequence[Motion]) -> list[Array]:
         """For each trial (m − 1, nj, k) the joint torques of the functions [N·m]."""
         nj = motions[0].position.shape[1]
-        found = [np.zeros((len(m.between.time), nj, self.size)) for m in motions]
+        torques = [np.zeros((len(m.between.time), nj, self.size)) for m in motions]
         for (kind, index), columns in self.forces.items():
-            for out, motion, force in zip(found, motions, columns, strict=True):
+            for torque, motion, force in zip(torques, motions, columns, strict=True):
                 if kind == "joint":
-                    out[:, index] += force
+                    torque[:, index] += force
                 else:
-                    out += along_actuator(motion, index, force)
-        return found
+                    torque += along_actuator(motion, index, force)
+        return torques
 
     def curve(self, coefficients: Array, *x: Array) -> Array:
         """(n,) the fitted function, without its factor, at points (n,) of each axis."""
@@ -149,14 +228,14 @@ class Scene:
         """For each trial (m − 1,) something of its motion."""
         return [of(m.between) for m in self.motions]
 
-    def axis(self, coordinate: str, functions: int = FUNCTIONS) -> tuple[Axis, list[Array]]:
+    def axis(self, coordinate: Coordinate, functions: int = FUNCTIONS) -> tuple[Axis, list[Array]]:
         """A coordinate's axis and its values in each trial.
 
         Args:
-            coordinate: ``time``, or ``pos.``, ``vel.`` and a joint, or ``cmd.``, ``len.``, ``rate.`` and an actuator.
+            coordinate: the time, or position or speed of a joint, or command, length or rate of an actuator.
             functions: how many.
         """
-        kind, _, name = coordinate.partition(".")
+        kind, name = coordinate.kind, coordinate.place
         if kind == "time":
             values, unit = self.since(), "s"
         elif kind in ("pos", "vel"):
@@ -167,8 +246,8 @@ class Scene:
             i = self.actuators.index(name)
             part = {"cmd": "pressure", "len": "length", "rate": "rate"}[kind]
             values = self.values(lambda m: getattr(m, part)[:, i])
-            robot, own = self.model.robot, self.model.robot.length_unit(name)
-            unit = {"cmd": robot.command_unit(name), "len": own, "rate": f"{own}/s"}[kind]
+            robot, length = self.model.robot, self.model.robot.length_unit(name)
+            unit = {"cmd": robot.command_unit(name), "len": length, "rate": f"{length}/s"}[kind]
         return Axis.over(coordinate, unit, values, functions), values
 
     def acts_on(self, actuator: int) -> tuple[str, ...]:
@@ -179,8 +258,8 @@ class Scene:
     def group(
         self,
         place: tuple[str, int],
-        coordinates: Sequence[str],
-        factor: str = "",
+        coordinates: Sequence[Coordinate],
+        factor: Coordinate | None = None,
         by: Sequence[Array] | None = None,
         functions: int | None = None,
     ) -> Group:
@@ -189,7 +268,7 @@ class Scene:
         Args:
             place: (kind, index).
             coordinates: see ``axis``.
-            factor: what the functions are multiplied by.
+            factor: what the functions are multiplied by; None for nothing.
             by: its values in each trial (m − 1,).
             functions: how many along each coordinate.
         """
@@ -204,8 +283,8 @@ class Scene:
         kind, index = place
         names = {"joint": self.joints, "actuator": self.actuators}[kind]
         joints = (names[index],) if kind == "joint" else self.acts_on(index)
-        name = "·".join([*coordinates, *([factor] if factor else [])])
-        return Group(names[index], joints, name, factor, tuple(a for a, _ in axes), {place: tuple(columns)})
+        over = (*coordinates, factor) if factor else coordinates
+        return Group(names[index], joints, over, factor, tuple(a for a, _ in axes), {place: tuple(columns)})
 
 
 Maker = Callable[[Scene, int], Iterator[Group]]
@@ -217,97 +296,97 @@ def _product(a: Array, b: Array) -> Array:
 
 
 def _own_angle(s: Scene, j: int) -> Iterator[Group]:
-    yield s.group(("joint", j), [f"pos.{s.joints[j]}"])
+    yield s.group(("joint", j), [Coordinate("pos", s.joints[j])])
 
 
 def _fine_angle(s: Scene, j: int) -> Iterator[Group]:
-    yield s.group(("joint", j), [f"pos.{s.joints[j]}"], functions=FINE)
+    yield s.group(("joint", j), [Coordinate("pos", s.joints[j])], functions=FINE)
 
 
 def _own_speed(s: Scene, j: int) -> Iterator[Group]:
-    yield s.group(("joint", j), [f"vel.{s.joints[j]}"])
+    yield s.group(("joint", j), [Coordinate("vel", s.joints[j])])
 
 
 def _other_angles(s: Scene, j: int) -> Iterator[Group]:
     for other in s.joints:
         if other != s.joints[j]:
-            yield s.group(("joint", j), [f"pos.{other}"])
+            yield s.group(("joint", j), [Coordinate("pos", other)])
 
 
 def _both_angles(s: Scene, j: int) -> Iterator[Group]:
     for other in s.joints:
         if other != s.joints[j]:
-            yield s.group(("joint", j), [f"pos.{s.joints[j]}", f"pos.{other}"])
+            yield s.group(("joint", j), [Coordinate("pos", s.joints[j]), Coordinate("pos", other)])
 
 
 def _shared_energy(s: Scene, j: int) -> Iterator[Group]:
     """Springs across two joints: −∂V/∂q at both, V a surface over their angles."""
     for other in range(j + 1, len(s.joints)):
         names = s.joints[j], s.joints[other]
-        (one, first), (two, second) = (s.axis(f"pos.{name}", SURFACE) for name in names)
+        (one, first), (two, second) = (s.axis(Coordinate("pos", name), SURFACE) for name in names)
         forces = {
             ("joint", j): tuple(-_product(one.slopes(a), two.basis(b)) for a, b in zip(first, second, strict=True)),
             ("joint", other): tuple(-_product(one.basis(a), two.slopes(b)) for a, b in zip(first, second, strict=True)),
         }
-        yield Group("+".join(names), names, f"{one.name}·{two.name}", "", (one, two), forces)
+        yield Group("+".join(names), names, (one.coordinate, two.coordinate), None, (one, two), forces)
 
 
 def _angle_damping(s: Scene, j: int) -> Iterator[Group]:
-    name = s.joints[j]
-    yield s.group(("joint", j), [f"pos.{name}"], f"vel.{name}", s.axis(f"vel.{name}")[1])
+    speed = Coordinate("vel", s.joints[j])
+    yield s.group(("joint", j), [Coordinate("pos", s.joints[j])], speed, s.axis(speed)[1])
 
 
 def _angle_friction(s: Scene, j: int) -> Iterator[Group]:
     name = s.joints[j]
-    by = [np.tanh(v / SLOW) for v in s.axis(f"vel.{name}")[1]]
-    yield s.group(("joint", j), [f"pos.{name}"], f"sign(vel.{name})", by, SPOTS)
+    by = [np.tanh(v / SLOW) for v in s.axis(Coordinate("vel", name))[1]]
+    yield s.group(("joint", j), [Coordinate("pos", name)], Coordinate("vel", name, sign=True), by, SPOTS)
 
 
 def _joint_time(s: Scene, j: int) -> Iterator[Group]:
-    yield s.group(("joint", j), ["time"])
+    yield s.group(("joint", j), [TIME])
 
 
 def _own_pressure(s: Scene, a: int) -> Iterator[Group]:
-    yield s.group(("actuator", a), [f"cmd.{s.actuators[a]}"])
+    yield s.group(("actuator", a), [Coordinate("cmd", s.actuators[a])])
 
 
 def _own_length(s: Scene, a: int) -> Iterator[Group]:
-    yield s.group(("actuator", a), [f"len.{s.actuators[a]}"])
+    yield s.group(("actuator", a), [Coordinate("len", s.actuators[a])])
 
 
 def _own_rate(s: Scene, a: int) -> Iterator[Group]:
-    yield s.group(("actuator", a), [f"rate.{s.actuators[a]}"])
+    yield s.group(("actuator", a), [Coordinate("rate", s.actuators[a])])
 
 
 def _pressure_damping(s: Scene, a: int) -> Iterator[Group]:
-    name = s.actuators[a]
-    yield s.group(("actuator", a), [f"cmd.{name}"], f"rate.{name}", s.axis(f"rate.{name}")[1])
+    rate = Coordinate("rate", s.actuators[a])
+    yield s.group(("actuator", a), [Coordinate("cmd", s.actuators[a])], rate, s.axis(rate)[1])
 
 
 def _pressure_time(s: Scene, a: int) -> Iterator[Group]:
-    name = s.actuators[a]
-    yield s.group(("actuator", a), ["time"], f"cmd.{name}", s.axis(f"cmd.{name}")[1])
+    command = Coordinate("cmd", s.actuators[a])
+    yield s.group(("actuator", a), [TIME], command, s.axis(command)[1])
 
 
 def _stretch_time(s: Scene, a: int) -> Iterator[Group]:
-    name = s.actuators[a]
+    length = Coordinate("len", s.actuators[a])
     rest = s.model.morphology.actuators[a].rest_length
-    yield s.group(("actuator", a), ["time"], f"len.{name}", [x - rest for x in s.axis(f"len.{name}")[1]])
+    yield s.group(("actuator", a), [TIME], length, [x - rest for x in s.axis(length)[1]])
 
 
 def _other_pressures(s: Scene, a: int) -> Iterator[Group]:
     for other in s.actuators:
         if other != s.actuators[a]:
-            yield s.group(("actuator", a), [f"cmd.{other}"])
+            yield s.group(("actuator", a), [Coordinate("cmd", other)])
 
 
 def _exchange(s: Scene, a: int) -> Iterator[Group]:
     """Pressure that one actuator loses to another, by their difference."""
     for other in range(a + 1, len(s.actuators)):
         names = s.actuators[a], s.actuators[other]
-        first, second = (s.axis(f"cmd.{name}")[1] for name in names)
+        first, second = (s.axis(Coordinate("cmd", name))[1] for name in names)
         differences = [x - y for x, y in zip(first, second, strict=True)]
-        axis = Axis.over(f"{'−'.join(f'cmd.{name}' for name in names)}", "Pa", differences)
+        axis = Axis.over(Coordinate("cmd", *names), "Pa", differences)
         columns = [axis.basis(x) for x in differences]
         areas = [s.model.morphology.actuators[i].area for i in (a, other)]
         forces = {
@@ -316,18 +395,18 @@ def _exchange(s: Scene, a: int) -> Iterator[Group]:
         }
         reached = {*s.acts_on(a), *s.acts_on(other)}
         joints = tuple(name for name in s.joints if name in reached)
-        yield Group("+".join(names), joints, axis.name, "", (axis,), forces)
+        yield Group("+".join(names), joints, [axis.coordinate], None, (axis,), forces)
 
 
 def _pressure_length(s: Scene, a: int) -> Iterator[Group]:
-    name = s.actuators[a]
-    yield s.group(("actuator", a), [f"len.{name}"], f"cmd.{name}", s.axis(f"cmd.{name}")[1])
+    command = Coordinate("cmd", s.actuators[a])
+    yield s.group(("actuator", a), [Coordinate("len", s.actuators[a])], command, s.axis(command)[1])
 
 
 def _path(s: Scene, a: int) -> Iterator[Group]:
     """Elements that slip after a way of their own (Prandtl and Ishlinskii): any hysteresis without rate."""
     name = s.actuators[a]
-    _, lengths = s.axis(f"len.{name}")
+    _, lengths = s.axis(Coordinate("len", name))
     way = max(np.ptp(x) for x in lengths) / 2
     widths = way * WIDTHS
     columns = []
@@ -336,13 +415,13 @@ def _path(s: Scene, a: int) -> Iterator[Group]:
         for k in range(1, len(x)):
             rows[k] = np.clip(rows[k - 1] + x[k] - x[k - 1], -widths, widths)
         columns.append(rows / widths)
-    yield Group(name, s.acts_on(a), f"path.{name}", "", (), {("actuator", a): tuple(columns)})
+    yield Group(name, s.acts_on(a), [Coordinate("path", name)], None, (), {("actuator", a): tuple(columns)})
 
 
 def _memory(s: Scene, a: int) -> Iterator[Group]:
     """Springs that relax, each with a time constant of its own: any linear viscoelasticity."""
     name = s.actuators[a]
-    _, lengths = s.axis(f"len.{name}")
+    _, lengths = s.axis(Coordinate("len", name))
     columns = []
     for x, motion in zip(lengths, s.motions, strict=True):
         step = np.diff(motion.between.time, prepend=motion.between.time[0])
@@ -351,7 +430,7 @@ def _memory(s: Scene, a: int) -> Iterator[Group]:
         for k in range(1, len(x)):
             rows[k] = kept[k] * (rows[k - 1] + x[k] - x[k - 1])
         columns.append(rows)
-    yield Group(name, s.acts_on(a), f"past.{name}", "", (), {("actuator", a): tuple(columns)})
+    yield Group(name, s.acts_on(a), [Coordinate("past", name)], None, (), {("actuator", a): tuple(columns)})
 
 
 AT_JOINTS: dict[str, Maker] = {
@@ -391,14 +470,16 @@ def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
         motions: of this model, one for each trial.
     """
     scene = Scene(model, tuple(motions))
-    found: list[Group] = []
     along = model.robot.traits.forces_along_actuators
     at_actuators = AT_ACTUATORS if along else {kind: AT_ACTUATORS[kind] for kind in OF_DRIVES}
-    for count, table in ((len(scene.joints), AT_JOINTS), (len(scene.actuators), at_actuators)):
-        for index in range(count):
-            for kind, make in table.items():
-                found += [replace(group, kind=kind) for group in make(scene, index)]
-    return found
+    tables = ((len(scene.joints), AT_JOINTS), (len(scene.actuators), at_actuators))
+    return [
+        group
+        for count, table in tables
+        for index in range(count)
+        for make in table.values()
+        for group in make(scene, index)
+    ]
 
 
 def responses(linearised: ForceResponse, groups: Sequence[Group]) -> list[list[Array]]:
@@ -406,7 +487,7 @@ def responses(linearised: ForceResponse, groups: Sequence[Group]) -> list[list[A
 
     Many columns at once take hardly longer than a few.
     """
-    found: list[list[Array]] = []
+    answers: list[list[Array]] = []
     batch: list[Group] = []
     for i, group in enumerate(groups):
         batch.append(group)
@@ -415,19 +496,19 @@ def responses(linearised: ForceResponse, groups: Sequence[Group]) -> list[list[A
         parts = [g.torques(linearised.motions) for g in batch]
         joined = [np.concatenate(trial, axis=2) for trial in zip(*parts, strict=True)]
         edges = np.cumsum([g.size for g in batch])[:-1]
-        split = [np.split(answer, edges, axis=2) for answer in linearised.response(joined)]
-        found += [list(trials) for trials in zip(*split, strict=True)]
+        split = [np.split(changes, edges, axis=2) for changes in linearised.response(joined)]
+        answers += [list(trials) for trials in zip(*split, strict=True)]
         batch = []
-    return found
+    return answers
 
 
 def harmonics(model: Model, motions: Sequence[Motion], frequencies: Sequence[float]) -> list[Group]:
     """At every joint and each frequency [Hz] a torque of sine and cosine of the time since a trial's start."""
     scene = Scene(model, tuple(motions))
-    found = []
+    waves = []
     for j, name in enumerate(scene.joints):
         for f in frequencies:
             turns = [2 * np.pi * f * t for t in scene.since()]
             columns = tuple(np.column_stack([np.sin(x), np.cos(x)]) for x in turns)
-            found.append(Group(name, (name,), f"time at {f:.4g} Hz", "", (), {("joint", j): columns}, "wave"))
-    return found
+            waves.append(Group(name, (name,), [Coordinate("time", frequency=f)], None, (), {("joint", j): columns}))
+    return waves

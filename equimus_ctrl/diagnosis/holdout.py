@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from equimus_ctrl.identification.residuals import DIVERGED, residuals_of
 from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.simulators import Simulator, simulator_for
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.types import Recording
+from equimus_ctrl.types import Array, Recording
 
 EVERY = 4
 """One trial in so many is held out."""
@@ -56,44 +56,103 @@ class Split:
     other: Split | None = None
 
 
+@dataclass(frozen=True)
+class Holdout:
+    """Which of some trials are held out, by their places.
+
+    Attributes:
+        validation: confirm or reject effects.
+        test: touched for the report alone.
+        other: for validation in the place of the first, where those show what the rest does not; empty where somebody
+            said which judge, or there are too few.
+    """
+
+    validation: frozenset[int] = frozenset()
+    test: frozenset[int] = frozenset()
+    other: frozenset[int] = frozenset()
+
+
+def choose_holdout(
+    names: Sequence[str], validation: Sequence[str] = (), test: Sequence[str] = (), by_time: bool = False
+) -> Holdout:
+    """Choose trials to hold out.
+
+    Where nobody says which are for validation: of four trials or more every fourth, of two or three the last, of one
+    none (its end is held out). Of every fourth the later half are the test set, where these are two or more and nobody
+    says which are.
+
+    Args:
+        names: of all trials, in order.
+        validation: patterns of names of trials.
+        test: the same.
+        by_time: whether each trial is divided in time, so that none need be held out whole.
+
+    Raises:
+        ConfigError: where a pattern fits no trial, a trial is in both sets, or all are in the test set.
+    """
+    judging, unseen = _matching(names, validation, "for validation"), _matching(names, test, "for the test")
+    if both := sorted(judging & unseen):
+        raise ConfigError(f"trial {names[both[0]]} is for validation and for the test, expected one of them")
+    if validation or by_time:
+        return Holdout(judging, unseen)
+    fitted = [k for k in range(len(names)) if k not in unseen]
+    if not fitted:
+        raise ConfigError("every trial is for the test, so there is nothing to fit; name fewer")
+    if len(fitted) < EVERY:
+        return Holdout(frozenset(fitted[-1:] if len(fitted) > 1 else ()), unseen)
+    every, before = (frozenset(fitted[EVERY - back :: EVERY]) for back in (1, 2))
+    if test:
+        return Holdout(every, unseen, before)
+    later = frozenset(sorted(every)[len(every) - len(every) // 2 :])
+    return Holdout(every - later, later, before - later)
+
+
 def check(model: Model, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError where recordings cannot be diagnosed."""
     if not recordings:
         raise ConfigError("no recording was given to diagnose")
-    names = (*model.robot.actuator_names, *model.robot.joint_names)
-    traits = model.robot.traits
-    for r in recordings:
-        if not (np.all(np.isfinite(r.position)) and np.all(np.isfinite(r.command)) and np.all(np.isfinite(r.time))):
-            raise ConfigError(f"{r.name}: holds numbers that are not finite; remove the rows without measurements")
-        duration = float(r.time[-1] - r.time[0])
-        if duration < LEAST_DURATION or len(r.time) < LEAST_SAMPLES:
-            raise ConfigError(
-                f"{r.name}: has {len(r.time)} samples over {duration:.3g} s, too short to diagnose; expected at least "
-                f"{LEAST_SAMPLES} samples over {LEAST_DURATION:g} s"
-            )
-        largest = float(np.abs(r.position).max())
-        if largest > traits.most_angle:
-            j = int(np.abs(r.position).max(axis=0).argmax())
-            raise ConfigError(
-                f"{r.name}: {r.joints[j]} reaches {largest:.4g} rad, more than two turns; are the angles in degrees? "
-                "They are expected in rad"
-            )
+    for recording in recordings:
+        _check_samples(recording, model.robot.traits.most_angle)
+    _check_motion(model, recordings)
+
+
+def _check_samples(r: Recording, most_angle: float) -> None:
+    """Raise ConfigError where a recording is broken, too short, or in other units."""
+    if not (np.all(np.isfinite(r.position)) and np.all(np.isfinite(r.command)) and np.all(np.isfinite(r.time))):
+        raise ConfigError(f"{r.name}: holds numbers that are not finite; remove the rows without measurements")
+    duration = float(r.time[-1] - r.time[0])
+    if duration < LEAST_DURATION or len(r.time) < LEAST_SAMPLES:
+        raise ConfigError(
+            f"{r.name}: has {len(r.time)} samples over {duration:.3g} s, too short to diagnose; expected at least "
+            f"{LEAST_SAMPLES} samples over {LEAST_DURATION:g} s"
+        )
+    largest = float(np.abs(r.position).max())
+    if largest > most_angle:
+        j = int(np.abs(r.position).max(axis=0).argmax())
+        raise ConfigError(
+            f"{r.name}: {r.joints[j]} reaches {largest:.4g} rad, more than two turns; are the angles in degrees? "
+            "They are expected in rad"
+        )
+
+
+def _check_motion(model: Model, recordings: Sequence[Recording]) -> None:
+    """Raise ConfigError where no command moves, or a joint does not."""
+    traits, first = model.robot.traits, recordings[0]
     moved = np.max([np.ptp(np.vstack([r.command, r.command_before]), axis=0) for r in recordings], axis=0)
     if moved.max() < traits.least_command:
-        unit = model.robot.command_unit(recordings[0].actuators[int(moved.argmax())])
+        unit = model.robot.command_unit(first.actuators[int(moved.argmax())])
         raise ConfigError(
             f"the commands never move: they change by at most {moved.max():.3g} {unit} in any trial, expected at least "
             f"{traits.least_command:g} {unit}; record steps, staircases or sweeps"
         )
-    everything = np.concatenate([r.position for r in recordings])
-    for j, name in enumerate(recordings[0].joints):
-        span = float(np.ptp(everything[:, j]))
-        least = traits.least_motion
-        if span < least:
+    spans = np.ptp(np.concatenate([r.position for r in recordings]), axis=0)
+    names = (*model.robot.actuator_names, *model.robot.joint_names)
+    for name, span in zip(first.joints, map(float, spans), strict=True):
+        if span < traits.least_motion:
             unit = place_unit(model, "rad", name)
             raise ConfigError(
                 f"joint {name} never moves: it stays within {span:.2g} {unit} in all trials, expected at least "
-                f"{least:g} {unit} (columns: {', '.join(names)})"
+                f"{traits.least_motion:g} {unit} (columns: {', '.join(names)})"
             )
 
 
@@ -113,9 +172,8 @@ def split(
     Args:
         model: whose names the recordings must have.
         recordings: all of them.
-        validation: patterns of names of trials; every fourth by default, of two or three the last, of a single one
-            its end.
-        test: patterns of names of trials; by default the later half of every fourth, where these are two or more.
+        validation: patterns of names of trials, see ``choose_holdout``; of a single trial its end by default.
+        test: the same.
         until: of every trial only what comes before this time is fitted, and the rest is for validation too [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of multiple-shooting intervals [s]; by default whole trials, or where nothing holds the
@@ -131,70 +189,68 @@ def split(
     check(model, recordings)
     if window is not None and not window[0] < window[1]:
         raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
-    names, asked = [r.name for r in recordings], until
-    judging, unseen = _matching(names, validation, "for validation"), _matching(names, test, "for the test")
-    if both := sorted(judging & unseen):
-        raise ConfigError(f"trial {names[both[0]]} is for validation and for the test, expected one of them")
-    others: set[int] = set()
-    if not validation and until is None:
-        left = [k for k in range(len(recordings)) if k not in unseen]
-        if not left:
-            raise ConfigError("every trial is for the test, so there is nothing to fit; name fewer")
-        if len(recordings) == 1:
-            low, high = window or (float(recordings[0].time[0]), float(recordings[0].time[-1]))
-            until = high - LAST * (high - low)
-        elif len(left) < EVERY:
-            judging = {left[-1]} if len(left) > 1 else set()
-        else:
-            judging, others = (set(left[EVERY - back :: EVERY]) for back in (1, 2))
-            if not test:
-                unseen = set(sorted(judging)[len(judging) - len(judging) // 2 :])
-                judging, others = judging - unseen, others - unseen
-    elif until is not None:
-        spans = [window or (float(r.time[0]), float(r.time[-1])) for r in recordings]
-        first, last = min(low for low, _ in spans), max(high for _, high in spans)
-        if not first < until < last:
-            what = f"begins at {first:g} s" if until <= first else f"ends at {last:g} s"
-            whose = "what counts" if window else f"the {'first' if until <= first else 'last'} trial"
-            raise ConfigError(f"fitted is what comes before {until:g} s, but {whose} {what}")
+    heldout = choose_holdout([r.name for r in recordings], validation, test, by_time=until is not None)
+    edge = until
+    if until is not None:
+        _check_until(until, recordings, window)
+    elif not validation and len(recordings) == 1:
+        low, high = _span(recordings[0], window)
+        edge = high - LAST * (high - low)
     if not model.robot.traits.held_in_place and shoot is None:
-        counted = [r for k, r in enumerate(recordings) if k not in unseen]
+        counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
         shoot = longest_interval(model, counted, window, simulator and simulator())
-    found = _parted(model, recordings, (judging, unseen), until, window, shoot)
-    if asked is not None and not found.validation:
+    parts = _parted(model, recordings, heldout, edge, window, shoot)
+    if until is not None and not parts.validation:
         raise ConfigError(
-            f"fitted is what comes before {asked:g} s, and no trial has {LEAST_SAMPLES} samples after that, too few to "
+            f"fitted is what comes before {until:g} s, and no trial has {LEAST_SAMPLES} samples after that, too few to "
             "judge by"
         )
-    return replace(found, other=_parted(model, recordings, (others, unseen), until, window, shoot)) if others else found
+    if not heldout.other:
+        return parts
+    instead = Holdout(heldout.other, heldout.test)
+    return replace(parts, other=_parted(model, recordings, instead, edge, window, shoot))
 
 
-def _matching(names: Sequence[str], patterns: Sequence[str], purpose: str) -> set[int]:
+def _span(recording: Recording, window: tuple[float, float] | None) -> tuple[float, float]:
+    """(from, to) of a trial that counts [s]."""
+    return window or (float(recording.time[0]), float(recording.time[-1]))
+
+
+def _check_until(until: float, recordings: Sequence[Recording], window: tuple[float, float] | None) -> None:
+    """Raise ConfigError where a time divides no trial."""
+    spans = [_span(r, window) for r in recordings]
+    first, last = min(low for low, _ in spans), max(high for _, high in spans)
+    if not first < until < last:
+        what = f"begins at {first:g} s" if until <= first else f"ends at {last:g} s"
+        whose = "what counts" if window else f"the {'first' if until <= first else 'last'} trial"
+        raise ConfigError(f"fitted is what comes before {until:g} s, but {whose} {what}")
+
+
+def _matching(names: Sequence[str], patterns: Sequence[str], purpose: str) -> frozenset[int]:
     """Which of some trials' names patterns fit; ConfigError where one fits none."""
     for pattern in patterns:
         if not fnmatch.filter(names, pattern):
             raise ConfigError(unknown_name("trial", pattern, names, purpose))
-    return {k for k, name in enumerate(names) if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
+    return frozenset(k for k, name in enumerate(names) if any(fnmatch.fnmatchcase(name, p) for p in patterns))
 
 
 def _parted(
     model: Model,
     recordings: Sequence[Recording],
-    sets: tuple[Collection[int], Collection[int]],
+    heldout: Holdout,
     until: float | None,
     window: tuple[float, float] | None,
     shoot: float | None,
 ) -> Split:
-    """Recordings split by the indices of those for validation and of those for the test."""
+    """Recordings split, see ``split``."""
     train: list[Segment] = []
     validation: list[Segment] = []
     test: list[Segment] = []
-    judging, unseen = sets
     fitted: list[tuple[int, tuple[float, float]]] = []
     for k, r in enumerate(recordings):
-        low, high = window or (float(r.time[0]), float(r.time[-1]))
-        if k in judging or k in unseen:
-            into = test if k in unseen else validation
+        low, high = _span(r, window)
+        if k in heldout.validation or k in heldout.test:
+            into = test if k in heldout.test else validation
             into += _cut(model, r, k, (low, high), shoot)
             continue
         edge = high if until is None else min(until, high)
@@ -261,11 +317,7 @@ def longest_interval(
     for length in (None, *LENGTHS):
         if length is not None and all(length > r.time[-1] - r.time[0] for r in recordings):
             continue
-        segments = [s for r in recordings for s in cut(model, [r], window=window, shoot=length)]
-        chosen = np.unique(np.linspace(0, len(segments) - 1, min(len(segments), LOOKED_AT)).round().astype(int))
-        for improved in (0, 1):  # where measured starts are good enough better ones need not be looked for
-            residuals = residuals_of(model, [segments[k] for k in chosen], follow, improved)
-            errors = np.array([np.sqrt((r**2).mean(axis=0)) for r in residuals])
+        for errors in _errors_over(model, recordings, window, length, follow):
             sound = sound or bool(np.any(errors < DIVERGED / 2))
             if np.mean(np.all(errors < CLOSE_TO_MEASURED * spread, axis=1)) >= MOSTLY:
                 return length
@@ -275,3 +327,21 @@ def longest_interval(
             "check the signs and units of the commands, masses, inertias and the physics step"
         )
     return LENGTHS[-1]
+
+
+def _errors_over(
+    model: Model,
+    recordings: Sequence[Recording],
+    window: tuple[float, float] | None,
+    length: float | None,
+    simulator: Simulator,
+) -> Iterator[Array]:
+    """(n, nj) RMSE of predictions over some intervals [rad or m], from measured starts, then from better ones.
+
+    Where measured starts are good enough, better ones need not be looked for.
+    """
+    segments = [s for r in recordings for s in cut(model, [r], window=window, shoot=length)]
+    chosen = np.unique(np.linspace(0, len(segments) - 1, min(len(segments), LOOKED_AT)).round().astype(int))
+    for improved in (0, 1):
+        residuals = residuals_of(model, [segments[k] for k in chosen], simulator, improved)
+        yield np.array([np.sqrt((r**2).mean(axis=0)) for r in residuals])

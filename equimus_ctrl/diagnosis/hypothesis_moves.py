@@ -1,22 +1,61 @@
-"""Moves from one hypothesis to another: add an effect, remove one, exchange one."""
+"""Moves from one hypothesis to another: add an effect, remove one, exchange one; see ``search`` for all of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from scipy.stats import chi2
 
-from equimus_ctrl.diagnosis.candidates import Candidate, Part, model_of
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
-from equimus_ctrl.diagnosis.screening import Screened, screen
+from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
-from equimus_ctrl.identification.noise import white_noise
-from equimus_ctrl.types import Array
+from equimus_ctrl.identification.noise import Noise, white_noise
+
+Notify = Callable[[str, str], None]
+"""Called with the stage and the best hypothesis so far."""
+StopReason = Literal[
+    "no effect accepted", "a residual force explains more", "no part needed", "most rounds", "no more parts asked for"
+]
+"""Why no more parts were added:
+
+- no effect accepted: none gains as much as the acceptance threshold, or scores better.
+- a residual force explains more: far more than the next effect, in more rounds than ``SearchSettings.patience``.
+- no part needed: the model without any effect fits as well as the hypothesis of this round.
+- most rounds: as many as there can be, see ``search.ROUNDS_PER_PART``.
+- no more parts asked for: only the present ones were exchanged.
+"""
+
+WITHIN, CLOSE = 0.5, 50.0
+"""Share of the best gain of deviance, and deviance, that a hypothesis may lack to be fitted to the end."""
+COARSE_STEPS, LONG = 5, 15
+"""Iterations of a coarse fit, and of a fit of the few that are best by then."""
+FEW_ALTERNATIVES = 3
+"""Candidates fitted, for each whitening of the residuals, to take the place of a part."""
+MOST_ROUNDS = 8
+"""How often parts are exchanged at most."""
+EXCHANGE_MARGIN = 2 * CONVERGED_GAIN
+"""Least difference of score for which a part is exchanged. Either fit may end ``CONVERGED_GAIN`` above its minimum, so
+less than twice that ranks nothing: two parts that fit alike would take each other's place round after round."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extended:
+    """A hypothesis whose extensions are known.
+
+    Attributes:
+        base: the fit that was extended.
+        options: hypotheses with one more part, fitted.
+    """
+
+    base: Fitted
+    options: tuple[Fitted, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,17 +63,16 @@ class SearchHistory:
     """What a search has tried so far.
 
     Attributes:
-        fitted: all hypotheses fitted, to whatever end.
+        fitted: all hypotheses fitted, converged or not.
         first: what every candidate would do to the refitted model, alone.
         rejected: labels of candidates that are not to be part of a hypothesis any more.
-        extended: for a hypothesis' labels, and that of a candidate to replace or "", the fit that was extended and
-            those with one more part.
+        extended: by a hypothesis' labels, and that of a candidate to replace or "".
     """
 
     fitted: tuple[Fitted, ...] = ()
     first: tuple[Screened, ...] = ()
     rejected: frozenset[str] = frozenset()
-    extended: Mapping[tuple[frozenset[str], str], tuple[Fitted, tuple[Fitted, ...]]] = field(default_factory=dict)
+    extended: Mapping[tuple[frozenset[str], str], Extended] = field(default_factory=dict)
 
     def allows(self, labels: Iterable[str]) -> bool:
         """Whether none of some candidates was rejected."""
@@ -55,6 +93,7 @@ class SearchState:
         without: for each of its parts the best fit without it.
         alternatives: for each of its parts the converged hypotheses with another in its place.
         tried: all that was tried on the way.
+        stopped: why no more parts were added by the last search that ended; None before one has.
     """
 
     base: Fitted
@@ -62,27 +101,46 @@ class SearchState:
     without: tuple[Fitted, ...] = ()
     alternatives: tuple[tuple[Fitted, ...], ...] = ()
     tried: SearchHistory = field(default_factory=SearchHistory)
+    stopped: StopReason | None = None
 
     def rejecting(self, labels: Iterable[str]) -> SearchState:
         """The same, some candidates to be no part of it any more."""
         tried = replace(self.tried, rejected=self.tried.rejected | set(labels))
-        return replace(
-            self,
-            alternatives=tuple(tuple(r for r in own if tried.allows(r.labels)) for own in self.alternatives),
-            tried=tried,
-        )
+        alternatives = tuple(tuple(a for a in fits if tried.allows(a.labels)) for fits in self.alternatives)
+        return replace(self, alternatives=alternatives, tried=tried)
 
 
-Notify = Callable[[str, str], None]
-"""Called with the stage and the best hypothesis so far."""
-WITHIN, CLOSE = 0.5, 50.0
-"""Share of the best gain of deviance, and deviance, that a hypothesis may lack to be fitted to the end."""
-COARSE_STEPS, LONG = 5, 15
-"""Iterations of a coarse fit, and of a fit of the few that are best by then."""
-FEW_ALTERNATIVES = 3
-"""Candidates fitted, for each whitening of the residuals, to take the place of a part."""
-MOST_ROUNDS = 8
-"""How often parts are exchanged at most."""
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A hypothesis to be fitted.
+
+    Attributes:
+        hypothesis: with initial values.
+        begins: (θ, initial states) of which its fit takes the best.
+    """
+
+    hypothesis: Hypothesis
+    begins: tuple[Begin, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Which candidates are fitted as one more part.
+
+    Attributes:
+        pool: the candidates.
+        most: how many of them for each ranking.
+        keep_all: whether also those without a gain to first order.
+    """
+
+    pool: Sequence[Candidate]
+    most: int
+    keep_all: bool
+
+
+def extra_parameters(simple: Fitted, rich: Fitted) -> int:
+    """Degrees of freedom by which a hypothesis is richer than another; at least 1, for it may only be another one."""
+    return max(rich.n_parameters - simple.n_parameters, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,22 +169,30 @@ class HypothesisMoves:
         return [c for c in self.pool if tried.allows([c.label])]
 
     def score(self, fitted: Fitted) -> float:
-        """Bayesian information criterion: deviance and a cost of each parameter (Schwarz, 1978)."""
+        """Bayesian information criterion, deviance + k·ln n of k parameters and n numbers measured (Schwarz, 1978)."""
         return fitted.deviance + fitted.n_parameters * float(np.log(self.data.n))
 
     def accepts(self, simple: Fitted, rich: Fitted) -> bool:
         """Whether the gain of the richer hypothesis exceeds the acceptance threshold on −2Δln L."""
-        more, gain = max(rich.n_parameters - simple.n_parameters, 1), simple.deviance - rich.deviance
-        return self.data.thresholds.decides(lambda t: gain > self.threshold(more, t))
+        gain = simple.deviance - rich.deviance
+        return self.data.thresholds.decides(lambda t: gain > self.threshold(extra_parameters(simple, rich), t))
 
     def threshold(self, parameters: int, thresholds: Thresholds | None = None) -> float:
-        """Least gain of deviance for an effect with so many parameters, by the data's limits or others."""
+        """Acceptance threshold on −2Δln L of an effect with k parameters: max(F⁻¹(1 − α/N; k), ε·n) + scatter.
+
+        F is the distribution function of χ², α the ``significance``, N the number of candidates (Bonferroni), ε the
+        ``simulation_error``, n how many numbers were measured; see ``scatter``.
+
+        Args:
+            parameters: k.
+            thresholds: those of the data by default.
+        """
         t = thresholds or self.data.thresholds
         by_chance = float(chi2.isf(t.significance / max(len(self.pool), 1), parameters))
         return max(by_chance, t.simulation_error * self.data.n) + self.scatter(t)
 
     def scatter(self, thresholds: Thresholds) -> float:
-        """By how much deviances differ with where fits end."""
+        """By how much deviances scatter with the local minimum that a fit ends in; 0 where there is one minimum."""
         return thresholds.minima_scatter if self.settings.many_minima else 0.0
 
     def challenge(
@@ -134,17 +200,19 @@ class HypothesisMoves:
     ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part, the most promising ones fitted until converged.
 
+        They are those of the history where the same hypothesis was extended before, from a fit at least as good.
+
         Args:
-            tried: so far.
+            tried: the history so far.
             fitted: what they add to.
             replacing: label of a candidate that is not tried, to find others in its place.
         """
         for replaced in ("", replacing):
             known = tried.extended.get((fitted.labels, replaced))
-            if known and known[0].deviance <= fitted.deviance + CONVERGED_GAIN:
-                return [o for o in known[1] if replacing not in o.labels and tried.allows(o.labels)], tried
+            if known and known.base.deviance <= fitted.deviance + CONVERGED_GAIN:
+                return [o for o in known.options if replacing not in o.labels and tried.allows(o.labels)], tried
         options, tried = self.extensions(tried, fitted, replacing)
-        entry = {(fitted.labels, replacing): (fitted, tuple(options))}
+        entry = {(fitted.labels, replacing): Extended(fitted, tuple(options))}
         return options, replace(tried, extended={**tried.extended, **entry})
 
     def extensions(
@@ -153,94 +221,80 @@ class HypothesisMoves:
         """Hypotheses with one more part: the promising ones, or with some that are known all others.
 
         Args:
-            tried: so far.
+            tried: the history so far.
             fitted: what they add to.
             replaced: label of a candidate that is not tried.
             known: labels of those that are known; None where only promising ones are to be fitted.
         """
         pool = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
         most = min(self.settings.tried, FEW_ALTERNATIVES) if replaced else self.settings.tried
-        most = most if known is None else len(pool)
-        weights = white_noise(fitted.fit.residuals)
+        choice = Choice(pool, most if known is None else len(pool), known is not None)
         screened = screen(self.data, fitted, pool)
         if not fitted.hypothesis and not tried.first:
             tried = replace(tried, first=tuple(screened))
-        first = []
-        for hypothesis, begin in self._promising(tried, fitted, pool, screened, most, known is not None):
-            try:
-                first.append(self.data.coarse_fit(hypothesis, begin, weights, COARSE_STEPS))
-            except SimulationDiverged:  # so it cannot be what happened
-                continue
-        first.sort(key=self.score)
-        ends = []
-        for k, option in enumerate(first):
-            # Only what is close to the best is continued.
-            close = first[0].deviance + WITHIN * max(fitted.deviance - first[0].deviance, 0.0) + CLOSE
-            if k < self.settings.kept and option.deviance <= close:
-                weights = white_noise(option.fit.residuals)
-                longer = self.data.coarse_fit(option.hypothesis, [option.begin], weights, LONG)
-                option = self.data.converge(min(option, longer, key=lambda f: f.deviance))
-            ends.append(option)
-        return ends, tried.having(*ends)
+        proposals = [*self._promising(fitted, screened, choice), *self._splits(tried, fitted)]
+        options = self._best_converged(fitted, self._coarse_fits(proposals, white_noise(fitted.fit.residuals)))
+        return options, tried.having(*options)
 
-    def _promising(
-        self,
-        tried: SearchHistory,
-        fitted: Fitted,
-        pool: Sequence[Candidate],
-        screened: Sequence[Screened],
-        most: int,
-        hopeless: bool,
-    ) -> list[tuple[tuple[Part, ...], list[Begin]]]:
-        """Hypotheses with one more part, and where their fits can begin; those without a gain if they are wanted."""
-        base = len(self.data.free.free)
-        lists = [sorted(screened, key=_by_gain(way)) for way in range(2)]
+    def _promising(self, fitted: Fitted, screened: Sequence[Screened], choice: Choice) -> list[Proposal]:
+        """For each candidate among the best of a ranking the hypothesis with it, and where its fit can begin.
+
+        The rankings are by first-order gain, one for each whitening of the residuals. Fits begin at the parameters that
+        go with the guess to first order; beside no other part also at the nominal ones.
+        """
+        rankings = [sorted(screened, key=_by_gain(whitening)) for whitening in (WHITE, ESTIMATED)]
         if not fitted.hypothesis and self.data.strong(fitted):
             # The missing physics may have biased the refitted model far.
-            lists.append(sorted(screen(self.data, self.given, pool), key=lambda s: -s.gains[0]))
-        chosen: dict[str, tuple[tuple[Part, ...], list[Begin]]] = {}
-        for ranked in lists:
-            for s in ranked[:most]:
-                if hopeless or max(s.gains) > 0:
-                    starts: list[Begin] = [(s.begin, fitted.fit.starts)]
-                    if not fitted.hypothesis:
-                        starts.append((np.concatenate([self.data.free.start, s.begin[base:]]), fitted.fit.starts))
-                    old = chosen.get(s.candidate.label)
-                    chosen[s.candidate.label] = (s.hypothesis, starts + (old[1] if old else []))
-        for hypothesis, begin in self._from_elsewhere(fitted, {c.label for c in pool}, most):
-            label = hypothesis[-1].candidate.label
-            old = chosen.get(label)
-            chosen[label] = (hypothesis, [begin, *(old[1] if old else [])])
-        return [*chosen.values(), *((h, [b]) for h, b in self._splits(tried, fitted))]
+            rankings.append(sorted(screen(self.data, self.nominal, choice.pool), key=_by_gain(WHITE)))
+        chosen: dict[str, Proposal] = {}
 
-    def _from_elsewhere(
+        def add(hypothesis: Hypothesis, *begins: Begin) -> None:
+            label = hypothesis[-1].candidate.label
+            earlier = chosen[label].begins if label in chosen else ()
+            chosen[label] = Proposal(hypothesis, (*begins, *earlier))
+
+        for ranking in rankings:
+            for s in ranking[: choice.most]:
+                if choice.keep_all or max(s.gains) > 0:
+                    thetas = [s.begin]
+                    if not fitted.hypothesis:
+                        thetas.append(self.data.theta_of(self.data.free.start, s.hypothesis))
+                    add(s.hypothesis, *((theta, fitted.fit.starts) for theta in thetas))
+        for hypothesis, begin in self._fitted_on_short_intervals(fitted, {c.label for c in choice.pool}, choice.most):
+            add(hypothesis, begin)
+        return list(chosen.values())
+
+    def _fitted_on_short_intervals(
         self, fitted: Fitted, labels: Collection[str], most: int
-    ) -> Iterator[tuple[tuple[Part, ...], Begin]]:
-        """Of what was fitted elsewhere the best that adds one of some candidates to a hypothesis."""
-        base = len(self.data.free.free)
-        own = [part.candidate.label for part in fitted.hypothesis]
-        met: set[str] = set()
+    ) -> Iterator[tuple[Hypothesis, Begin]]:
+        """A hypothesis with one more part as it was fitted to short intervals, the best score first.
+
+        Args:
+            fitted: the hypothesis that is extended.
+            labels: of candidates that may be added, each once.
+            most: how many are added.
+        """
+        present = [part.candidate.label for part in fitted.hypothesis]
+        added: set[str] = set()
         for other in sorted(self.fits_on_short_intervals, key=self.score):
             parts = {part.candidate.label: part for part in other.hypothesis}
-            more = parts.keys() - set(own)
-            if len(parts) != len(own) + 1 or len(more) != 1 or more & met or not more <= set(labels):
+            more = parts.keys() - set(present)
+            if len(parts) != len(present) + 1 or len(more) != 1 or more & added or not more <= set(labels):
                 continue
-            met |= more
-            hypothesis = tuple(parts[label] for label in (*own, *more))
-            values = [v for part in hypothesis for v in part.values.values()]
-            yield hypothesis, (np.concatenate([other.fit.theta[:base], values]), fitted.fit.starts)
-            if len(met) == most:
+            added |= more
+            hypothesis = tuple(parts[label] for label in (*present, *more))
+            yield hypothesis, (self.data.theta_of(other.fit.theta, hypothesis), fitted.fit.starts)
+            if len(added) == most:
                 return
 
     @cached_property
-    def given(self) -> Fitted:
-        """The nominal model."""
+    def nominal(self) -> Fitted:
+        """The nominal model, see ``Data.nominal_fit``."""
         return self.data.nominal_fit()
 
-    def _splits(self, tried: SearchHistory, fitted: Fitted) -> list[tuple[tuple[Part, ...], Begin]]:
+    def _splits(self, tried: SearchHistory, fitted: Fitted) -> list[Proposal]:
         """For each part that acts alike at several places, the same with separate parameters."""
-        found: list[tuple[tuple[Part, ...], Begin]] = []
-        base = len(self.data.free.free)
+        proposals = []
         for k, part in enumerate(fitted.hypothesis):
             sites = part.candidate.locations
             if len(sites) < 2:
@@ -249,76 +303,109 @@ class HypothesisMoves:
             if not tried.allows(p.candidate.label for p in parts):
                 continue
             hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
-            values = [v for p in hypothesis for v in p.values.values()]
-            theta: Array = np.concatenate([fitted.fit.theta[:base], values])
-            found.append((hypothesis, (theta, fitted.fit.starts)))
-        return found
+            begin = (self.data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
+            proposals.append(Proposal(hypothesis, (begin,)))
+        return proposals
 
-    def exchanged(self, found: SearchState) -> SearchState:
+    def _coarse_fits(self, proposals: Sequence[Proposal], noise: Noise) -> list[Fitted]:
+        """Those that can be simulated, after a few steps, the best score first."""
+        options = []
+        for proposal in proposals:
+            try:
+                options.append(self.data.coarse_fit(proposal.hypothesis, proposal.begins, noise, COARSE_STEPS))
+            except SimulationDiverged:  # so it cannot be what happened
+                continue
+        return sorted(options, key=self.score)
+
+    def _best_converged(self, fitted: Fitted, options: Sequence[Fitted]) -> list[Fitted]:
+        """Coarse fits, best first, of which the first few that are close to the best are fitted until converged."""
+        after = []
+        for k, option in enumerate(options):
+            best = options[0].deviance
+            if k < self.settings.kept and option.deviance <= best + WITHIN * max(fitted.deviance - best, 0.0) + CLOSE:
+                noise = white_noise(option.fit.residuals)
+                longer = self.data.coarse_fit(option.hypothesis, [option.begin], noise, LONG)
+                option = self.data.converge(min(option, longer, key=lambda f: f.deviance))
+            after.append(option)
+        return after
+
+    def exchanged(self, state: SearchState) -> SearchState:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
-        best, tried = found.best, found.tried
         for _ in range(MOST_ROUNDS):
-            moved = False
-            withouts: list[Fitted] = []
-            all_alternatives: list[tuple[Fitted, ...]] = []
-            for k, part in enumerate(best.hypothesis):
-                self.notify(f"without {part.candidate.label}", best.label)
-                without, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
-                if not self.accepts(without, best):
-                    best, moved = without, True
-                    break
-                alternatives, tried = self.challenge(tried, without, part.candidate.label)
-                withouts.append(without)
-                all_alternatives.append(tuple(alternatives))
-                same_size = [r for r in alternatives if len(r.hypothesis) <= len(best.hypothesis)]
-                better = [r for r in same_size if self.score(r) < self.score(best) - 1.0]
-                if better:
-                    best, moved = min(better, key=self.score), True
-                    break
-            if not moved or not best.hypothesis:
-                return replace(
-                    found, best=best, without=tuple(withouts), alternatives=tuple(all_alternatives), tried=tried
-                )
-        return self.moved(replace(found, tried=tried), best)
+            state, changed = self._dropped_or_exchanged(state)
+            if not changed:
+                return state
+        return self.moved(state, state.best)
+
+    def _dropped_or_exchanged(self, state: SearchState) -> tuple[SearchState, bool]:
+        """The first part that is not needed dropped, or the first that another outdoes exchanged; whether one was.
+
+        Where none was, the state has all fits without a part and with another in its place.
+        """
+        best, tried = state.best, state.tried
+        without: list[Fitted] = []
+        alternatives: list[tuple[Fitted, ...]] = []
+        for k, part in enumerate(best.hypothesis):
+            self.notify(f"without {part.candidate.label}", best.label)
+            rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
+            if not self.accepts(rest, best):
+                return replace(state, best=rest, without=(), alternatives=(), tried=tried), True
+            others, tried = self.challenge(tried, rest, part.candidate.label)
+            without.append(rest)
+            alternatives.append(tuple(others))
+            no_larger = [o for o in others if len(o.hypothesis) <= len(best.hypothesis)]
+            better = [o for o in no_larger if self.score(o) < self.score(best) - EXCHANGE_MARGIN]
+            if better:
+                top = min(better, key=self.score)
+                return replace(state, best=top, without=(), alternatives=(), tried=tried), True
+        return replace(state, best=best, without=tuple(without), alternatives=tuple(alternatives), tried=tried), False
 
     def refitted(
-        self, tried: SearchHistory, fitted: Fitted, hypothesis: tuple[Part, ...]
+        self, tried: SearchHistory, fitted: Fitted, hypothesis: Hypothesis
     ) -> tuple[list[Fitted], SearchHistory]:
         """As ``refit``; nothing where parts exclude each other or it cannot have happened."""
         try:
-            found, tried = self.refit(tried, fitted, hypothesis)
+            after, tried = self.refit(tried, fitted, hypothesis)
         except (ConfigError, SimulationDiverged):
             return [], tried
-        return [found], tried
+        return [after], tried
 
-    def moved(self, found: SearchState, best: Fitted) -> SearchState:
+    def moved(self, state: SearchState, best: Fitted) -> SearchState:
         """A search moved to another hypothesis, with what it would be without each part."""
-        parts, tried = best.hypothesis, found.tried
-        withouts: list[Fitted] = []
+        parts, tried = best.hypothesis, state.tried
+        without: list[Fitted] = []
         for k in range(len(parts)):
-            without, tried = self.refit(tried, best, parts[:k] + parts[k + 1 :])
-            withouts.append(without)
-        # The alternatives were fitted beside other parts, so they are found anew, see ``alternatives.listed``.
-        return replace(found, best=best, without=tuple(withouts), alternatives=tuple(() for _ in parts), tried=tried)
+            rest, tried = self.refit(tried, best, parts[:k] + parts[k + 1 :])
+            without.append(rest)
+        # The alternatives were fitted beside other parts, so they are fitted anew, see ``alternatives.listed``.
+        return replace(state, best=best, without=tuple(without), alternatives=tuple(() for _ in parts), tried=tried)
 
-    def refit(self, tried: SearchHistory, fitted: Fitted, hypothesis: tuple[Part, ...]) -> tuple[Fitted, SearchHistory]:
-        """A part of a fitted hypothesis, fitted to the end from there.
+    def refit(self, tried: SearchHistory, fitted: Fitted, hypothesis: Hypothesis) -> tuple[Fitted, SearchHistory]:
+        """A hypothesis fitted until converged, from the model parameters and initial states of another's fit.
 
-        Where it diverges without the rest, with what the model came with.
+        Where it diverges from there, it begins at the nominal parameters and the measured initial states.
+
+        Args:
+            tried: the history so far.
+            fitted: the other hypothesis.
+            hypothesis: with initial values.
+
+        Raises:
+            ConfigError: where two parts exclude each other.
+            SimulationDiverged: where it diverges from both.
         """
-        base = len(self.data.free.free)
-        values = [v for part in hypothesis for v in part.values.values()]
-        theta: Array = np.concatenate([fitted.fit.theta[:base], values])
-        model_of(self.data.free.model, hypothesis)
-        weights = white_noise(fitted.fit.residuals)
+        data = self.data
+        model_of(data.free.model, hypothesis)  # raises where parts exclude each other
+        noise = white_noise(fitted.fit.residuals)
         try:
-            found = self.data.coarse_fit(hypothesis, [(theta, fitted.fit.starts)], weights, LONG)
+            begin: Begin = (data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
+            after = data.coarse_fit(hypothesis, [begin], noise, LONG)
         except SimulationDiverged:
-            plain: Array = np.concatenate([self.data.free.start, values])
-            found = self.data.coarse_fit(hypothesis, [(plain, [s.start for s in self.data.segments])], weights, LONG)
-        found = self.data.converge(found)
-        return found, tried.having(found)
+            begin = (data.theta_of(data.free.start, hypothesis), [s.start for s in data.segments])
+            after = data.coarse_fit(hypothesis, [begin], noise, LONG)
+        after = data.converge(after)
+        return after, tried.having(after)
 
 
-def _by_gain(way: int) -> Callable[[Screened], float]:
-    return lambda s: -s.gains[way]
+def _by_gain(whitening: int) -> Callable[[Screened], float]:
+    return lambda s: -s.gains[whitening]

@@ -7,9 +7,14 @@ With δx = (δq, δv, δz) about the motion and a small joint torque τ,
 A and B are those of the midpoint of each interval between samples. The torque is constant over an interval, and the
 solution is a matrix exponential, so that stiff joint stops do no harm. Whether a stop is pressed follows from the
 motion. In the interval where it is hit, its damper's force steps from 0 to c·|v| at the stop's angle; it counts as the
-spring that gives the same impulse, c·δq. Dry friction of a sliding place is constant. Over an interval with a reversal
-the slope of its sign is the secant through the interval's ends. A place that sticks is nearly locked by damping. Play
-in a sensor is neglected.
+spring that gives the same impulse, c·δq. Play in a sensor is neglected.
+
+Dry friction φ = −b sign(w) at a place with rate w, bound b and inverse inertia d along the place (the diagonal of the
+Delassus matrix) responds by δφ = −k δw,
+
+    slip:      k = 0
+    reversal:  k = min(b Δsign(w)/Δw, LOCK/d),  the secant through the interval's ends
+    stick:     k = LOCK/d,  so that δw dies away at the rate LOCK: the place is nearly locked
 """
 
 from __future__ import annotations
@@ -35,7 +40,8 @@ STILL = 1e-6
 LOCK = 1e6
 """Rate at which the motion of a place that sticks dies away [1/s]."""
 SPEED = 30.0
-"""A velocity about as large as an angle of 1 rad in the motions of legs [rad/s]."""
+"""A velocity about as large as a position of 1 rad or 1 m in the motions of legs [rad/s or m/s]; scaling by it costs
+other robots at most accuracy."""
 SMALL = 1e-6
 """Step of the finite difference of a limit's depth [rad or m]."""
 LARGEST, TERMS = 0.5, 10
@@ -63,7 +69,7 @@ class Linearised:
     coordinates: int
 
     def response(self, torques: Sequence[Array]) -> list[Array]:
-        """For each trial (m, nj, k) the change of the measured angles for small torques [rad].
+        """For each trial (m, nj, k) the change of the measured positions for small forces at the joints [rad or m].
 
         Args:
             torques: for each trial (m − 1, nj, k), constant over each interval between samples, or (m, nj, k) at the
@@ -74,15 +80,15 @@ class Linearised:
         """
         if len(torques) != len(self.motions):
             raise ConfigError(f"torques are for {len(torques)} trials, expected {len(self.motions)}")
-        nj, found = len(self.scale), []
+        nj, answers = len(self.scale), []
         for i, (motion, torque) in enumerate(zip(self.motions, torques, strict=True)):
             n = len(motion.time) - 1
             if torque.ndim != 3 or torque.shape[1] != nj or len(torque) not in (n, n + 1):
                 raise ConfigError(
                     f"{motion.name}: torques have shape {torque.shape}, expected ({n}, {nj}, k) or ({n + 1}, {nj}, k)"
                 )
-            found.append(self._path(i, torque if len(torque) == n else (torque[1:] + torque[:-1]) / 2))
-        return found
+            answers.append(self._path(i, torque if len(torque) == n else (torque[1:] + torque[:-1]) / 2))
+        return answers
 
     def _path(self, trial: int, torque: Array) -> Array:
         """(m, nj, k) under torques (m − 1, nj, k)."""
@@ -161,9 +167,9 @@ def linearise(model: Model, motions: Sequence[Motion]) -> Linearised:
         system[:, :nx, nx:] = b[:, kept]
         system *= np.diff(motion.time)[:, None, None]
         transitions.append(exponentials(system, nv, 2 * nv)[:, :nx].copy())
-    own = motions[0].coded
-    assert own is not None
-    sensor, joints = own.sensor[0], own.mechanics[0].joints
+    first = motions[0].coded
+    assert first is not None
+    sensor, joints = first.sensor[0], first.mechanics[0].joints
     return Linearised(
         tuple(motions), tuple(transitions), sensor[:, SCALE].copy(), sensor[:, SENSOR_DELAY].copy(), joints,
         motions[0].coordinates.shape[1],
@@ -176,8 +182,8 @@ def _kept(coded: Encoded, nv: int) -> list[int]:
     present = {(type(e), e.location) for e in model.effects}
     kept, state = list(range(2 * nv)), 2 * nv
     for slot in slots_of(coded.form, force_laws(model.robot.traits.catalogue)):
-        own = range(state, state + slot.law.n_states)
-        kept += own if (slot.law, places[slot.kind][slot.index]) in present else []
+        of_law = range(state, state + slot.law.n_states)
+        kept += of_law if (slot.law, places[slot.kind][slot.index]) in present else []
         state += slot.law.n_states
     return kept
 
@@ -195,39 +201,39 @@ def exponentials(matrices: Array, first: int, last: int) -> Array:
     halvings = np.maximum(np.ceil(np.log2(np.maximum(size, 1e-300) / LARGEST)), 0).astype(int)
     scaled /= np.exp2(halvings)[:, None, None]
     eye = np.eye(len(unit))
-    found = eye + scaled / TERMS
+    exponential = eye + scaled / TERMS
     for term in range(TERMS - 1, 0, -1):
-        found = eye + scaled @ found / term
+        exponential = eye + scaled @ exponential / term
     for done in range(int(halvings.max(initial=0))):
-        left = halvings > done
-        found[left] = found[left] @ found[left]
-    return np.asarray(found * (unit[:, None] / unit))
+        halved = halvings > done
+        exponential[halved] = exponential[halved] @ exponential[halved]
+    return np.asarray(exponential * (unit[:, None] / unit))
 
 
 def _intervals(motion: Motion, coded: Encoded) -> tuple[Array, Array]:
     """A (n, nx, nx) and B (n, nx, nj) of each interval, the states of all laws included."""
     field, lasts = Field.of(coded), np.diff(motion.time)
-    at, n = motion.between, len(lasts)
-    middle = _states(field, at)
+    between, n = motion.between, len(lasts)
+    middle = _states(field, between)
     depths, pressed = field.limits(middle)
     beyond = field.limits(_states(field, motion))[0] > 0
     hit = beyond[1:] & ~beyond[:-1]
     free = States(middle.q, middle.v, middle.z, middle.pressure, pressed * ~hit, middle.side)
-    rub = field.rub(free)
-    here, ends = rub.rate, field.rub(_states(field, motion)).rate
-    signs = np.where(np.abs(ends) > STILL, np.sign(ends), 0.0)
-    change, used = np.diff(signs, axis=0), np.zeros(here.shape[1], dtype=bool)
+    rates, rates_at_ends = field.rub(free).rate, field.rub(_states(field, motion)).rate
+    signs = np.where(np.abs(rates_at_ends) > STILL, np.sign(rates_at_ends), 0.0)
+    reversal, used = np.diff(signs, axis=0), np.zeros(rates.shape[1], dtype=bool)
     used[coded.rubbing] = True
-    side = np.where((np.abs(here) > STILL) & used, np.sign(here), 0.0)
-    slope = np.divide(change, np.diff(ends, axis=0), out=np.zeros_like(here), where=(change != 0) & used)
-    stuck = (np.abs(here) <= STILL) & (change == 0) & used
-    states = States(middle.q, middle.v, middle.z, middle.pressure, np.maximum(pressed, hit), side)
-    slopes, rub = field.slopes(states), field.rub(states)
+    sliding = np.where((np.abs(rates) > STILL) & used, np.sign(rates), 0.0)
+    secant = np.divide(reversal, np.diff(rates_at_ends, axis=0), out=np.zeros_like(rates), where=(reversal != 0) & used)
+    stuck = (np.abs(rates) <= STILL) & (reversal == 0) & used
+    states = States(middle.q, middle.v, middle.z, middle.pressure, np.maximum(pressed, hit), sliding)
+    slopes, friction = field.slopes(states), field.rub(states)
     nv = middle.q.shape[1]
     if used.any():
-        own = np.maximum(np.diagonal(rub.delassus, axis1=1, axis2=2), 1e-12)
-        lock = np.minimum(stuck * (rub.bound > 0) * LOCK + slope * rub.bound * own, LOCK) / own
-        slopes[:, :nv, nv : 2 * nv] -= (rub.per_impulse * lock[:, None]) @ field.rows(states)
+        inverse_inertia = np.maximum(np.diagonal(friction.delassus, axis1=1, axis2=2), 1e-12)
+        rate_of_decay = stuck * (friction.bound > 0) * LOCK + secant * friction.bound * inverse_inertia
+        damping = np.minimum(rate_of_decay, LOCK) / inverse_inertia
+        slopes[:, :nv, nv : 2 * nv] -= (friction.per_impulse * damping[:, None]) @ field.rows(states)
     for limit in np.flatnonzero(hit.any(axis=0)):
         _count_blow(field, states, depths[:, limit], hit[:, limit], int(limit), lasts, slopes)
     nx = slopes.shape[2]
@@ -237,7 +243,7 @@ def _intervals(motion: Motion, coded: Encoded) -> tuple[Array, Array]:
     places = rubbing_places(coded.form, force_laws(coded.models[0].robot.traits.catalogue))
     columns = [places.index(("joint", int(joint))) for joint in coded.mechanics[0].joints]
     b = np.zeros((n, nx, len(columns)))
-    b[:, nv : 2 * nv] = rub.per_impulse[:, :, columns]
+    b[:, nv : 2 * nv] = friction.per_impulse[:, :, columns]
     return a, b
 
 
@@ -278,6 +284,6 @@ def _count_blow(
     usable = rate < 0
     nv = q.shape[1]
     jump = (exerted - before)[:, :nv]
-    own = np.zeros((len(k), nv, nv))
-    np.divide(jump[:, :, None] * row[:, None], (rate * lasts[k])[:, None, None], out=own, where=usable[:, None, None])
-    slopes[k, :nv, :nv] += own
+    blow = np.zeros((len(k), nv, nv))
+    np.divide(jump[:, :, None] * row[:, None], (rate * lasts[k])[:, None, None], out=blow, where=usable[:, None, None])
+    slopes[k, :nv, :nv] += blow

@@ -24,7 +24,10 @@ STILL = 0.05
 """Share of a joint's usual speed below which it is at rest."""
 LEAST_SAMPLES = 0.03
 """A phase or region with less than this share of the samples is not reported."""
+DENSE = 1.2
+"""A phase or region is reported where its share of the excess variance exceeds that of the samples so many times."""
 REGIONS = 3
+"""Parts with as many samples each into which a coordinate's values are divided."""
 SLOPE = 4
 """Half the number of samples over which speeds are read off."""
 
@@ -44,7 +47,7 @@ class Class:
 
 def excess_variances(residuals: Sequence[Array], noise: Noise) -> Array:
     """(nj,) excess residual variance: mean squared residual over the noise's variance, minus 1, at least 0."""
-    sigma = np.array([own.sigma for own in noise])
+    sigma = np.array([joint_noise.sigma for joint_noise in noise])
     return np.asarray(np.maximum((np.concatenate(residuals) ** 2).mean(axis=0) / sigma**2 - 1.0, 0.0))
 
 
@@ -56,21 +59,21 @@ def localise(
     Args:
         model: the nominal model, for names and units.
         segments: what was measured.
-        residuals: of the refitted model, for each segment (m, nj) [rad].
+        residuals: of the refitted model, for each segment (m, nj) [rad or m].
         noise: of the joints.
     """
     joints = model.robot.joint_names
-    sigma = np.array([own.sigma for own in noise])
+    sigma = np.array([joint_noise.sigma for joint_noise in noise])
     per_joint = excess_variances(residuals, noise)
     whole = float(per_joint.sum())
-    found = []
+    locations = []
     for j in np.argsort(-per_joint):
         squares = [np.maximum((r[:, j] / sigma[j]) ** 2 - 1.0, -1.0) for r in residuals]
         when = _densest(_phases(model, segments, j), squares)
         region = _densest(_regions(model, segments, j), squares)
         share = float(per_joint[j]) / whole if whole > 0 else 0.0
-        found.append(ResidualLocation(joints[j], share, when, region))
-    return tuple(found)
+        locations.append(ResidualLocation(joints[j], share, when, region))
+    return tuple(locations)
 
 
 def _densest(classes: Sequence[Class], squares: Sequence[Array]) -> str:
@@ -87,14 +90,14 @@ def _densest(classes: Sequence[Class], squares: Sequence[Array]) -> str:
             continue
         part = float(everything[chosen].sum()) / total
         density = part * np.log(max(part / samples, 1.0)) if part > 0 else 0.0
-        if density > best and part / samples > 1.2:
+        if density > best and part / samples > DENSE:
             best = density
             label = f"{c.text} ({min(part, 1.0):.0%} of the excess residual variance in {samples:.0%} of the samples)"
     return label
 
 
 def speeds(segment: Segment) -> Array:
-    """(m, nj) measured rates [rad/s]."""
+    """(m, nj) measured rates [rad/s or m/s]."""
     t, q = segment.trial.sample_times, segment.measured
     k = min(SLOPE, (len(t) - 1) // 2)
     ahead, behind = np.minimum(np.arange(len(t)) + k, len(t) - 1), np.maximum(np.arange(len(t)) - k, 0)
@@ -102,7 +105,7 @@ def speeds(segment: Segment) -> Array:
 
 
 def commands(segment: Segment) -> tuple[Array, Array, Array]:
-    """(m, na) command in force [Pa], its last change [Pa] and the time since then [s], at each sample."""
+    """(m, na) command in force, its last change, both in its unit, and the time since then [s], at each sample."""
     trial = segment.trial
     rows = np.vstack([trial.before, trial.commands])
     at = np.searchsorted(trial.times, trial.sample_times, side="right")
@@ -123,14 +126,14 @@ def _classes(text: str, segments: Sequence[Segment], of: Callable[[Segment], NDA
 
 def _phases(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
     usual = float(np.quantile(np.concatenate([np.abs(speeds(s)[:, j]) for s in segments]), 0.95))
-    found = [
+    phases = [
         _classes("at rest", segments, lambda s: np.abs(speeds(s)[:, j]) < STILL * usual),
-        _classes("moving up", segments, lambda s: speeds(s)[:, j] > STILL * usual),
-        _classes("moving down", segments, lambda s: speeds(s)[:, j] < -STILL * usual),
+        _classes("q̇ > 0", segments, lambda s: speeds(s)[:, j] > STILL * usual),
+        _classes("q̇ < 0", segments, lambda s: speeds(s)[:, j] < -STILL * usual),
         _classes("near a turn of the motion", segments, lambda s: _turning(speeds(s)[:, j], STILL * usual)),
     ]
     if not model.robot.traits.commands_are_pressures:  # so nothing fills or vents
-        return found
+        return phases
     for a, name in enumerate(model.robot.actuator_names):
         for text, sign in (("filling", 1.0), ("venting", -1.0)):
 
@@ -138,8 +141,8 @@ def _phases(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
                 _, change, since = commands(s)
                 return np.asarray((since[:, a] < JUST) & (sign * change[:, a] > 0))
 
-            found.append(_classes(f"within {JUST:g} s of {text} {name}", segments, just))
-    return found
+            phases.append(_classes(f"within {JUST:g} s of {text} {name}", segments, just))
+    return phases
 
 
 def _turning(speed: Array, least: float) -> NDArray[np.bool_]:
@@ -154,7 +157,7 @@ def _turning(speed: Array, least: float) -> NDArray[np.bool_]:
 
 
 def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
-    found = []
+    regions = []
     joints, actuators = model.robot.joint_names, model.robot.actuator_names
     coordinates: list[tuple[str, Reading, Callable[[Segment], Array]]] = [
         (f"{name} {units.noun(model, name)}s", units.position(model, name), lambda s, i=i: s.measured[:, i])  # type: ignore[misc]
@@ -174,5 +177,5 @@ def _regions(model: Model, segments: Sequence[Segment], j: int) -> list[Class]:
         for low, high in itertools.pairwise(edges):
             if high > low:
                 label = f"{text} of {low * shown.factor:.3g} to {high * shown.factor:.3g} {shown.unit}".rstrip()
-                found.append(Class(label, tuple((v >= low) & (v <= high) for v in values)))
-    return found
+                regions.append(Class(label, tuple((v >= low) & (v <= high) for v in values)))
+    return regions

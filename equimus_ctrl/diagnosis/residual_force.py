@@ -24,6 +24,9 @@ from equimus_ctrl.types import Array
 SLOWEST, FASTEST = 0.2, 4.0
 """Frequencies of a disturbance in time that are looked for [Hz]."""
 FOLDS = 3
+"""Of the cross-validation."""
+PRICE = 3.0
+"""Of each parameter of a residual force, in units of χ², where there is no cross-validation; on noise it gains 1."""
 BOUND = 1e9
 """Responses [rad] above this, to a force of size 1, are those of an instability."""
 
@@ -47,10 +50,11 @@ class LinearisedFit:
 
     Attributes:
         fitted: the hypothesis.
-        weighing: residual and derivatives.
+        whitened_fit: residual and derivatives.
         groups: the residual forces.
         columns: for each the whitened changes (N, k) of the measurements.
-        folds: rows of trials that are held out together.
+        folds: of the cross-validation: rows of shooting intervals that are held out together, or of whole trials where
+            these are not cut; none where there is one alone.
         noise: by which they are whitened.
         motions: of the fitted model, trial by trial.
     """
@@ -85,22 +89,22 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
     forces = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
     with np.errstate(over="ignore", invalid="ignore"):
-        answers = [followed(trials) for trials in responses(linearised, forces)]
-    columns = [whitened_fit.columns(data.times, trials) for trials in answers]
+        answers = [discard_unstable(changes) for changes in responses(linearised, forces)]
+    columns = [whitened_fit.columns(data.times, changes) for changes in answers]
     edges = np.cumsum([0, *[s.measured.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
     return LinearisedFit(fitted, whitened_fit, forces, columns, folds if len(slices) > 1 else [], noise, motions)
 
 
-def followed(answers: Sequence[Array]) -> list[Array]:
+def discard_unstable(answers: Sequence[Array]) -> list[Array]:
     """For each trial (m, nj, k) responses to forces, 0 for those that grew without bound along an unstable motion."""
     bounded = np.all([(np.abs(a) < BOUND).all(axis=(0, 1)) for a in answers], axis=0)
     return [np.where(bounded, a, 0.0) for a in answers]
 
 
 def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[ForceCandidate]:
-    """What every candidate force explains beside the free parameters, the best on held-out trials first.
+    """What every candidate force explains beside the free parameters, the best one first, see ``judged``.
 
     Args:
         at: the linear model.
@@ -108,13 +112,13 @@ def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[Forc
     """
     slopes = at.whitened_fit.slopes if extra is None else np.column_stack([at.whitened_fit.slopes, extra])
     beside = Nuisance.of(slopes)
-    found = [
+    candidates = [
         ForceCandidate(group, explained(at.whitened_fit.residual, beside, columns, folds=at.folds))
         for group, columns in zip(at.groups, at.columns, strict=True)
     ]
-    return sorted(found, key=lambda f: -f.found.held_out)
+    return sorted(candidates, key=lambda force: -judged(force.found, at))
 
 
-def judged(found: Explained, at: LinearisedFit) -> float:
-    """Gain in cross-validation; of a single trial, the gain minus that expected of so many parameters on noise."""
-    return found.held_out if at.folds else found.gain - 3.0 * found.rank
+def judged(explanation: Explained, at: LinearisedFit) -> float:
+    """Fall of χ² in cross-validation; without folds that on what was fitted, less a price of each parameter."""
+    return explanation.held_out if at.folds else explanation.gain - PRICE * explanation.rank

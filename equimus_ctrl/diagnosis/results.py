@@ -11,6 +11,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.force_basis import Coordinate, written
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
@@ -65,6 +66,19 @@ class Named:
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
         return {"effect": self.effect, "locations": list(self.locations)}
+
+
+@dataclass(frozen=True, eq=False)
+class Equivalent:
+    """An effect that fits as well in the place of a part of a hypothesis.
+
+    Attributes:
+        named: what and where.
+        fitted: the hypothesis with it, fitted.
+    """
+
+    named: Named
+    fitted: Fitted
 
 
 @dataclass(frozen=True)
@@ -145,44 +159,45 @@ class ResidualLocation:
 
 
 @dataclass(frozen=True, eq=False)
-class Unexplained:
-    """A significant residual that no effect explains.
+class ResidualForce:
+    """An unstructured generalised force that explains residuals that no effect explains.
 
     Attributes:
-        location: joint at which it acts.
+        location: joint at which it acts most.
         share: of all that residual forces explain of the augmented model's residuals.
-        depends_on: coordinates that the force depends on, such as ``pos.hip``; "" for residuals far above the noise
-            that no force explains: then ``gain`` is their excess residual variance.
-        places: actuators or joints at which the force acts.
-        gain: by how much χ² falls in cross-validation.
+        coordinates: that it depends on.
+        places: actuators or joints at which it acts.
+        gain: by how much χ² falls in cross-validation, see ``residual_force.judged``.
         threshold: the least fall that counts.
         unit: of the force.
-        axis: the coordinate of the curve, "" where there is none.
-        axis_unit: its unit.
+        axis: the coordinate of its curve; None where there is none.
+        axis_unit: its unit; "" where there is none.
         x: (n,) the coordinate.
         force: (n,) the generalised force there.
         band: (n,) half width of its 95 % interval.
-        only_on: "validation" or "test" where these are residuals far above the noise on such trials alone, those of
-            validation whatever the effects' parameters; "" else.
     """
 
     location: str
     share: float
-    depends_on: str
+    coordinates: tuple[Coordinate, ...]
     places: tuple[str, ...]
     gain: float
     threshold: float
     unit: str
-    axis: str
+    axis: Coordinate | None
     axis_unit: str
     x: Array
     force: Array
     band: Array
-    only_on: Literal["", "validation", "test"] = ""
+
+    @property
+    def depends_on(self) -> str:
+        """The coordinates as text, such as ``pos.hip·vel.hip``."""
+        return written(self.coordinates)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
-        curve = {"coordinate": self.axis, "unit": self.axis_unit, "force_unit": self.unit} | {
+        curve = {"coordinate": str(self.axis), "unit": self.axis_unit, "force_unit": self.unit} | {
             key: [float(v) for v in getattr(self, key)] for key in ("x", "force", "band")
         }
         return {
@@ -193,8 +208,50 @@ class Unexplained:
             "gain": self.gain,
             "threshold": self.threshold,
             "curve": curve if self.axis else None,
+            "only_on": "",
+        }
+
+
+@dataclass(frozen=True)
+class ResidualAboveNoise:
+    """Residuals of a joint far above the noise, though neither an effect nor a residual force explains them.
+
+    Attributes:
+        location: the joint.
+        share: of the excess residual variance, over all joints.
+        excess: residual variance of the joint: mean squared residual over the noise's variance, minus 1.
+        threshold: the least that counts.
+        only_on: "validation" or "test" where they are so on such trials alone, on those of validation whatever the
+            effects' parameters; "" for the trials fitted.
+    """
+
+    location: str
+    share: float
+    excess: float
+    threshold: float
+    only_on: Literal["", "validation", "test"] = ""
+
+    @property
+    def depends_on(self) -> str:
+        """None of the coordinates tried."""
+        return ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON data, with the keys of a residual force; ``gain`` is the excess residual variance."""
+        return {
+            "location": self.location,
+            "share": self.share,
+            "depends_on": self.depends_on,
+            "acts_at": [self.location],
+            "gain": self.excess,
+            "threshold": self.threshold,
+            "curve": None,
             "only_on": self.only_on,
         }
+
+
+Unexplained = ResidualForce | ResidualAboveNoise
+"""A significant residual that no effect explains."""
 
 
 @dataclass(frozen=True)
@@ -271,8 +328,8 @@ class Residuals:
     """Measured − predicted of one state of the model.
 
     Attributes:
-        train: for each segment fitted (m, nj) [rad].
-        validation: for each validation segment (m, nj) [rad].
+        train: for each segment fitted (m, nj) [rad or m].
+        validation: for each validation segment (m, nj) [rad or m].
         test: for each test segment.
     """
 
@@ -286,7 +343,7 @@ class Decision:
     """What a stage of a diagnosis decided, and why.
 
     Attributes:
-        stage: its name, see ``stages``.
+        stage: its name, see ``stages.STAGES``; before and after these ``refit`` and ``report``.
         decision: in words.
         reason: in words and figures.
     """
@@ -364,7 +421,7 @@ class Diagnosis:
         return self.best.fit.problem.simulator.engine
 
     def rmse(self, state: str, part: Literal["train", "validation", "test"]) -> Array:
-        """(nj,) root mean square error of a state of the model [rad]; nan where there are no such trials."""
+        """(nj,) root mean square error of a state of the model [rad or m]; nan where there are no such trials."""
         residuals = getattr(self.residuals[state], part)
         if not residuals:
             return np.full(len(self.joints), np.nan)
@@ -372,14 +429,13 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data: schema ``equimus-ctrl/diagnosis/2``."""
-        own = self.best.fit
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "engine": self.engine.to_dict(),
             "where": [place.to_dict() for place in self.where],
             "findings": [finding.to_dict() for finding in self.findings],
-            "unexplained": [left.to_dict() for left in self.unexplained],
+            "unexplained": [residual.to_dict() for residual in self.unexplained],
             "rejected": [named.to_dict() for named in self.rejected],
             "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.best.noise, strict=True)},
             "noise_correlation_s": {
@@ -387,29 +443,30 @@ class Diagnosis:
             },
             "rmse_rad": {part: {state: self._by_joint(self.rmse(state, part)) for state in STATES} for part in SETS},
             "excess_residual_variance": dict(self.excess_variance),
-            "parameters": {
-                name: {
-                    "value": float(value),
-                    "low": _finite(float(value - width)),
-                    "high": _finite(float(value + width)),
-                    "unit": free.unit,
-                }
-                for free, name, value, width in zip(
-                    own.parameters.free, own.parameters.names, own.theta, own.uncertainty.half_width, strict=True
-                )
-            },
+            "parameters": self._parameters(),
             "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],
-            "trials": {
-                "train": [s.trial.name for s in self.train],
-                "validation": [s.trial.name for s in self.validation],
-                "test": [s.trial.name for s in self.test],
-            },
+            "trials": {part: [s.trial.name for s in getattr(self, part)] for part in SETS},
             "decisions": [decision.to_dict() for decision in self.decisions],
             "not_done": list(self.not_done),
             "notes": list(self.notes),
             "seconds": self.seconds,
+        }
+
+    def _parameters(self) -> dict[str, dict[str, Any]]:
+        """Of the augmented model those that were estimated, with intervals."""
+        fit = self.best.fit
+        return {
+            name: {
+                "value": float(value),
+                "low": _finite(float(value - width)),
+                "high": _finite(float(value + width)),
+                "unit": free.unit,
+            }
+            for free, name, value, width in zip(
+                fit.parameters.free, fit.parameters.names, fit.theta, fit.uncertainty.half_width, strict=True
+            )
         }
 
     def _by_joint(self, values: Sequence[float] | Array) -> dict[str, float | None]:

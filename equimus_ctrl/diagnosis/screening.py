@@ -1,18 +1,26 @@
-"""Screening of candidates by the component of their response that is orthogonal to the parameters' Jacobian."""
+"""Screening of candidates by the component of their response that is orthogonal to the parameters' Jacobian.
+
+To first order the residual r of a fit falls to r − c·f − S·δ where a candidate is added: c is the simulated change of
+predictions at an initial guess, f a factor on its size, S the Jacobian of the parameters and initial states, δ their
+change. With P = I − QQᵀ, Q the span of S, the best f = rᵀPc / cᵀPc lets χ² fall by 2f·rᵀPc − f²·cᵀPc.
+
+All of this is whitened twice. By white noise as large as the residuals, χ² falls by N times the share of residual
+variance that is explained: what is large counts. By the noise estimated, which may be autocorrelated, χ² is on the
+scale of the deviance that fits are scored by: neighbouring residuals that are alike count little, what is consistent
+counts. While physics is missing that estimate takes some of it for noise, so neither ranking does alone; the best of
+both are fitted.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Candidate, Hypothesis, Part, model_of, with_part
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.policy import Thresholds
-from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of, with_part
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.projection import Nuisance
@@ -20,12 +28,16 @@ from equimus_ctrl.identification.whitened_fit import WhitenedFit, whiten_fit
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-LOOKS, STRONG = 3, 0.03
-"""How often, and the least share of the strongest direction's effect in directions that are changed."""
+WHITE, ESTIMATED = 0, 1
+"""The two whitenings: by white noise as large as the residuals, and by the noise estimated."""
+LOOKS = 3
+"""How often a guess that the parameters nearly cancel is simulated at changed parameters."""
+STRONG = 0.03
+"""Directions of the parameters weaker than this share of the strongest are not changed then."""
 LEAST, MOST = 0.3, 3.0
 """Between these factors a change is taken to grow with its first parameter."""
 WEAK = 1e-8
-"""Directions of the free parameters weaker than this share of the strongest are not changed."""
+"""Directions of the parameters weaker than this share of the strongest are not changed at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +47,10 @@ class Screened:
     Attributes:
         candidate: what.
         hypothesis: the one screened against, with the candidate added.
-        begin: parameters of the model (p,) that go with it, to first order.
-        gains: by how much χ² would fall, for each whitening of the residuals.
+        begin: (p,) θ that goes with it, to first order.
+        gains: by how much χ² would fall, for each whitening.
         tried: the guesses that could be added.
-        strength: for each of them χ² of its change's component orthogonal to the parameters' Jacobian.
+        strength: for each of them χ² of its orthogonal component, by the noise estimated.
     """
 
     candidate: Candidate
@@ -50,24 +62,58 @@ class Screened:
 
 
 @dataclass(frozen=True, eq=False)
-class _FirstOrder:
-    """An initial guess.
+class _Responses:
+    """A fitted hypothesis and what each guess changes, whitened.
 
     Attributes:
-        index: its place among the entries.
-        factor: by which the change is best taken.
-        gains: of χ², for each weighing.
-        strength: χ² of the component orthogonal to the parameters' Jacobian.
-        left: the same by the first weighing.
+        data: what was measured.
+        fitted: the hypothesis.
+        guesses: it with one more part each, at an initial guess.
+        whitened_fits: its residual and Jacobian, for each whitening.
+        columns: for each whitening (N, k) changes of predictions by the guesses.
+    """
+
+    data: Data
+    fitted: Fitted
+    guesses: Sequence[Hypothesis]
+    whitened_fits: Sequence[WhitenedFit]
+    columns: Sequence[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class _FirstOrderGains:
+    """Of k guesses, each at its best factor between LEAST and MOST, by one whitening.
+
+    Attributes:
+        gain: (k,) fall of χ².
+        factor: (k,) f.
+        strength: (k,) cᵀPc.
+        change: (p, k) of θ in units of its scale.
+    """
+
+    gain: Array
+    factor: Array
+    strength: Array
+    change: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Guess:
+    """An initial guess, evaluated.
+
+    Attributes:
+        index: its place among the guesses.
+        factor: by which its change is best taken.
+        gains: fall of χ², for each whitening.
+        strengths: χ² of the orthogonal component, for each whitening.
         theta: values of the kept parameters that go with it.
-        kept: which parameters stay.
+        kept: indices in the fitted θ of those that stay.
     """
 
     index: int
     factor: float
     gains: tuple[float, ...]
-    strength: float
-    left: float
+    strengths: tuple[float, ...]
     theta: Array
     kept: tuple[int, ...]
 
@@ -83,197 +129,245 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
     Returns:
         One for each that can be added, in the pool's order.
     """
-    entries: list[tuple[Candidate, Hypothesis]] = []
-    for candidate in pool:
-        for guess in candidate.guesses:
-            try:
-                entries.append((candidate, with_part(data.free.model, fitted.hypothesis, Part(candidate, guess))))
-            except ConfigError:  # the robot's own effects exclude it
-                continue
-    if not entries:
+    guesses = _initial_guesses(data, fitted, pool)
+    if not guesses:
         return []
-    whitened_fits = [
-        whiten_fit(data.times, fitted.fit, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)
-    ]
-    changes = _changes(data, fitted, entries)
-    if data.policy.rescaled_guesses and (smaller := _smaller(data, whitened_fits[0], entries, changes)):
-        more = _changes(data, fitted, smaller)
-        entries = [*entries, *smaller]
-        changes = [np.concatenate(pair, axis=2) for pair in zip(changes, more, strict=True)]
-    columns = [w.columns(data.times, changes) for w in whitened_fits]
-    owners = _owners(len(data.free.free), fitted.hypothesis)
-    found: dict[Candidate, list[_FirstOrder]] = {}
-    for kept in {_kept(owners, fitted.hypothesis, hypothesis) for _, hypothesis in entries}:
-        rows = [k for k, (_, h) in enumerate(entries) if _kept(owners, fitted.hypothesis, h) == kept]
-        results = [_gains(w, c[:, rows], np.array(kept)) for w, c in zip(whitened_fits, columns, strict=True)]
-        for place, k in enumerate(rows):
-            theta = np.array(fitted.fit.theta)[list(kept)]
-            theta += results[0][3][:, place] * fitted.fit.parameters.scale[list(kept)]
-            tried_now = _FirstOrder(
-                k,
-                float(results[0][1][place]),
-                tuple(float(gain[place]) for gain, *_ in results),
-                float(results[1][2][place]),
-                float(results[0][2][place]),
-                theta,
-                kept,
-            )
-            found.setdefault(entries[k][0], []).append(tried_now)
-    _again(data, fitted, entries, whitened_fits, columns, found)
+    responses = _responses(data, fitted, guesses)
+    evaluated = _evaluated(responses)
+    replacements = _rescreened_at_changed_parameters(responses, evaluated)
     screened = []
     for candidate in pool:
-        tried = sorted(found.get(candidate, []), key=lambda t: t.index)
-        if not tried:
-            continue
-        best = max(tried, key=lambda t: max(t.gains))
-        hypothesis = entries[best.index][1]
-        part = hypothesis[-1]
-        first, nothing = next(iter(part.values)), candidate.effect.grows_from()
-        values = dict(part.values)
-        if nothing is not None:
-            values[first] = nothing + (values[first] - nothing) * best.factor
-        try:
-            scaled = (*hypothesis[:-1], Part(candidate, values))
-            model_of(data.free.model, scaled)
-        except ConfigError:
-            scaled, values = hypothesis, dict(part.values)
-        screened.append(
-            Screened(
-                candidate,
-                scaled,
-                np.concatenate([best.theta, list(values.values())]),
-                tuple(max(t.gains[w] for t in tried) for w in range(len(whitened_fits))),
-                tuple(dict(entries[t.index][1][-1].values) for t in tried),
-                np.array([t.strength for t in tried]),
-            )
-        )
+        if candidate in evaluated:
+            of_it = sorted(evaluated[candidate], key=lambda guess: guess.index)
+            screened.append(_selected(responses, candidate, [replacements.get(g.index, g) for g in of_it]))
     return screened
 
 
+def _initial_guesses(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Hypothesis]:
+    """The hypothesis with one more part, for all initial guesses of all candidates that it can have."""
+    guesses = []
+    for candidate in pool:
+        for values in candidate.guesses:
+            try:
+                guesses.append(with_part(data.free.model, fitted.hypothesis, Part(candidate, values)))
+            except ConfigError:  # the robot's own effects exclude it
+                continue
+    return guesses
+
+
+def _responses(data: Data, fitted: Fitted, guesses: Sequence[Hypothesis]) -> _Responses:
+    """What the guesses change, and those rescaled whose change is far too large, see ``_smaller``."""
+    whitened_fits = [
+        whiten_fit(data.times, fitted.fit, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)
+    ]
+    changes = _changes(data, fitted, guesses)
+    if data.policy.rescaled_guesses and (smaller := _smaller(data, whitened_fits[WHITE], guesses, changes)):
+        more = _changes(data, fitted, smaller)
+        guesses = [*guesses, *smaller]
+        changes = [np.concatenate(pair, axis=2) for pair in zip(changes, more, strict=True)]
+    return _Responses(data, fitted, guesses, whitened_fits, [w.columns(data.times, changes) for w in whitened_fits])
+
+
+def _evaluated(responses: _Responses) -> dict[Candidate, list[_Guess]]:
+    """The guesses of each candidate with their first-order gains.
+
+    They are evaluated in groups that keep the same parameters, for a guess may exclude parts of the hypothesis.
+    """
+    fitted, guesses = responses.fitted, responses.guesses
+    owners = _owners(len(responses.data.free.free), fitted.hypothesis)
+    scale = fitted.fit.parameters.scale
+    evaluated: dict[Candidate, list[_Guess]] = {}
+    for kept in {_kept(owners, fitted.hypothesis, guess) for guess in guesses}:
+        rows = [k for k, guess in enumerate(guesses) if _kept(owners, fitted.hypothesis, guess) == kept]
+        by_whitening = [
+            _gains(w, columns[:, rows], np.array(kept))
+            for w, columns in zip(responses.whitened_fits, responses.columns, strict=True)
+        ]
+        for place, k in enumerate(rows):
+            theta = np.array(fitted.fit.theta)[list(kept)]
+            theta += by_whitening[WHITE].change[:, place] * scale[list(kept)]
+            guess = _Guess(
+                k,
+                float(by_whitening[WHITE].factor[place]),
+                tuple(float(gains.gain[place]) for gains in by_whitening),
+                tuple(float(gains.strength[place]) for gains in by_whitening),
+                theta,
+                kept,
+            )
+            evaluated.setdefault(guesses[k][-1].candidate, []).append(guess)
+    return evaluated
+
+
+def _selected(responses: _Responses, candidate: Candidate, guesses: Sequence[_Guess]) -> Screened:
+    """A candidate at the guess with the largest gain by either whitening, its size the best to first order."""
+    best = max(guesses, key=lambda guess: max(guess.gains))
+    hypothesis = responses.guesses[best.index]
+    scaled = _rescaled(responses.data.free.model, hypothesis, best.factor) or hypothesis
+    return Screened(
+        candidate,
+        scaled,
+        np.concatenate([best.theta, list(scaled[-1].values.values())]),
+        tuple(max(guess.gains[w] for guess in guesses) for w in (WHITE, ESTIMATED)),
+        tuple(dict(responses.guesses[guess.index][-1].values) for guess in guesses),
+        np.array([guess.strengths[ESTIMATED] for guess in guesses]),
+    )
+
+
+def _rescaled(model: Model, hypothesis: Hypothesis, factor: float) -> Hypothesis | None:
+    """The hypothesis, its last part's first parameter so many times as far from the value of no effect.
+
+    None where there is no such value, or where the parameter cannot be that large or small.
+    """
+    part = hypothesis[-1]
+    if (nothing := part.candidate.effect.grows_from()) is None:
+        return None
+    values = dict(part.values)
+    first = next(iter(values))
+    values[first] = nothing + (values[first] - nothing) * factor
+    scaled = (*hypothesis[:-1], Part(part.candidate, values))
+    try:
+        model_of(model, scaled)
+    except ConfigError:
+        return None
+    return scaled
+
+
 def _smaller(
-    data: Data, whitened_fit: WhitenedFit, entries: Sequence[tuple[Candidate, Hypothesis]], changes: Sequence[Array]
-) -> list[tuple[Candidate, Hypothesis]]:
-    """Guesses that change far more than is left, with first parameters that change about as much as that.
+    data: Data, whitened_fit: WhitenedFit, guesses: Sequence[Hypothesis], changes: Sequence[Array]
+) -> list[Hypothesis]:
+    """Guesses that change far more than the residual, rescaled so that they would change about as much.
 
     Along a trial small causes add up: what one so large does says little of what one of the right size would.
     """
-    beside = Nuisance.of(whitened_fit.slopes)
-    left = beside.squares_beyond(whitened_fit.residual)
+    nuisance = Nuisance.of(whitened_fit.slopes)
+    squares = nuisance.squares_beyond(whitened_fit.residual)
     columns = whitened_fit.columns(data.times, changes)
-    found = []
-    for k, (candidate, hypothesis) in enumerate(entries):
-        nothing = candidate.effect.grows_from()
-        factor = math.sqrt(left / max(beside.squares_beyond(columns[:, k]), 1e-300))
-        if nothing is None or factor > LEAST:
+    smaller = []
+    for k, hypothesis in enumerate(guesses):
+        factor = math.sqrt(squares / max(nuisance.squares_beyond(columns[:, k]), 1e-300))
+        if factor > LEAST:
             continue
-        values = dict(hypothesis[-1].values)
-        first = next(iter(values))
-        values[first] = nothing + (values[first] - nothing) * factor
-        try:
-            scaled = (*hypothesis[:-1], Part(candidate, values))
-            model_of(data.free.model, scaled)
-        except ConfigError:  # below what it can be
-            continue
-        found.append((candidate, scaled))
-    return found
+        if (scaled := _rescaled(data.free.model, hypothesis, factor)) is not None:
+            smaller.append(scaled)
+    return smaller
 
 
-def _absorbed(size: float, left: float, t: Thresholds) -> bool:
-    """Whether free parameters cancel so much of a change that the remainder is mostly curvature."""
-    return size > t.absorbed * left
+def _nearly_cancelled(data: Data, size: float, beyond: float) -> bool:
+    """Whether parameters cancel so much of a change that the remainder is mostly curvature.
+
+    Args:
+        data: with the thresholds.
+        size: ‖c‖² of the change.
+        beyond: ‖Pc‖² of the remainder.
+    """
+    return data.thresholds.decides(lambda t: size > t.absorbed * beyond)
 
 
-def _again(
-    data: Data,
-    fitted: Fitted,
-    entries: Sequence[tuple[Candidate, Hypothesis]],
-    whitened_fits: Sequence[WhitenedFit],
-    columns: Sequence[Array],
-    found: dict[Candidate, list[_FirstOrder]],
-) -> None:
-    """Screen again guesses that free parameters nearly cancel, at changed parameters; better ones replace ``found``."""
-    base = len(data.free.free)
-    size = (columns[0] ** 2).sum(axis=0)
-    scale = fitted.fit.parameters.scale[:base]
+def _rescreened_at_changed_parameters(
+    responses: _Responses, evaluated: Mapping[Candidate, Sequence[_Guess]]
+) -> dict[int, _Guess]:
+    """By their index, guesses that the parameters nearly cancel, where a second look gains more.
+
+    Such a change is simulated together with the change of the model's parameters that cancels it: θ ← θ + S⁺(r − c),
+    c of what both change, by the Jacobian S at the fit (chord method), LOOKS times.
+    """
+    data, fitted, columns = responses.data, responses.fitted, responses.columns
+    base, scale = len(data.free.free), fitted.fit.parameters.scale[: len(data.free.free)]
+    size = (columns[WHITE] ** 2).sum(axis=0)
     chosen = [
-        (tried, place)
-        for tried in found.values()
-        for place, t in enumerate(tried)
-        if len(t.kept) >= base and data.thresholds.decides(partial(_absorbed, float(size[t.index]), t.left))
+        guess
+        for guesses in evaluated.values()
+        for guess in guesses
+        if len(guess.kept) >= base and _nearly_cancelled(data, float(size[guess.index]), guess.strengths[WHITE])
     ]
     if not chosen:
-        return
-    w = whitened_fits[0]
-    # Weak directions would be bent far to fit the curvature.
-    strong = np.linalg.pinv(w.slopes[:, :base], rcond=STRONG)
-    kinds = {tried[place].kept for tried, place in chosen}
-    beside = [{kept: Nuisance.of(v.slopes[:, list(kept)]) for kept in kinds} for v in whitened_fits]
-    totals = [
-        {kept: own.squares_beyond(v.residual) for kept, own in q.items()}
-        for v, q in zip(whitened_fits, beside, strict=True)
-    ]
-    thetas = []
-    for tried, place in chosen:
-        change = strong @ (w.residual - columns[0][:, tried[place].index])
-        thetas.append(data.free.moved(fitted.fit.theta[:base], change * scale))
+        return {}
+    white = responses.whitened_fits[WHITE]
+    # Weak directions would be changed far to fit the curvature.
+    inverse = np.linalg.pinv(white.slopes[:, :base], rcond=STRONG)
+    squares = [_Squares.of(w, {guess.kept for guess in chosen}) for w in responses.whitened_fits]
+    steps = [inverse @ (white.residual - columns[WHITE][:, guess.index]) for guess in chosen]
+    thetas = [data.free.moved(fitted.fit.theta[:base], step * scale) for step in steps]
+    replacements: dict[int, _Guess] = {}
     for _ in range(LOOKS):
-        changes = _changes(data, fitted, [entries[tried[place].index] for tried, place in chosen], thetas)
-        moved = [v.columns(data.times, changes) for v in whitened_fits]
-        for k, (tried, place) in enumerate(chosen):
-            t = tried[place]
-            gains = tuple(
-                totals[way][t.kept] - beside[way][t.kept].squares_beyond(v.residual - moved[way][:, k])
-                for way, v in enumerate(whitened_fits)
-            )
-            theta = data.free.moved(thetas[k], strong @ (w.residual - moved[0][:, k]) * scale)
-            if gains[0] > t.gains[0]:
-                tried[place] = replace(t, factor=1.0, gains=gains, theta=np.concatenate([theta, t.theta[base:]]))
+        changes = _changes(data, fitted, [responses.guesses[guess.index] for guess in chosen], thetas)
+        changed = [w.columns(data.times, changes) for w in responses.whitened_fits]
+        for k, guess in enumerate(chosen):
+            gains = tuple(s.gain(guess.kept, c[:, k]) for s, c in zip(squares, changed, strict=True))
+            theta = data.free.moved(thetas[k], inverse @ (white.residual - changed[WHITE][:, k]) * scale)
+            if gains[WHITE] > replacements.get(guess.index, guess).gains[WHITE]:
+                whole = np.concatenate([theta, guess.theta[base:]])
+                replacements[guess.index] = replace(guess, factor=1.0, gains=gains, theta=whole)
             thetas[k] = theta
+    return replacements
+
+
+@dataclass(frozen=True, eq=False)
+class _Squares:
+    """Sums of squares orthogonal to the Jacobian of kept parameters, by one whitening.
+
+    Attributes:
+        residual: (N,) r.
+        nuisance: for each set of kept parameters the span of their Jacobian.
+        total: for each ‖Pr‖².
+    """
+
+    residual: Array
+    nuisance: Mapping[tuple[int, ...], Nuisance]
+    total: Mapping[tuple[int, ...], float]
+
+    @classmethod
+    def of(cls, whitened_fit: WhitenedFit, kinds: Collection[tuple[int, ...]]) -> _Squares:
+        """Of some sets of kept parameters."""
+        nuisance = {kept: Nuisance.of(whitened_fit.slopes[:, list(kept)]) for kept in kinds}
+        total = {kept: span.squares_beyond(whitened_fit.residual) for kept, span in nuisance.items()}
+        return cls(whitened_fit.residual, nuisance, total)
+
+    def gain(self, kept: tuple[int, ...], change: Array) -> float:
+        """‖Pr‖² − ‖P(r − c)‖² of a change c (N,)."""
+        return self.total[kept] - self.nuisance[kept].squares_beyond(self.residual - change)
 
 
 def _changes(
-    data: Data,
-    fitted: Fitted,
-    entries: Sequence[tuple[Candidate, Hypothesis]],
-    thetas: Sequence[Array] | None = None,
+    data: Data, fitted: Fitted, guesses: Sequence[Hypothesis], thetas: Sequence[Array] | None = None
 ) -> list[Array]:
-    """For each segment (m, nj, k) by how much each entry changes what is predicted [rad]; 0 where it diverges.
+    """For each segment (m, nj, k) by how much each guess changes predictions [rad or m]; 0 where it diverges.
 
     Args:
         data: what was measured.
         fitted: what is changed.
-        entries: what to.
-        thetas: for each entry the model's own free parameters, those of ``fitted`` by default.
+        guesses: what to.
+        thetas: for each guess the model parameters, those of ``fitted`` by default.
     """
     data.budget.check()
-    names = data.free.names
-    own = fitted.fit.theta[: len(names)]
-    robots: dict[bytes, Model] = {}
-    models = []
-    for k, (_, hypothesis) in enumerate(entries):
-        theta = own if thetas is None else thetas[k]
-        key = theta.tobytes()
-        if key not in robots:
-            robots[key] = data.free.model_at(theta)
-        models.append(model_of(robots[key], hypothesis))
+    present = fitted.fit.theta[: len(data.free.free)]
+    models = _models(data, guesses, [present] * len(guesses) if thetas is None else thetas)
     # Dry friction anywhere makes the engine look for it everywhere.
-    rubs = [any(isinstance(e, ForceEffect) and e.rubs for e in model.effects) for model in models]
-    changes = [np.zeros((*s.measured.shape, len(entries))) for s in data.segments]
-    simulator = data.coarse or data.simulator
+    rubs = [any(e.rubs for e in model.effects) for model in models]
+    changes = [np.zeros((*s.measured.shape, len(guesses))) for s in data.segments]
     plain = [start[None, :] for start in fitted.fit.starts]
-    reference = simulator([fitted.fit.model], data.segments, plain)
+    reference = data.screening_simulator([fitted.fit.model], data.segments, plain)
     for group in (True, False):
         rows = [k for k, rub in enumerate(rubs) if rub == group]
         if not rows:
             continue
         starts = [np.tile(start, (len(rows), 1)) for start in fitted.fit.starts]
-        found = simulator([models[k] for k in rows], data.segments, starts)
-        for change, predicted, before in zip(changes, found, reference, strict=True):
+        after = data.screening_simulator([models[k] for k in rows], data.segments, starts)
+        for change, predicted, before in zip(changes, after, reference, strict=True):
             moved = np.moveaxis(predicted.position - before.position, 0, -1)
             moved[:, :, ~predicted.sound] = 0.0
             moved[before.reached[0] :] = 0.0
             change[:, :, rows] = moved
     return changes
+
+
+def _models(data: Data, guesses: Sequence[Hypothesis], thetas: Sequence[Array]) -> list[Model]:
+    """The model with each guess at its parameters; what has the same parameters shares the robot."""
+    robots: dict[bytes, Model] = {}
+    for theta in thetas:
+        if (key := theta.tobytes()) not in robots:
+            robots[key] = data.free.model_at(theta)
+    return [model_of(robots[theta.tobytes()], guess) for theta, guess in zip(thetas, guesses, strict=True)]
 
 
 def _owners(base: int, hypothesis: Hypothesis) -> list[int]:
@@ -286,20 +380,17 @@ def _owners(base: int, hypothesis: Hypothesis) -> list[int]:
 
 def _kept(owners: Sequence[int], old: Hypothesis, new: Hypothesis) -> tuple[int, ...]:
     """Which parameters of the old hypothesis are there in the new one."""
-    left = {k for k, part in enumerate(old) if any(part is other for other in new)} | {-1}
-    return tuple(i for i, owner in enumerate(owners) if owner in left)
+    stays = {k for k, part in enumerate(old) if any(part is other for other in new)} | {-1}
+    return tuple(i for i, owner in enumerate(owners) if owner in stays)
 
 
-def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> tuple[Array, Array, Array, Array]:
-    """Gain of χ², best factor, χ² of the change itself, (p, k) change of the scaled parameters.
-
-    The column is taken at a factor between LEAST and MOST, with the best change of the parameters.
-    """
-    beside = Nuisance.of(whitened_fit.slopes[:, kept])
-    residual, left = beside.project_out(whitened_fit.residual), beside.project_out(columns)
-    strength = (left**2).sum(axis=0)
-    agreement = residual @ left
+def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> _FirstOrderGains:
+    """First-order gains of changes (N, k) beside the kept parameters (indices in θ), see the module's law."""
+    nuisance = Nuisance.of(whitened_fit.slopes[:, kept])
+    residual, beyond = nuisance.project_out(whitened_fit.residual), nuisance.project_out(columns)
+    strength = (beyond**2).sum(axis=0)
+    agreement = residual @ beyond
     factor = np.clip(agreement / np.maximum(strength, 1e-300), LEAST, MOST)
     gain = 2 * factor * agreement - factor**2 * strength
-    moved = beside.lstsq(whitened_fit.residual[:, None] - columns * factor, WEAK)
-    return gain, factor, strength, moved
+    change = nuisance.lstsq(whitened_fit.residual[:, None] - columns * factor, WEAK)
+    return _FirstOrderGains(gain, factor, strength, change)

@@ -1,23 +1,81 @@
 """Which set of effects: forward from the refitted model, backward where one is not needed, sideways where another fits.
 
 A hypothesis is scored by its deviance (−2 log likelihood, its own noise included) and its number of parameters. A part
-is accepted where the deviance falls by more than the best of all candidates does on noise, and by more than two
-simulations of one leg differ.
+is accepted where the deviance falls by more than the acceptance threshold, see ``HypothesisMoves.threshold``.
+
+The moves:
+
+    add        one more candidate                                          ``challenge``, ``extensions``
+    remove     a part whose gain is not accepted                           ``exchanged``, ``without_parts``
+    exchange   another candidate in a part's place                         ``exchanged``, ``contested``, ``in_place``
+    split      a law alike at several places → one at each                 ``extensions``, of what it extends
+    merge      laws at single places → one alike at several                ``extensions``: it drops what it excludes
+    narrow     a law alike at several places → at one place less           ``narrowed``
+    simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
+
+Where errors grow along a trial, fits have many local minima (``SearchSettings.many_minima``): deviances scatter, and
+first-order gains predict little. What differs:
+
+                                        few local minima              many local minima
+    acceptance threshold                max(χ² quantile, ε·n)         the same + ``minima_scatter``
+    candidates fitted as one more       the promising ones            all others too, if residuals are large and none is
+                                                                      accepted or a residual force explains far more
+    their initial guesses               as they are                   also rescaled (``rescaled_guesses``)
+    rounds outdone by a residual force  none                          one (``PATIENCE``)
+    the model without effects           fitted once                   refitted from the first effect's fit
+    after each addition                 exchanged, from two parts on  the same, then simplified
+    at the end                          contested and narrowed        neither
+    what else fits in a part's place    fitted beside the other parts also what did beside any others (``in_place``)
+    what held-out trials do not confirm is dropped                    exchanged for another hypothesis fitted, if any
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from equimus_ctrl.diagnosis.alternatives import contested, narrowed, simplified
-from equimus_ctrl.diagnosis.fitting import Fitted, whitened
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchState
+from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchState, StopReason
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.screening import screen
 
-SECOND = 2
+RUNNERS_UP = 2
 """So many others than the best first part, of those with about as much gain, are given a second part as well."""
+ROUNDS_PER_PART = 2
+"""Rounds of a search for each part it may find, at most: each adds a part, and may drop another beside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Options:
+    """Hypotheses with one more part than another.
+
+    Attributes:
+        fitted: all of them.
+        best: the best one, if its gain is accepted and its score is better; None otherwise.
+        outdone: whether a residual force explains far more than the best one does.
+    """
+
+    fitted: tuple[Fitted, ...]
+    best: Fitted | None
+    outdone: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Forward:
+    """A forward search under way.
+
+    Attributes:
+        state: with the hypothesis that is extended next.
+        last_accepted: the last one that no residual force outdid.
+        rounds_outdone: how many rounds in a row, up to the last one, a residual force outdid the part that was added.
+        stop: why it is at its end; None where it goes on.
+    """
+
+    state: SearchState
+    last_accepted: SearchState
+    rounds_outdone: int = 0
+    stop: StopReason | None = None
 
 
 class Search(HypothesisMoves):
@@ -32,74 +90,104 @@ class Search(HypothesisMoves):
         first = SearchHistory(first=tuple(screen(self.data, base, self.pool)))
         return simplified(self, self.exchanged(SearchState(base, start, tried=first)))
 
-    def go_on(self, found: SearchState, rejected: Sequence[str] = (), further: bool = True) -> SearchState:
+    def go_on(self, state: SearchState, rejected: Sequence[str] = (), further: bool = True) -> SearchState:
         """Search from where one ended; see ``steps``."""
-        for now in self.steps(found, rejected, further):
-            found = now
-        return found
+        for after in self.steps(state, rejected, further):
+            state = after
+        return state
 
-    def steps(self, found: SearchState, rejected: Sequence[str] = (), further: bool = True) -> Iterator[SearchState]:
-        """Search from where one ended, step by step; the last step is the end.
+    def steps(self, state: SearchState, rejected: Sequence[str] = (), further: bool = True) -> Iterator[SearchState]:
+        """Search from where one ended, step by step; the last step is the end, and says why it is.
 
         Args:
-            found: there.
+            state: there.
             rejected: labels of candidates that are not to be part of it.
             further: whether more parts are tried, or only alternatives of the present ones.
         """
-        now = found.rejecting(rejected)
-        now = now if further else self.exchanged(now)
-        sure, outdone = now, 0
-        for depth in range(2 * self.settings.most_parts if further else 0):
-            self.notify(f"what could be missing, round {depth + 1}", now.best.label)
-            options, tried = self._small(*self.challenge(now.tried, now.best))
-            top = self._top(now.best, options)
-            force = top is not None and self._outdone(sure.best, top)
-            if self._may_try_all(now.best) and (top is None or force):
-                self.notify("what could be missing, all there is", now.best.label)
-                known = [o.hypothesis[-1].candidate.label for o in options]
-                more, tried = self.extensions(tried, now.best, known=known)
-                options += more
-                before, top = top, self._top(now.best, options)
-                force = force if top is before else top is not None and self._outdone(sure.best, top)
-            now = replace(now, tried=tried)
-            if top is None:
+        state = state.rejecting(rejected)
+        if not further:
+            yield self._finished(replace(self.exchanged(state), stopped="no more parts asked for"))
+            return
+        forward = _Forward(state, state)
+        for depth in range(ROUNDS_PER_PART * self.settings.most_parts):
+            self.notify(f"what could be missing, round {depth + 1}", forward.state.best.label)
+            forward = self._round(forward)
+            if forward.stop is not None:
                 break
-            outdone = outdone + 1 if force else 0
-            if outdone > self.settings.patience:
-                break
-            if len(now.best.hypothesis) == 1:
-                more, tried = self._beside(now)
-                options, now = [*options, *more], replace(now, tried=tried)
-            had = bool(now.best.hypothesis)
-            now = self._with_one_more(now, options)
-            none = not now.best.hypothesis
-            if not outdone or (none and not had):
-                sure = now
-            if none and had:
-                break
-            yield replace(sure, tried=now.tried)
-        yield narrowed(self, contested(self, replace(sure, base=now.base, tried=now.tried)))
+            yield replace(forward.last_accepted, tried=forward.state.tried)
+        last, stopped = forward.state, forward.stop or "most rounds"
+        yield self._finished(replace(forward.last_accepted, base=last.base, tried=last.tried, stopped=stopped))
 
-    def _with_one_more(self, now: SearchState, options: Sequence[Fitted]) -> SearchState:
+    def _finished(self, state: SearchState) -> SearchState:
+        """The end: each part the best in its place, at the fewest places."""
+        return narrowed(self, contested(self, state))
+
+    def _round(self, forward: _Forward) -> _Forward:
+        """One more part, or the reason to stop."""
+        options, tried = self._options(forward)
+        rounds_outdone = forward.rounds_outdone + 1 if options.outdone else 0
+        forward = replace(forward, state=replace(forward.state, tried=tried), rounds_outdone=rounds_outdone)
+        if (stop := self._stop_reason(options, rounds_outdone)) is not None:
+            return replace(forward, stop=stop)
+        return self._extended(forward, options)
+
+    def _options(self, forward: _Forward) -> tuple[_Options, SearchHistory]:
+        """Hypotheses with one more part: the promising ones; all others too where that may help."""
+        best, accepted = forward.state.best, forward.last_accepted.best
+        extended, tried = self.challenge(forward.state.tried, best)
+        fitted = self._small(extended)
+        top = self._top(best, fitted)
+        outdone = top is not None and self._outdone(accepted, top)
+        if self._may_try_all(best) and (top is None or outdone):
+            self.notify("what could be missing, all there is", best.label)
+            known = [option.hypothesis[-1].candidate.label for option in fitted]
+            others, tried = self.extensions(tried, best, known=known)
+            fitted = [*fitted, *others]
+            if (better := self._top(best, fitted)) is not top:
+                top, outdone = better, better is not None and self._outdone(accepted, better)
+        return _Options(tuple(fitted), top, outdone), tried
+
+    def _stop_reason(self, options: _Options, rounds_outdone: int) -> StopReason | None:
+        """Why the search stops before any of some options; None where it takes one."""
+        if options.best is None:
+            return "no effect accepted"
+        if rounds_outdone > self.settings.patience:
+            return "a residual force explains more"
+        return None
+
+    def _extended(self, forward: _Forward, options: _Options) -> _Forward:
+        """A search with the best of some options, which a round outdone by a residual force does not accept yet."""
+        state, fitted = forward.state, options.fitted
+        if len(state.best.hypothesis) == 1:
+            more, tried = self._beside_runners_up(state)
+            fitted, state = (*fitted, *more), replace(state, tried=tried)
+        after = self._with_one_more(state, fitted)
+        had, has = bool(forward.state.best.hypothesis), bool(after.best.hypothesis)
+        # Without parts before and after, the model alone was refitted, and fits as well as any option.
+        accepted = not forward.rounds_outdone or not (had or has)
+        stop: StopReason | None = "no part needed" if had and not has else None
+        return replace(forward, state=after, last_accepted=after if accepted else forward.last_accepted, stop=stop)
+
+    def _with_one_more(self, state: SearchState, options: Sequence[Fitted]) -> SearchState:
         """A search with the best of some larger hypotheses, its parts exchanged where others fit better."""
-        before, best = now.best, min(options, key=self.score)
-        others = tuple(o for o in options if o is not best)
-        if self.settings.many_minima and not before.hypothesis:
+        simple, best = state.best, min(options, key=self.score)
+        if self.settings.many_minima and not simple.hypothesis:
             # The first fit of the model alone may have ended in a worse minimum than it has.
-            plain, tried = self.refit(now.tried, best, ())
-            now = replace(now, tried=tried)
-            if plain.deviance < before.deviance:
-                before, now = plain, replace(now, base=plain)
+            plain, tried = self.refit(state.tried, best, ())
+            state = replace(state, tried=tried)
+            if plain.deviance < simple.deviance:
+                simple, state = plain, replace(state, base=plain)
             if not self.accepts(plain, best):
-                return replace(now, best=plain, without=(), alternatives=())
-        had = bool(before.hypothesis)
-        now = replace(now, best=best, without=(before,), alternatives=(others,))
-        now = self.exchanged(now) if had else now
-        return simplified(self, now) if self.settings.many_minima else now
+                return replace(state, best=plain, without=(), alternatives=())
+        others = tuple(option for option in options if option is not best)
+        state = replace(state, best=best, without=(simple,), alternatives=(others,))
+        if simple.hypothesis:
+            state = self.exchanged(state)
+        return simplified(self, state) if self.settings.many_minima else state
 
-    def _small(self, options: Sequence[Fitted], tried: SearchHistory) -> tuple[list[Fitted], SearchHistory]:
+    def _small(self, options: Sequence[Fitted]) -> list[Fitted]:
         """Options that have no more parts than are looked for."""
-        return [o for o in options if len(o.hypothesis) <= self.settings.most_parts], tried
+        return [option for option in options if len(option.hypothesis) <= self.settings.most_parts]
 
     def _top(self, best: Fitted, options: Sequence[Fitted]) -> Fitted | None:
         """The best of some options, if it is better than what they extend."""
@@ -108,32 +196,38 @@ class Search(HypothesisMoves):
         return top if better else None
 
     def _may_try_all(self, best: Fitted) -> bool:
+        """Whether first-order gains beside a hypothesis predict little, and it may have more parts."""
         return self.settings.many_minima and len(best.hypothesis) < self.settings.most_parts and self.data.strong(best)
 
-    def _beside(self, now: SearchState) -> tuple[list[Fitted], SearchHistory]:
-        """What the second part could be beside others than the best first one: of two together the lesser may lead."""
-        tried, base = now.tried, self.score(now.base)
+    def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:
+        """Two parts of which the first is not the best one alone, but gains about as much.
+
+        Of two missing effects the one that matters less may fit better alone, and hide the other.
+        """
+        tried, base = state.tried, self.score(state.base)
 
         def near_the_best(alternative: Fitted) -> bool:
-            gain, most = base - self.score(alternative), base - self.score(now.best)
+            gain, most = base - self.score(alternative), base - self.score(state.best)
             return self.data.thresholds.decides(lambda t: gain > t.runner_up * most)
 
-        close = [r for r in sorted(now.alternatives[0], key=self.score) if near_the_best(r)]
-        found: list[Fitted] = []
-        for alternative in close[:SECOND]:
+        close = [option for option in sorted(state.alternatives[0], key=self.score) if near_the_best(option)]
+        options: list[Fitted] = []
+        for alternative in close[:RUNNERS_UP]:
             self.notify("a second effect beside another", alternative.label)
-            more, tried = self._small(*self.challenge(tried, alternative))
-            found += more
-        return found, tried
+            more, tried = self.challenge(tried, alternative)
+            options += self._small(more)
+        return options, tried
 
     def _outdone(self, best: Fitted, top: Fitted) -> bool:
-        """Whether a residual force explains far more than the next effect: then that effect is not the missing one."""
-        at = linearise_fit(self.data, best, best.noise)
-        if at is None:
+        """Whether a residual force explains far more than the next effect: then that effect is not the missing one.
+
+        The effect explains χ²(best) − χ²(top), both whitened by the noise of ``best``; the force its gain in
+        cross-validation, or of a single trial its gain on that.
+        """
+        linearised = linearise_fit(self.data, best, best.noise)
+        if linearised is None:
             return False
-        before, after = (
-            sum(float((w**2).sum()) for w in whitened(self.data, best.noise, f.fit.residuals)) for f in (best, top)
-        )
-        force = force_candidates(at)[0].found
-        most = force.held_out if at.folds else force.gain
+        before, after = (chi_squared(best.noise, self.data.times, f.fit.residuals) for f in (best, top))
+        force = force_candidates(linearised)[0].found
+        most = force.held_out if linearised.folds else force.gain
         return self.data.thresholds.decides(lambda t: before - after < t.outdone * most)

@@ -1,15 +1,16 @@
-"""A diagnosis, stage by stage: each takes what is known and returns what is known after it.
+"""A diagnosis, stage by stage: each takes what is known, a ``State``, and returns what is known after it.
 
-    refit → search → confirmation → unexplained → discretization → validation → alternatives → report
+    refit → search → confirmation → unexplained → discretization → validation → other_holdout → alternatives → report
 
-``diagnose.diagnose`` runs them in this order. Where a budget ends one of them, what was known before it is reported.
+``carried_out`` runs them in this order; ``STAGES`` has those between the refit and the report. ``other_holdout`` is a
+second diagnosis, with other trials held out, by the same stages. Where a budget ends a stage, what was known before it
+is reported.
 """
 
 from __future__ import annotations
 
-import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -37,7 +38,17 @@ from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import LONG, SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
-from equimus_ctrl.diagnosis.results import STATES, Decision, Diagnosis, Named, Ranked, Residuals
+from equimus_ctrl.diagnosis.results import (
+    STATES,
+    Decision,
+    Diagnosis,
+    Equivalent,
+    Named,
+    Ranked,
+    ResidualAboveNoise,
+    Residuals,
+    Unexplained,
+)
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test, residual_analysis
 from equimus_ctrl.effects.base import REGISTRY
@@ -45,17 +56,17 @@ from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.residuals import residuals_of
-from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.types import Array
 
 AGAIN = 1
 """How often a search goes on beside the accepted effects where others were rejected. If it comes to rejected effects
 again, the residuals stay unexplained."""
-WINDOW = r" from [0-9.]+ s$"
-"""What names of shooting intervals have beyond those of their recordings."""
 ROUNDS = 12
 """So many steps of a search divide its share of the progress."""
-STAGES = ("search", "confirmation", "unexplained", "discretization", "validation", "alternatives")
-"""What follows the refit, in order."""
+SEARCH_SHARE = (0.15, 0.8)
+"""Share of the whole that is done when a search begins, and when it ends."""
+OTHER_SHARE = (0.94, 0.99)
+"""The same of a diagnosis with other trials held out."""
 Progress = Callable[[str, float, str], None]
 """Called with the stage, the share of the whole that is done, and the best hypothesis so far."""
 
@@ -109,45 +120,42 @@ class State:
     Attributes:
         inputs: what is asked.
         search: that goes on from where it is.
-        found: where it ended so far.
-        rest: what that leaves unexplained.
+        end: of the search, so far.
+        short: the model fitted to short shooting intervals, where residuals are large; else None.
+        nominal: for each segment fitted (m, nj) the residuals of the nominal model [rad or m].
+        analysis: of what the end leaves unexplained.
         rejected: effects that were rejected, for a residual force explains as much.
         ranking: all candidates, alone.
         coarse: a sentence on the engine's step, where its error was taken off; "" else.
-        equivalent: for each part of the hypothesis what fits as well in its place; empty where nobody looked.
+        equivalent: for each part of the hypothesis what fits as well in its place; None where nobody looked.
+        notes: what else a person ought to know.
         decisions: of the stages so far.
         ended_in: the stage in which the budget ended; "" where it did not.
     """
 
     inputs: DiagnosisInputs
     search: Search
-    found: SearchState
-    rest: ResidualAnalysis
+    end: SearchState
+    short: Fitted | None
+    nominal: tuple[Array, ...]
+    analysis: ResidualAnalysis = field(default_factory=ResidualAnalysis)
     rejected: tuple[Named, ...] = ()
     ranking: tuple[Ranked, ...] = ()
     coarse: str = ""
-    equivalent: tuple[tuple[Named, ...], ...] = ()
+    equivalent: tuple[tuple[Equivalent, ...], ...] | None = None
+    notes: tuple[str, ...] = ()
     decisions: tuple[Decision, ...] = ()
     ended_in: str = ""
 
     @property
-    def not_done(self) -> tuple[str, ...]:
+    def skipped(self) -> tuple[Stage, ...]:
         """Stages that were not carried out to their end."""
-        return STAGES[STAGES.index(self.ended_in) :] if self.ended_in else ()
+        return ORDER[STAGES.index(self.ended_in) :] if self.ended_in else ()
 
     @property
     def data(self) -> Data:
         """What hypotheses are fitted to by now."""
         return self.search.data
-
-    @property
-    def label(self) -> str:
-        """The best hypothesis."""
-        return self.found.best.label
-
-    def report(self, stage: str, share: float) -> None:
-        """Say which stage begins, and what is best so far."""
-        self.inputs.progress(stage, share, self.label)
 
     def ended(self, stage: str) -> State:
         """The same, its budget having ended in a stage."""
@@ -160,19 +168,62 @@ class State:
         return replace(self, decisions=(*self.decisions, Decision(stage, decision, reason)))
 
 
-def refit(inputs: DiagnosisInputs) -> tuple[State, Fitted | None]:
-    """The model without any effect, its parameters refitted, and the same fitted to short shooting intervals.
+@dataclass(frozen=True)
+class Stage:
+    """A stage of a diagnosis.
 
-    Where residuals are large, and errors grow along the shooting intervals, the refit is also begun at the fit to
-    short intervals.
+    Attributes:
+        name: in decisions and in what is told of stages not done.
+        run: what is known before it → what is known after it. Raises BudgetSpent where its budget ends.
+        decides: in words.
+        label: that progress gives it; "" where it tells by itself, or not at all.
+        share: of the whole that is done when it begins.
+        settles: whether findings and unexplained residuals depend on it.
+    """
 
-    Returns:
-        The state to search from, and the fit to short intervals; None where there was no need of one.
+    name: str
+    run: Callable[[State], State]
+    decides: str
+    label: str = ""
+    share: float = 0.0
+    settles: bool = True
+
+    def after(self, state: State) -> State:
+        """What is known after it; what was known before it where the budget ends, or ended earlier."""
+        if state.ended_in:
+            return state
+        if self.label:
+            state.inputs.progress(self.label, self.share, state.end.best.label)
+        try:
+            return self.run(state)
+        except BudgetSpent:
+            return state.ended(self.name)
+
+
+def carried_out(inputs: DiagnosisInputs) -> State:
+    """What is known after all stages.
 
     Raises:
+        BudgetSpent: where the budget ends before the model is refitted.
         SimulationDiverged: where the model diverges on every trial.
     """
-    data, split = inputs.data, inputs.split
+    state = refit(inputs)
+    for stage in ORDER:
+        state = stage.after(state)
+    return state
+
+
+def refit(inputs: DiagnosisInputs) -> State:
+    """The model without any effect, its parameters refitted.
+
+    Where residuals are large, it is fitted to short shooting intervals too. As errors grow along the shooting
+    intervals, the refit is then also begun at that fit.
+
+    Raises:
+        BudgetSpent: where the budget ends before there is any fit.
+        SimulationDiverged: where the model diverges on every trial.
+    """
+    data, split, model = inputs.data, inputs.split, inputs.data.free.model
     inputs.progress("refitting the model", 0.02, "")
     base = data.base()
     short: Fitted | None = None
@@ -180,225 +231,283 @@ def refit(inputs: DiagnosisInputs) -> tuple[State, Fitted | None]:
         short = _short_base(data, split) if data.far_above_noise(base) else None
         base = base if short is None else data.base_from(short, base)
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in inputs.settings.exclude}
-    pool = candidates(data.free.model, split.train, looked_for)
-    shares: Iterator[float] = iter(np.linspace(0.15, 0.8, ROUNDS))
+    pool = candidates(model, split.train, looked_for)
+    search = Search(data, pool, data.policy.applied(inputs.settings.search), _round_notify(inputs.progress))
+    state = State(inputs, search, SearchState(base, base), short, _nominal(data, split))
+    excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True)
+    said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
+    return state.decided("refit", f"{len(data.free.free)} parameters refitted", f"excess variance: {said}")
+
+
+def _round_notify(progress: Progress) -> Callable[[str, str], None]:
+    """Tells the steps of a search as shares of the whole."""
+    shares: Iterator[float] = iter(np.linspace(*SEARCH_SHARE, ROUNDS))
 
     def notify(stage: str, best: str) -> None:
-        inputs.progress(stage, float(next(shares, 0.8)), best)
+        progress(stage, float(next(shares, SEARCH_SHARE[1])), best)
 
-    search = Search(data, pool, data.policy.applied(inputs.settings.search), notify)
-    state = State(inputs, search, SearchState(base, base), ResidualAnalysis((), ()))
-    excess_variance = ", ".join(
-        f"{joint} {own:.3g}"
-        for joint, own in zip(
-            data.free.model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True
-        )
-    )
-    return state.decided(
-        "refit", f"{len(data.free.free)} parameters refitted", f"excess variance: {excess_variance}"
-    ), short
+    return notify
 
 
-def search(state: State, short: Fitted | None) -> State:
+def _nominal(data: Data, split: Split) -> tuple[Array, ...]:
+    return tuple(residuals_of(data.free.model, split.train, data.simulator))
+
+
+def find_effects(state: State) -> State:
     """The hypothesis that fits best, of those whose gain exceeds the threshold.
 
-    Args:
-        state: after the refit.
-        short: the model fitted to short shooting intervals; where residuals are large, a second search begins there.
+    Where residuals are large, a second search begins at the fit to short shooting intervals. Where the budget ends,
+    what the search had come to is kept.
     """
-    own, found = state.search, state.found
+    search, end = state.search, state.end
     try:
-        for now in own.steps(found):
-            found = now
-        if short is not None and state.data.far_above_noise(found.best):
-            own, found = _from_short(own, found, state.inputs.split, short)
+        for now in search.steps(end):
+            end = now
+        if state.short is not None and state.data.far_above_noise(end.best):
+            search, end = _from_short(search, end, state.inputs.split, state.short)
     except BudgetSpent:
-        return _searched(replace(state, found=found), "search").ended("search")
-    return _searched(replace(state, search=own, found=found), "search")
+        return _accepted(replace(state, end=end)).ended("search")
+    return _accepted(replace(state, search=search, end=end))
 
 
-def or_ended(stage: Callable[[State], State], state: State) -> State:
-    """What is known after a stage; what was known before it where the budget ends, or ended earlier."""
-    if state.ended_in:
-        return state
-    try:
-        return stage(state)
-    except BudgetSpent:
-        return state.ended(stage.__name__)
-
-
-def _searched(state: State, stage: str) -> State:
+def _accepted(state: State) -> State:
     """With a decision for each part of the hypothesis."""
-    for part, without in zip(state.found.best.hypothesis, state.found.without, strict=True):
-        gain = without.deviance - state.found.best.deviance
-        least = state.search.threshold(part.candidate.n_parameters)
-        state = state.decided(stage, f"{part.candidate.label} accepted", f"−2Δln L {gain:.4g}, at least {least:.4g}")
-    if not state.found.best.hypothesis:
-        state = state.decided(stage, "no effect accepted", "no gain exceeds the threshold and the scatter of deviances")
+    best = state.end.best
+    for part, without in zip(best.hypothesis, state.end.without, strict=True):
+        gain, least = without.deviance - best.deviance, state.search.threshold(part.candidate.n_parameters)
+        reason = f"−2Δln L {gain:.4g}, at least {least:.4g}"
+        state = state.decided("search", f"{part.candidate.label} accepted", reason)
+    if not best.hypothesis:
+        reason = "no gain exceeds the threshold and the scatter of deviances"
+        state = state.decided("search", "no effect accepted", reason)
     return state
 
 
-def confirmation(state: State) -> State:
-    """The effects that held-out trials bear out; where they refuse one, another that they do bear out."""
-    state.report("held-out trials", 0.82)
-    found = confirmed(state.search, state.found, state.inputs.split)
-    after = replace(state, found=found)
-    for label in sorted(state.found.best.labels - found.best.labels):
+def confirm(state: State) -> State:
+    """The effects that held-out trials confirm; where they reject one, another that they do confirm."""
+    end = confirmed(state.search, state.end, state.inputs.split)
+    after, before = replace(state, end=end), state.end.best.labels
+    for label in sorted(before - end.best.labels):
         after = after.decided("confirmation", f"{label} rejected", "held-out trials do not improve enough with it")
-    for label in sorted(found.best.labels - state.found.best.labels):
+    for label in sorted(end.best.labels - before):
         after = after.decided("confirmation", f"{label} accepted", "fits in its place, and held-out trials confirm it")
     return after
 
 
-def unexplained(state: State) -> State:
-    """What the effects leave, and which of them are confounded with a residual force: these are rejected.
+def explain_residuals(state: State) -> State:
+    """What the effects leave, and which of them residual forces make redundant: these are rejected.
 
-    Where others stay, the search goes on beside them, without the names that were rejected.
+    Where others stay, the search goes on beside them. It never comes back to what was rejected
+    (``SearchState.rejecting``), so no effect is both rejected here and part of the end.
     """
-    state.report("residual forces", 0.86)
-    own, found, rejected = state.search, state.found, state.rejected
-    rest = residual_analysis(state.data, found.base, found.best, found.without)
-    again, confounded = AGAIN, set[str]()
-    while rest.redundant:
-        dropped = [found.best.hypothesis[k] for k in rest.redundant]
+    search, end, rejected = state.search, state.end, state.rejected
+    reasons: dict[str, str] = {}
+    further = AGAIN
+    analysis = residual_analysis(state.data, end.base, end.best, end.without)
+    while analysis.redundant:
+        dropped = {end.best.hypothesis[k]: reason for k, reason in analysis.redundant.items()}
         rejected += tuple(named_part(part) for part in dropped)
-        confounded |= {part.candidate.label for part in dropped}
-        found = without_parts(own, found, rest.redundant)
-        if found.best.hypothesis:
-            names = [part.candidate.label for part in dropped]
-            found = confirmed(own, own.go_on(found, names, further=again > 0), state.inputs.split)
-            again -= 1
-        rest = residual_analysis(state.data, found.base, found.best, found.without)
-    after = replace(state, found=found, rest=rest, rejected=rejected)
-    for label in sorted((state.found.best.labels | confounded) - found.best.labels):
-        reason = "a residual force explains as much" if label in confounded else "not needed beside the rest"
-        after = after.decided("unexplained", f"{label} rejected", reason)
-    for label in sorted(found.best.labels - state.found.best.labels):
-        after = after.decided("unexplained", f"{label} accepted", "its gain exceeds the threshold beside the others")
-    for left in rest.unexplained:
-        over = f" over {left.depends_on}" if left.depends_on else ""
-        after = after.decided(
-            "unexplained", f"something left at {left.location}{over}", f"{left.gain:.4g}, at least {left.threshold:.4g}"
-        )
-    return replace(after, ranking=ranking(own, found))
+        reasons |= {part.candidate.label: reason for part, reason in dropped.items()}
+        end = without_parts(search, end, tuple(analysis.redundant))
+        if end.best.hypothesis:
+            labels = [part.candidate.label for part in dropped]
+            end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
+            further -= 1
+        analysis = residual_analysis(state.data, end.base, end.best, end.without)
+    after = replace(state, end=end, analysis=analysis, rejected=rejected, ranking=ranking(search, end))
+    return _explained(after, state.end.best, reasons)
 
 
-def discretization(state: State) -> State:
+def _explained(state: State, before: Fitted, reasons: Mapping[str, str]) -> State:
+    """With a decision for each effect that was rejected or accepted beside residual forces, and for each of these.
+
+    Args:
+        state: after it.
+        before: the hypothesis before it.
+        reasons: why effects were rejected, by their labels.
+    """
+    after = state.end.best.labels
+    for label in sorted((before.labels | reasons.keys()) - after):
+        state = state.decided("unexplained", f"{label} rejected", reasons.get(label, "not needed beside the rest"))
+    for label in sorted(after - before.labels):
+        reason = "its gain exceeds the threshold beside the others"
+        state = state.decided("unexplained", f"{label} accepted", reason)
+    for residual in state.analysis.unexplained:
+        over = f" over {residual.depends_on}" if residual.depends_on else ""
+        reason = f"{_size(residual):.4g}, at least {residual.threshold:.4g}"
+        state = state.decided("unexplained", f"something left at {residual.location}{over}", reason)
+    return state
+
+
+def _size(residual: Unexplained) -> float:
+    """What is compared with the threshold."""
+    return residual.excess if isinstance(residual, ResidualAboveNoise) else residual.gain
+
+
+def take_off_step_error(state: State) -> State:
     """The same without the discretisation error, where that changes findings or unexplained residuals."""
-    exact = without_step_error(state.search, state.found, state.rest, state.inputs.settings.threads)
+    exact = without_step_error(state.search, state.end, state.analysis)
     if exact is None:
         return state
-    own, found, rest, coarse = exact
-    return replace(state, search=own, found=found, rest=rest, coarse=coarse).decided(
-        "discretization", "worked out without the step's error", coarse
+    after = replace(
+        state,
+        search=exact.search,
+        end=exact.end,
+        nominal=_nominal(exact.search.data, state.inputs.split),
+        analysis=exact.analysis,
+        coarse=exact.sentence,
     )
+    return after.decided("discretization", "worked out without the step's error", exact.sentence)
 
 
-def validation(state: State) -> State:
+def validate(state: State) -> State:
     """Joints whose residuals on held-out trials are far above the noise, whatever the parameters of the effects."""
-    if state.rest.unexplained:
+    if state.analysis.unexplained:
         return state
-    split, best = state.inputs.split, state.found.best
-    rest = not_confirmed(
-        state.data, best, split.validation, HoldoutResiduals(state.data, split, state.found).residuals(best.fit.model)
+    split, best = state.inputs.split, state.end.best
+    residuals = HoldoutResiduals(state.data, split, state.end).residuals(best.fit.model)
+    analysis = not_confirmed(state.data, best, split.validation, residuals)
+    return _far_above_noise(replace(state, analysis=analysis), "validation", "held-out error")
+
+
+def _far_above_noise(state: State, stage: str, error: str) -> State:
+    """With a decision for each joint whose residuals are far above the noise."""
+    for residual in state.analysis.unexplained:
+        reason = f"{error} {_size(residual):.3g} times the noise's variance"
+        state = state.decided(stage, f"unexplained at {residual.location}", reason)
+    return state
+
+
+def repeat_with_other_holdout(state: State) -> State:
+    """A second diagnosis, with other trials held out, where those held out show what the others do not.
+
+    What they alone show cannot be explained while they are not fitted. The second counts if it leaves nothing
+    unexplained, neither on its validation trials nor on the test set, which is the same. Not where somebody said which
+    trials are held out.
+    """
+    inputs, residuals = state.inputs, state.analysis.unexplained
+    alone = [r for r in residuals if isinstance(r, ResidualAboveNoise) and r.only_on == "validation"]
+    other = _other_inputs(inputs) if alone else None
+    if other is None:
+        return state
+    names = _names(inputs.split), _names(other.split)
+    rejected = f"held out instead: {names[1]}; rejected"
+    try:
+        second = tested(carried_out(other))
+    except (SimulationDiverged, BudgetSpent):
+        return state.decided("other_holdout", rejected, "the diagnosis without them could not be carried out")
+    if second.analysis.unexplained or second.ended_in:
+        return state.decided("other_holdout", rejected, "that diagnosis leaves residuals unexplained, or was ended")
+    note = (
+        f"{names[0]}, held out at first, showed what the other trials do not; so they were fitted, and {names[1]} "
+        "judged."
     )
-    for left in rest.unexplained:
-        reason = f"held-out error {left.gain:.3g} times the noise's variance"
-        state = state.decided("validation", f"unexplained at {left.location}", reason)
-    return replace(state, rest=rest)
+    second = replace(second, inputs=replace(other, progress=inputs.progress), notes=(*second.notes, note))
+    reason = f"held out, {names[0]} showed what the other trials do not"
+    return second.decided("other_holdout", f"held out instead: {names[1]}", reason)
 
 
-def alternatives(state: State) -> State:
-    """What fits as well in each effect's place; intervals in which the error of the engine's step is counted."""
-    state.report("evidence", 0.94)
-    found = listed(state.search, state.found)
-    if not state.coarse:
-        found = step_counted(state.data, found, state.inputs.settings.threads)
-    finely = cache(state.data.converge_finely)
-    equivalent = equivalents(state.search, found, bool(state.rest.unexplained), finely)
-    return replace(state, found=found, equivalent=equivalent)
-
-
-def report(state: State) -> Diagnosis:
-    """The findings with evidence and intervals, and the rest of the report."""
-    inputs, own, found, rest = state.inputs, state.search, state.found, state.rest
-    data, split, model = state.data, inputs.split, inputs.data.free.model
-    holdout = HoldoutResiduals(data, split, found)
-    named = findings(own, found, holdout, state.equivalent)
-    experiment = None if state.ended_in else separating(data, found, named, inputs.designs)
-    residuals = {
-        name: Residuals(
-            train, tuple(holdout.residuals(own_model)), tuple(residuals_of(own_model, split.test, data.simulator))
-        )
-        for name, own_model, train in zip(
-            STATES,
-            (model, found.base.fit.model, found.best.fit.model),
-            (tuple(holdout.nominal()), found.base.fit.residuals, found.best.fit.residuals),
-            strict=True,
-        )
-    }
-    noise = found.best.noise
-    if not (rest.unexplained or state.ended_in):
-        rest = not_on_test(data, found.best, split.test, residuals["corrected"].test)
-        for left in rest.unexplained:
-            reason = f"error on the test set {left.gain:.3g} times the noise's variance"
-            state = state.decided("report", f"unexplained at {left.location}", reason)
-    inputs.progress("done", 1.0, found.best.label)
-    return Diagnosis(
-        verdict(named, rest, state.ended_in in ("", "alternatives")),
-        model,
-        found.base.fit.model,
-        found.best.fit.model,
-        found.base,
-        found.best,
-        tuple(split.train),
-        tuple(split.validation),
-        tuple(split.test),
-        residuals,
-        localise(model, split.train, found.base.fit.residuals, noise),
-        named,
-        rest.unexplained,
-        state.rejected,
-        state.ranking or ranking(own, found),
-        () if named or rest.unexplained or state.ended_in else detectable(own, found),
-        experiment,
-        {name: float(excess_variances(residuals[name].train, noise).mean()) for name in STATES},
-        (
-            *notes(found, split, inputs.settings.exclude, state.not_done),
-            *beyond_range(model, split),
-            *([state.coarse] if state.coarse else []),
-        ),
-        time.perf_counter() - inputs.begun,
-        state.decisions,
-        state.not_done,
-    )
-
-
-def other_inputs(inputs: DiagnosisInputs) -> DiagnosisInputs | None:
+def _other_inputs(inputs: DiagnosisInputs) -> DiagnosisInputs | None:
     """The same with other trials held out, where nobody said which; None where somebody did."""
     other = inputs.split.other
     if other is None:
         return None
+    low, high = OTHER_SHARE
 
     def notify(stage: str, share: float, best: str) -> None:
-        inputs.progress(f"{stage}, other trials held out", 0.94 + 0.05 * share, best)
+        inputs.progress(f"{stage}, other trials held out", low + (high - low) * share, best)
 
     return replace(inputs, data=replace(inputs.data, segments=other.train), split=other, progress=notify)
 
 
-def on_others(inputs: DiagnosisInputs, other: DiagnosisInputs, found: Diagnosis) -> Diagnosis:
-    """A diagnosis with other trials held out, which says so."""
-    before, now = (", ".join(_trials(q.split.validation)) for q in (inputs, other))
-    note = f"{before}, held out at first, showed what the other trials do not; so they were fitted, and {now} judged."
-    return replace(found, notes=(*found.notes, note))
+def _names(split: Split) -> str:
+    """The trials for validation."""
+    return ", ".join({s.recording: s.recording_name for s in split.validation}.values())
 
 
-def _trials(segments: Sequence[Segment]) -> list[str]:
-    """Names of the trials that segments are of; those of shooting intervals begin with their trial's."""
-    names: dict[int, str] = {}
-    for s in segments:
-        names.setdefault(s.recording, re.sub(WINDOW, "", s.trial.name))
-    return list(names.values())
+def find_alternatives(state: State) -> State:
+    """What fits as well in each effect's place; intervals in which the error of the engine's step is counted."""
+    if state.equivalent is not None:  # the diagnosis with other trials held out has looked
+        return state
+    end = listed(state.search, state.end)
+    if not state.coarse:
+        end = step_counted(state.data, end)
+    finely = cache(state.data.converge_finely)
+    return replace(state, end=end, equivalent=equivalents(state.search, end, bool(state.analysis.unexplained), finely))
+
+
+ORDER = (
+    Stage("search", find_effects, "more effects"),
+    Stage("confirmation", confirm, "whether held-out trials confirm the effects", "held-out trials", 0.82),
+    Stage("unexplained", explain_residuals, "what remains unexplained", "residual forces", 0.86),
+    Stage("discretization", take_off_step_error, "the error of the physics step"),
+    Stage("validation", validate, "whether the error on held-out trials is above the noise"),
+    Stage("other_holdout", repeat_with_other_holdout, "what other held-out trials would show", settles=False),
+    Stage("alternatives", find_alternatives, "what fits as well in an effect's place", "evidence", 0.94, settles=False),
+)
+STAGES = tuple(stage.name for stage in ORDER)
+"""What follows the refit, in order."""
+
+
+def tested(state: State) -> State:
+    """Joints whose residuals on the test set alone are far above the noise: told, and nothing is chosen by it."""
+    if state.analysis.unexplained or state.ended_in:
+        return state
+    test, best = state.inputs.split.test, state.end.best
+    residuals = residuals_of(best.fit.model, test, state.data.simulator)
+    analysis = not_on_test(state.data, best, test, residuals)
+    return _far_above_noise(replace(state, analysis=analysis), "report", "error on the test set")
+
+
+def report(state: State) -> Diagnosis:
+    """The findings with evidence and intervals, and the rest of the report."""
+    state = tested(state)
+    inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
+    data, split, model, noise = state.data, inputs.split, inputs.data.free.model, end.best.noise
+    holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
+    named = findings(search, end, holdout, equivalent)
+    residuals = _residuals(state, holdout)
+    inputs.progress("done", 1.0, end.best.label)
+    return Diagnosis(
+        verdict=verdict(named, state.analysis, not any(stage.settles for stage in state.skipped)),
+        model=model,
+        refitted=end.base.fit.model,
+        corrected=end.best.fit.model,
+        base=end.base,
+        best=end.best,
+        train=split.train,
+        validation=split.validation,
+        test=split.test,
+        residuals=residuals,
+        where=localise(model, split.train, end.base.fit.residuals, noise),
+        findings=named,
+        unexplained=unexplained,
+        rejected=state.rejected,
+        ranking=state.ranking or ranking(search, end),
+        detectable=() if named or unexplained or state.ended_in else detectable(search, end),
+        experiment=None if state.ended_in else separating(data, end, named, equivalent, inputs.designs),
+        excess_variance={name: float(excess_variances(residuals[name].train, noise).mean()) for name in STATES},
+        notes=(
+            *notes(end, split, inputs.settings.exclude, [stage.decides for stage in state.skipped]),
+            *beyond_range(model, split),
+            *([state.coarse] if state.coarse else []),
+            *state.notes,
+        ),
+        seconds=time.perf_counter() - inputs.begun,
+        decisions=state.decisions,
+        not_done=tuple(stage.name for stage in state.skipped),
+    )
+
+
+def _residuals(state: State, holdout: HoldoutResiduals) -> dict[str, Residuals]:
+    """Of each of ``STATES`` on the trials fitted, on those for validation and on those of the test set."""
+    end, test, simulator = state.end, state.inputs.split.test, state.data.simulator
+    models = state.inputs.data.free.model, end.base.fit.model, end.best.fit.model
+    fitted = state.nominal, end.base.fit.residuals, end.best.fit.residuals
+    return {
+        name: Residuals(train, tuple(holdout.residuals(model)), tuple(residuals_of(model, test, simulator)))
+        for name, model, train in zip(STATES, models, fitted, strict=True)
+    }
 
 
 def _short_base(data: Data, split: Split) -> Fitted | None:
@@ -411,27 +520,36 @@ def _short_base(data: Data, split: Split) -> Fitted | None:
         return None
 
 
-def _from_short(search: Search, found: SearchState, split: Split, base: Fitted) -> tuple[Search, SearchState]:
+def _from_short(search: Search, end: SearchState, split: Split, base: Fitted) -> tuple[Search, SearchState]:
     """The search's end, or that of one begun at the result of short shooting intervals, if that fits better.
 
     Errors do not grow in short intervals, so the cost is close to quadratic there.
+
+    Args:
+        search: with the shooting intervals asked for.
+        end: of that search.
+        split: with the short intervals.
+        base: the model without effects, fitted to these.
     """
     data, settings, notify = search.data, search.settings, search.notify
     short = Search(replace(data, segments=split.short_segments), search.pool, settings, notify)
     try:
-        near_end = short.run(base)
+        short_end = short.run(base)
     except SimulationDiverged:  # so short intervals are of no use
-        return search, found
-    best = near_end.best
-    if not best.hypothesis or best.labels == found.best.labels:
-        return search, found
-    other = Search(data, search.pool, settings, notify, near_end.tried.fitted)
+        return search, end
+    best = short_end.best
+    if not best.hypothesis or best.labels == end.best.labels:
+        return search, end
+    other = Search(data, search.pool, settings, notify, short_end.tried.fitted)
     begin = (best.fit.theta, [s.start for s in data.segments])
     try:
         start = data.converge(data.coarse_fit(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
     except SimulationDiverged:  # so it cannot be what happened
-        return search, found
-    end = other.go_on(other.beginning(found.base, start))
-    best_search, best_end = (other, end) if other.score(end.best) < search.score(found.best) else (search, found)
-    whole = replace(best_end.tried, fitted=(*found.tried.fitted, *end.tried.fitted))
-    return best_search, replace(best_end, tried=whole)
+        return search, end
+    other_end = other.go_on(other.beginning(end.base, start))
+    if other.score(other_end.best) < search.score(end.best):
+        better_search, better = other, other_end
+    else:
+        better_search, better = search, end
+    whole = replace(better.tried, fitted=(*end.tried.fitted, *other_end.tried.fitted))
+    return better_search, replace(better, tried=whole)

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.diagnosis.confounding import confounded, restates
 from equimus_ctrl.diagnosis.explained_variance import Explained
-from equimus_ctrl.diagnosis.fitting import Data, Fitted, whitened
+from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import ForceCandidate, LinearisedFit, force_candidates, judged, linearise_fit
-from equimus_ctrl.diagnosis.results import Unexplained
+from equimus_ctrl.diagnosis.results import ResidualAboveNoise, ResidualForce, Unexplained
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
@@ -35,6 +36,29 @@ REFIT = 12
 """Steps of a fit to everything, what was held out too."""
 POINTS = 61
 CONFIDENT = 1.96
+REPRODUCED = "one residual force explains as much as all effects together"
+CONFOUNDED = "it explains nothing more beside a residual force"
+REPLACED = "a residual force in its place explains as much"
+DEGENERATE = "its parameters strain its law"
+"""Why parts of a hypothesis are rejected."""
+
+
+@dataclass(frozen=True, eq=False)
+class SelectedForce:
+    """A residual force that counts.
+
+    Attributes:
+        candidate: where, on what it depends, and what it explains beside those selected before it.
+        columns: (N, k) its whitened changes of the measurements.
+    """
+
+    candidate: ForceCandidate
+    columns: Array
+
+    @property
+    def gain(self) -> float:
+        """Fall of χ² on the trials fitted."""
+        return self.candidate.found.gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,16 +66,16 @@ class ResidualAnalysis:
     """Analysis of the residuals of a hypothesis.
 
     Attributes:
-        unexplained: forces that nothing named explains, strongest first.
-        redundant: places of parts of the hypothesis that such a force explains as well or better.
+        unexplained: forces, or joints, that nothing named explains, strongest first.
+        redundant: places of parts of the hypothesis that are to be rejected, with the reason.
     """
 
-    unexplained: tuple[Unexplained, ...]
-    redundant: tuple[int, ...]
+    unexplained: tuple[Unexplained, ...] = ()
+    redundant: Mapping[int, str] = field(default_factory=dict)
 
 
 def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted]) -> ResidualAnalysis:
-    """Find residual forces in the residuals of a fitted hypothesis.
+    """Find residual forces in the residuals of a fitted hypothesis, and parts that these make redundant.
 
     Args:
         data: what was measured.
@@ -61,63 +85,92 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
     """
     at = linearise_fit(data, best, best.noise)
     if at is None:
-        return ResidualAnalysis((), ())
-    all_redundant = ResidualAnalysis((), tuple(range(len(best.hypothesis))))
+        return ResidualAnalysis()
+    # Enough effects reproduce anything; a single force that does so is the simpler explanation.
+    reproduced = ResidualAnalysis(redundant=dict.fromkeys(range(len(best.hypothesis)), REPRODUCED))
     # Where errors add up, the residuals without the effects are too large for forces to first order along the motion.
     held_in_place = data.free.model.robot.traits.held_in_place
     if held_in_place and _reproduced(data, base, best):
-        # Enough effects reproduce anything; a single force that does so is the simpler explanation.
-        return all_redundant
-    taken = _squares(data, base, best) - _squares(data, best, best)
-    thresholds, n = data.thresholds, data.n
+        return reproduced
+    together = chi2(data, base, best) - chi2(data, best, best)
+    forces = select_forces(data, at, together)
+    # Residual forces do not decide on effects that leave no residuals.
+    if not held_in_place and forces and _reproduced(data, base, best):
+        return reproduced
+    redundant = redundant_parts(data, at, without, together, forces)
+    return ResidualAnalysis(_residual_forces(data, at, forces) or _much(data, best), redundant)
 
-    def least(t: Thresholds) -> float:
-        return max(t.residual_gain, t.residual_share * n)
 
-    found: list[tuple[ForceCandidate, Array]] = []
-    extra: Array | None = None
+def select_forces(data: Data, at: LinearisedFit, together: float) -> list[SelectedForce]:
+    """The residual forces that count, by forward selection: each the best beside those before it.
+
+    Args:
+        data: what was measured.
+        at: the hypothesis to first order.
+        together: by how much χ² falls with all effects of the hypothesis.
+    """
+    selected: list[SelectedForce] = []
     for _ in range(MOST):
-        ranked = force_candidates(at, extra)
-        top = ranked[0]
-        whole = max(taken, 0.0) + sum(f.found.gain for f, _ in found) + top.found.gain
-        if thresholds.decides(partial(_but_a_trace, judged(top.found, at), top.found.gain, whole, least)):
+        extra = np.column_stack([force.columns for force in selected]) if selected else None
+        top = force_candidates(at, extra)[0]
+        whole = max(together, 0.0) + sum(force.gain for force in selected) + top.found.gain
+        if data.thresholds.decides(partial(_but_a_trace, judged(top.found, at), top.found.gain, whole, data.n)):
             break
-        columns = at.columns[next(k for k, g in enumerate(at.groups) if g is top.group)]
-        found.append((top, columns))
-        extra = columns if extra is None else np.column_stack([extra, columns])
-    confounded_places: tuple[int, ...] = ()
-    if held_in_place:
-        own = _squares(data, best, best)
-        confounded_places = confounded(
-            at, [_squares(data, fitted, best) - own for fitted in without], taken, least, thresholds
-        )
-    if not found:
-        return ResidualAnalysis(_much(data, best), confounded_places)
-    if not held_in_place and _reproduced(data, base, best):
-        # So residual forces do not decide on effects that leave no residuals.
-        return all_redundant
-    replaced = _redundant(data, best, without, found[0][0].found.gain)
-    redundant = tuple(sorted({*confounded_places, *replaced, *_barely(data, best)}))
-    total = sum(f.found.gain for f, _ in found)
-    residual_forces = tuple(
-        _residual_force(data, at, f, columns, f.found.gain / total, least(thresholds)) for f, columns in found
-    )
-    return ResidualAnalysis(residual_forces, redundant)
+        columns = at.columns[next(k for k, group in enumerate(at.groups) if group is top.group)]
+        selected.append(SelectedForce(top, columns))
+    return selected
 
 
-def _but_a_trace(fall: float, gain: float, whole: float, least: Callable[[Thresholds], float], t: Thresholds) -> bool:
+def redundant_parts(
+    data: Data, at: LinearisedFit, without: Sequence[Fitted], together: float, forces: Sequence[SelectedForce]
+) -> dict[int, str]:
+    """Places of parts that residual forces make redundant, with the reasons.
+
+    A part is confounded with a force beside which it explains nothing more; or a force in its place explains as much
+    as the part and the strongest remaining force together; or, where forces remain, it strains its law.
+
+    Args:
+        data: what was measured.
+        at: the hypothesis to first order.
+        without: for each of its parts the fit that does without it.
+        together: by how much χ² falls with all effects of the hypothesis.
+        forces: that remain.
+    """
+    best = at.fitted
+    least = chi2(data, best, best)
+    falls = [chi2(data, fitted, best) - least for fitted in without]
+    reasons: list[tuple[int, str]] = []
+    if data.free.model.robot.traits.held_in_place:
+        places = confounded(at, falls, together, partial(_least, data.n), data.thresholds)
+        reasons += [(k, CONFOUNDED) for k in places]
+    if forces:
+        for k, (fitted, fall) in enumerate(zip(without, falls, strict=True)):
+            if _replaced_by_force(data, fitted, best, fall + forces[0].gain, lambda t: t.replaces_one, TRIED):
+                reasons.append((k, REPLACED))
+        reasons += [(k, DEGENERATE) for k in _degenerate(data, best)]
+    return {
+        place: "; ".join(reason for k, reason in reasons if k == place) for place in sorted({k for k, _ in reasons})
+    }
+
+
+def _least(n: int, t: Thresholds) -> float:
+    """The least fall of χ² for which a residual force is reported, of so many measurements."""
+    return max(t.residual_gain, t.residual_share * n)
+
+
+def _but_a_trace(fall: float, gain: float, whole: float, n: int, t: Thresholds) -> bool:
     """Whether a residual force explains too little to be reported."""
-    return fall < least(t) or gain < t.trace * whole
+    return fall < _least(n, t) or gain < t.trace * whole
 
 
-def _much(data: Data, best: Fitted) -> tuple[Unexplained, ...]:
+def _much(data: Data, best: Fitted) -> tuple[ResidualAboveNoise, ...]:
     """Joints whose residuals are far above the noise, though no residual force that was tried explains them.
 
     Where a robot is held in place, some force explains all missing physics to first order.
     """
     if data.free.model.robot.traits.held_in_place:
         return ()
-    return _far_off(data, best.fit.residuals, best.noise)
+    return _far_above_noise(data, best.fit.residuals, best.noise)
 
 
 def not_confirmed(
@@ -131,20 +184,20 @@ def not_confirmed(
         data: what was fitted.
         best: the hypothesis.
         validation: what was not.
-        residuals: for each of these (m, nj) what the hypothesis leaves there [rad].
+        residuals: for each of these (m, nj) what the hypothesis leaves there [rad or m].
     """
-    if not validation or not _far_off(data, residuals, best.noise):
-        return ResidualAnalysis((), ())
+    if not validation or not _far_above_noise(data, residuals, best.noise):
+        return ResidualAnalysis()
     whole = replace(data, segments=[*data.segments, *validation])
     starts, _ = followed(best.fit.model, validation, data.simulator)
     begin = (best.fit.theta, [*best.fit.starts, *starts])
     try:
         refitted = whole.coarse_fit(best.hypothesis, [begin], best.noise, REFIT, 1e-5)
     except SimulationDiverged:
-        left = residuals
+        remaining = residuals
     else:
-        left = refitted.fit.residuals[len(data.segments) :]
-    return ResidualAnalysis(tuple(replace(o, only_on="validation") for o in _far_off(data, left, best.noise)), ())
+        remaining = refitted.fit.residuals[len(data.segments) :]
+    return ResidualAnalysis(_far_above_noise(data, remaining, best.noise, "validation"))
 
 
 def not_on_test(data: Data, best: Fitted, test: Sequence[Segment], residuals: Sequence[Array]) -> ResidualAnalysis:
@@ -154,25 +207,23 @@ def not_on_test(data: Data, best: Fitted, test: Sequence[Segment], residuals: Se
         data: what was fitted.
         best: the hypothesis.
         test: what took no part.
-        residuals: for each of these (m, nj) what the hypothesis leaves there [rad].
+        residuals: for each of these (m, nj) what the hypothesis leaves there [rad or m].
     """
-    if not test or not _far_off(data, residuals, best.noise):
-        return ResidualAnalysis((), ())
-    _, left = followed(best.fit.model, test, data.simulator)
-    return ResidualAnalysis(tuple(replace(o, only_on="test") for o in _far_off(data, left, best.noise)), ())
+    if not test or not _far_above_noise(data, residuals, best.noise):
+        return ResidualAnalysis()
+    _, remaining = followed(best.fit.model, test, data.simulator)
+    return ResidualAnalysis(_far_above_noise(data, remaining, best.noise, "test"))
 
 
-def _far_off(data: Data, residuals: Sequence[Array], noise: Noise) -> tuple[Unexplained, ...]:
+def _far_above_noise(
+    data: Data, residuals: Sequence[Array], noise: Noise, only_on: Literal["", "validation", "test"] = ""
+) -> tuple[ResidualAboveNoise, ...]:
     excess, thresholds = excess_variances(residuals, noise), data.thresholds
-    nothing = np.empty(0)
     return tuple(
-        Unexplained(
-            joint, float(own / excess.sum()), "", (joint,), own, thresholds.far_off, "", "", "",
-            nothing, nothing, nothing,
-        )
+        ResidualAboveNoise(joint, float(own / excess.sum()), own, thresholds.far_off, only_on)
         for joint, own in zip(data.free.model.robot.joint_names, map(float, excess), strict=True)
         if thresholds.decides(partial(_above, own))
-    )  # fmt: skip
+    )
 
 
 def _above(excess: float, t: Thresholds) -> bool:
@@ -183,15 +234,23 @@ def _reproduced(data: Data, base: Fitted, best: Fitted) -> bool:
     """Whether one residual force explains as much as several effects together, or as one at its bounds."""
     if len(best.hypothesis) < 2 and not (best.hypothesis and strained(data, best)):
         return False
-    return _stands_in(
-        data, base, best, _squares(data, base, best) - _squares(data, best, best), lambda t: t.replaces_all, 1
-    )
+    fall = chi2(data, base, best) - chi2(data, best, best)
+    return _replaced_by_force(data, base, best, fall, lambda t: t.replaces_all, 1)
 
 
-def _stands_in(
-    data: Data, without: Fitted, best: Fitted, gap: float, share: Callable[[Thresholds], float], tried: int
+def _replaced_by_force(
+    data: Data, without: Fitted, best: Fitted, fall: float, share: Callable[[Thresholds], float], tried: int
 ) -> bool:
-    """Whether one of the best residual forces, added to a hypothesis, explains this share of a fall of χ²."""
+    """Whether one of the best residual forces, added to a hypothesis, explains a share of a fall of χ².
+
+    Args:
+        data: what was measured.
+        without: the hypothesis.
+        best: that with the parts that the force would replace; forces that restate these are no simpler.
+        fall: of χ² from the one to the other.
+        share: that decides.
+        tried: so many of the best forces.
+    """
     at = linearise_fit(data, without, best.noise)
     if at is None:
         return False
@@ -199,13 +258,13 @@ def _stands_in(
     forces = [(force.found.gain, restates(force.group, best.hypothesis, at_joints)) for force in force_candidates(at)]
     others = [(gain, restated) for gain, restated in forces if restated != "same"][:tried]
     return data.thresholds.decides(
-        lambda t: any(gain > (t.replaces_restated if restated else share(t)) * gap for gain, restated in others)
+        lambda t: any(gain > (t.replaces_restated if restated else share(t)) * fall for gain, restated in others)
     )
 
 
-def _squares(data: Data, fitted: Fitted, noisy: Fitted) -> float:
-    """χ² of a fit under the noise of another."""
-    return sum(float((w**2).sum()) for w in whitened(data, noisy.noise, fitted.fit.residuals))
+def chi2(data: Data, fitted: Fitted, noisy: Fitted) -> float:
+    """χ² of a fit's residuals under the noise of another."""
+    return chi_squared(noisy.noise, data.times, fitted.fit.residuals)
 
 
 def strained(data: Data, fitted: Fitted) -> bool:
@@ -221,68 +280,64 @@ def strained(data: Data, fitted: Fitted) -> bool:
     return False
 
 
-def _redundant(data: Data, best: Fitted, without: Sequence[Fitted], left: float) -> tuple[int, ...]:
-    """Parts in whose place one residual force explains as much as the part and the remaining force together."""
-    own = _squares(data, best, best)
-    return tuple(
-        k
-        for k, fitted in enumerate(without)
-        if _stands_in(data, fitted, best, _squares(data, fitted, best) - own + left, lambda t: t.replaces_one, TRIED)
-    )
-
-
-def _barely(data: Data, best: Fitted) -> tuple[int, ...]:
-    """Parts at parameters that strain their laws, see ``Effect.degenerate``."""
+def _degenerate(data: Data, best: Fitted) -> list[int]:
+    """Places of parts at parameters that strain their laws, see ``Effect.degenerate``."""
     excitation = excitation_of(data.free.model, data.segments)
-    return tuple(
+    return [
         k
         for k, part in enumerate(best.hypothesis)
         if any(part.candidate.effect.degenerate(part.values, excitation[place]) for place in part.candidate.locations)
-    )
+    ]
+
+
+def _residual_forces(data: Data, at: LinearisedFit, forces: Sequence[SelectedForce]) -> tuple[ResidualForce, ...]:
+    """Of a report, each with its share of what all explain."""
+    total = sum(force.gain for force in forces)
+    threshold = _least(data.n, data.thresholds)
+    return tuple(_residual_force(data, at, force, force.gain / total, threshold) for force in forces)
 
 
 def _residual_force(
-    data: Data, at: LinearisedFit, top: ForceCandidate, columns: Array, share: float, threshold: float
-) -> Unexplained:
-    group = top.group
-    joint = _joint(at, group, top.found)
+    data: Data, at: LinearisedFit, force: SelectedForce, share: float, threshold: float
+) -> ResidualForce:
+    group, explanation = force.candidate.group, force.candidate.found
     axis = group.axes[0] if len(group.axes) == 1 else None
-    x = force = band = np.empty(0)
+    x = curve = band = np.empty(0)
     if axis is not None:
         x = np.linspace(*axis.range, POINTS)
-        force, band = _curve(at, columns, axis, x)
+        curve, band = _curve(at, force.columns, axis, x)
     names = {"joint": data.free.model.robot.joint_names, "actuator": data.free.model.robot.actuator_names}
     places = tuple(names[kind][i] for kind, i in group.forces)
-    unit = place_unit(data.free.model, f"{_unit('N·m', group)} | {_unit('N', group)}", places[0])
-    return Unexplained(
-        joint,
-        share,
-        group.depends_on,
-        places,
-        judged(top.found, at),
-        threshold,
-        unit,
-        axis.name if axis else "",
-        axis.unit if axis else "",
-        x,
-        force,
-        band,
+    return ResidualForce(
+        location=_joint(at, group, explanation),
+        share=share,
+        coordinates=group.coordinates,
+        places=places,
+        gain=judged(explanation, at),
+        threshold=threshold,
+        unit=place_unit(data.free.model, f"{_unit('N·m', group)} | {_unit('N', group)}", places[0]),
+        axis=axis.coordinate if axis else None,
+        axis_unit=axis.unit if axis else "",
+        x=x,
+        force=curve,
+        band=band,
     )
 
 
 def _unit(force: str, group: Group) -> str:
-    kind = group.factor.partition(".")[0]
-    return {"": force, "vel": f"{force}·s/rad", "rate": f"{force}·s/m", "cmd": f"{force}/Pa", "len": f"{force}/m"}.get(
-        kind, force
-    )
+    """Of the function that a factor multiplies; a sign has no unit."""
+    if group.factor is None or group.factor.sign:
+        return force
+    per = {"vel": "·s/rad", "rate": "·s/m", "cmd": "/Pa", "len": "/m"}
+    return force + per.get(group.factor.kind, "")
 
 
-def _joint(at: LinearisedFit, group: Group, found: Explained) -> str:
+def _joint(at: LinearisedFit, group: Group, explanation: Explained) -> str:
     """The joint on which the force does the most work, of those it acts on."""
     joints = at.fitted.fit.model.robot.joint_names
     work = np.zeros(len(joints))
     for torque, motion in zip(group.torques(at.motions), at.motions, strict=True):
-        fitted = torque @ found.coefficients
+        fitted = torque @ explanation.coefficients
         stiff = np.maximum(np.ptp(motion.position, axis=0), 1e-6)
         work += (fitted - fitted.mean(axis=0)).std(axis=0) * stiff
     allowed = [joints.index(name) for name in group.joints]
@@ -300,7 +355,7 @@ def _curve(at: LinearisedFit, columns: Array, axis: Axis, x: Array) -> tuple[Arr
     whole = float(np.linalg.eigvalsh(columns.T @ columns)[-1])
     determined = strength > UNTOLD * max(whole, 1e-300)
     residual = beside.project_out(at.whitened_fit.residual)
-    found = (turn[:, determined].T @ (free.T @ residual)) / strength[determined]
+    coefficients = (turn[:, determined].T @ (free.T @ residual)) / strength[determined]
     rows = axis.basis(x)
     rows = (rows - rows.mean(axis=0)) @ turn[:, determined]
-    return rows @ found, np.asarray(CONFIDENT * np.linalg.norm(rows / np.sqrt(strength[determined]), axis=1))
+    return rows @ coefficients, np.asarray(CONFIDENT * np.linalg.norm(rows / np.sqrt(strength[determined]), axis=1))

@@ -27,6 +27,12 @@ def parameter(unit: str, low: float, high: float, doc: str) -> Any:
 class Effect:
     """Base of all effects; a subclass names its parameters as dataclass fields made with ``parameter``.
 
+    Engines simulate what derives from ``ValveEffect``, ``ShapingEffect``, ``BodyEffect``, ``ForceEffect`` or
+    ``SensorEffect``; of anything else they have no law (``simulated``).
+
+    Where an effect does nothing is said once. A ``ForceEffect`` names its ``neutral`` parameter values; any other names
+    in ``nothing`` the value of its first parameter. ``grows_from`` and ``fades_to`` follow from these.
+
     Attributes:
         location: the joint, actuator or body it sits at.
 
@@ -40,11 +46,21 @@ class Effect:
     """Kinds of places: joint, actuator, link, foot, base."""
     summary: ClassVar[str]
     alike: ClassVar[bool] = True
-    """Whether it is tried with the same parameters at all places of a kind too, as for parts built alike."""
+    """Whether it is also tried at all places of a kind with the same parameters, as of parts of one make."""
     nothing: ClassVar[float | None] = 0.0
-    """See ``grows_from``."""
+    """The value of the first parameter at which the effect does nothing; None where there is none (``grows_from``)."""
     discontinuous: ClassVar[tuple[str, ...]] = ()
-    """Discontinuous parameters: the predictions are piecewise constant in them, so fits scan a grid."""
+    """Discontinuous parameters: the predictions are piecewise constant in them, so fits scan a grid.
+
+    The grid is θ·exp(w) for w evenly spaced between ±w₀ (``diagnosis.fitting``): it suits positive parameters alone. A
+    lower bound below 0 is refused, and a guess of 0 would stay at 0.
+    """
+    simulated: ClassVar[bool] = False
+    """Whether engines have its kind of law; True of the classes that effects derive from."""
+    rubs: ClassVar[bool] = False
+    """Whether it has dry friction of its own (``ForceEffect.dry_friction``)."""
+    loads: ClassVar[bool] = False
+    """Whether it has dry friction that grows with a drive's force (``ForceEffect.friction_of_load``)."""
     robots: ClassVar[tuple[str, ...]] = ("elastic",)
     """Kinds of robots that can have it: ``elastic`` (morphologies with elastic actuators), ``mjcf`` (MuJoCo's XML)."""
     mujoco_flags: ClassVar[tuple[str, ...]] = ()
@@ -54,7 +70,7 @@ class Effect:
     leg_sizes: ClassVar[tuple[Size, ...]] = ()
     """What a proof draws on the nominal leg: a size for each parameter at each place; none where it draws it not."""
     leg_alike: ClassVar[bool] = False
-    """Whether a proof also draws it alike in several places of the leg."""
+    """Whether a proof also draws it with the same parameters at several places of the leg."""
     mjcf_sizes: ClassVar[tuple[Share, ...]] = ()
     """What a proof draws on MJCF robots: a share for each parameter; none where it draws it not."""
 
@@ -80,12 +96,32 @@ class Effect:
                 )
 
     def slot(self, robot: Any) -> str:
-        """The place that ``exclusive`` means, on a robot (a ``robots.elastic.morphology.Morphology``)."""
+        """The place that ``exclusive`` means, on a robot (a ``robots.base.Robot``)."""
         return self.location
+
+    def exclusive_slot(self, robot: Any) -> tuple[str, str] | None:
+        """The slot of a robot that it takes: ``exclusive`` and ``slot``; None where it excludes nothing."""
+        return None if self.exclusive is None else (self.exclusive, self.slot(robot))
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        """Kind of place → names of those on a robot (a ``robots.base.Robot``) at which it can sit.
+
+        ``sits_at`` says which of the kinds are its own.
+        """
+        places: Mapping[str, tuple[str, ...]] = robot.places()
+        return places
 
     @classmethod
     def depends(cls) -> set[str] | None:
-        """On what its generalised force depends: ``pos``, ``vel``, ``cmd``, ``past``; None where it exerts none."""
+        """On what the force that it adds depends: ``pos``, ``vel``, ``cmd``, ``past``; None where it adds none.
+
+        A diagnosis compares this with the coordinates of an unstructured residual force at the same place: where they
+        agree the force restates the effect (``diagnosis.confounding.restates``). With None no force ever does. That
+        holds of all that changes what other terms of the model are made of: of masses, stops and gravity, and of
+        commands before they arrive, dead zone, coupling, saturation and threshold included, though these are static
+        maps of the command. Effects that scale or bound a drive's force itself say ``{"cmd"}``.
+        """
         return None
 
     def bounds(self, key: str, robot: Any) -> tuple[float, float]:
@@ -114,12 +150,12 @@ class Effect:
 
     @classmethod
     def grows_from(cls) -> float | None:
-        """The value of the first parameter at which the effect does nothing; None where there is no such."""
+        """The value of the first parameter at which the effect does nothing; None where there is no such value."""
         return cls.nothing
 
     @classmethod
     def fades_to(cls) -> Mapping[str, float]:
-        """Values of parameters towards which it fades away, about in proportion; none where it does not."""
+        """Parameter → value towards which its influence vanishes, about in proportion; empty where it does not."""
         nothing = cls.grows_from()
         return {} if nothing is None else {next(iter(cls.parameter_info())): nothing}
 
@@ -180,7 +216,20 @@ class Effect:
         if bare or not cls.parameter_info():
             what = f"{bare[0]!r} is not" if bare else "it has none"
             raise ConfigError(f"{who}: parameters are made with parameter(unit, low, high, doc), {what}")
+        cls._check_discontinuous(who)
         cls._check_sizes(who)
+
+    @classmethod
+    def _check_discontinuous(cls, who: str) -> None:
+        info = cls.parameter_info()
+        for key in cls.discontinuous:
+            if key not in info:
+                raise ConfigError(unknown_name("discontinuous parameter", key, info, who))
+            if info[key]["low"] < 0:
+                raise ConfigError(
+                    f"{who}: discontinuous parameter {key!r} has a lower bound of {info[key]['low']:g}, expected at "
+                    "least 0: the grid of its values is spaced evenly in its logarithm"
+                )
 
     @classmethod
     def _check_sizes(cls, who: str) -> None:
@@ -306,9 +355,8 @@ def check_exclusive(effects: Sequence[Effect], robot: Any, where: str) -> None:
     """
     taken: dict[tuple[str, str], str] = {}
     for effect in effects:
-        if effect.exclusive is None:
+        if (slot := effect.exclusive_slot(robot)) is None:
             continue
-        slot = (effect.exclusive, effect.slot(robot))
         if slot in taken:
             raise ConfigError(
                 f"{where}: {slot[1]!r} has two effects that exclude each other, {taken[slot]} and {effect.name}"

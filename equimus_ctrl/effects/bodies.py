@@ -46,6 +46,7 @@ class BodyEffect(Effect):
     """An effect that changes the morphology; a subclass writes ``changes``, or ``changed`` for other changes."""
 
     side = "force"
+    simulated = True
 
     def changes(self, robot: Robot) -> dict[str, float]:
         """Parameter name → new value, see ``Morphology.with_parameters``."""

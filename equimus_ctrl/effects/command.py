@@ -1,5 +1,8 @@
 """The laws of what happens between a command and the pressure in an actuator, as compiled functions.
 
+Where commands are no pressures, as of motors, "pressure" is the command as it arrives at the actuator, in the unit of
+that actuator's commands, which then takes the place of Pa.
+
 They stand here once and are called by every engine, one physics step at a time. A step needs of the pressure its mean
 and its slope: the line P(s) ≈ mean + slope·(s/dt − ½) has the same integral and the same first moment over the step as
 the pressure itself, so that changes anywhere within a step count by when they come.
@@ -19,6 +22,17 @@ SMALL_SHARE = 1e-3
 
 DEAD_ZONE, COUPLING, SATURATION, CUTOFF = 0, 1, 2, 3
 """The laws that act on a command's value at once, in the order in which they do."""
+
+DELAY, FILL, VENT, RATE, FLOW, POWER = range(6)
+"""A valve (6,): transport delay [s], time constants of filling and venting [s], greatest rate [Pa/s], greatest rate of
+filling at a command of ``REFERENCE`` [Pa/s], power of the command with which that grows."""
+
+DIRECT, FILTERED, INTEGRATED, SLEWED = 0, 1, 2, 3
+"""What follows a command u: a = u, da/dt = (u − a)/number, da/dt = u, |da/dt| ≤ number."""
+
+FOLLOW_KIND, FOLLOW_NUMBER, FOLLOW_LOW, FOLLOW_HIGH, FOLLOW_LEAST, FOLLOW_MOST = range(6)
+"""A follower (6,): its kind (``DIRECT`` to ``SLEWED``), time constant [s] or greatest rate, between what the command
+counts, between what the follower stays."""
 
 REFERENCE = 1e4
 """The command at which a filling flow is named [Pa]."""
@@ -129,10 +143,10 @@ def relax(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fastest(pressure: float, target: float, valve: Array) -> float:
-    """The greatest rate towards a command through a valve (6,), see ``advance_pressure`` [Pa/s]."""
-    rate: float = valve[3]
-    if target > pressure and valve[4] < math.inf:
-        rate = min(rate, valve[4] * (max(target, 0.0) / REFERENCE) ** valve[5])
+    """The greatest rate towards a command through a valve (6,), see ``DELAY`` [Pa/s]."""
+    rate: float = valve[RATE]
+    if target > pressure and valve[FLOW] < math.inf:
+        rate = min(rate, valve[FLOW] * (max(target, 0.0) / REFERENCE) ** valve[POWER])
     return rate
 
 
@@ -150,14 +164,13 @@ def advance_pressure(
         start: of the step, before the transport delay is taken off [s].
         dt: [s].
         pressure: at the start [Pa].
-        valve: (6,) transport delay [s], filling and venting time constants [s], greatest rate [Pa/s], greatest rate of
-            filling at a command of ``REFERENCE`` [Pa/s], power of the command with which that grows.
+        valve: (6,), see ``DELAY``.
 
     Returns:
         (pressure at the end, its mean over the step, its slope over the step [Pa], the cursor to hand in next).
     """
     n = len(times)
-    at = start - valve[0]
+    at = start - valve[DELAY]
     end = at + dt
     while cursor + 1 < n and times[cursor + 1] <= at:
         cursor += 1
@@ -171,7 +184,8 @@ def advance_pressure(
         last = not (k + 1 < n and times[k + 1] < end)
         until = end if last else times[k + 1]
         span = until - at
-        pressure, piece, first = relax(pressure, target, valve[1], valve[2], _fastest(pressure, target, valve), span)
+        fastest = _fastest(pressure, target, valve)
+        pressure, piece, first = relax(pressure, target, valve[FILL], valve[VENT], fastest, span)
         area += piece
         moment += first + (at - begin) * piece
         if last:
@@ -186,7 +200,7 @@ def advance_pressure(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _remembers(valve: Array) -> bool:
     """Whether the pressure behind a valve (6,) hangs on more than the command that last arrived there."""
-    return bool(valve[1] > 0.0 or valve[2] > 0.0 or valve[3] < math.inf or valve[4] < math.inf)
+    return bool(valve[FILL] > 0.0 or valve[VENT] > 0.0 or valve[RATE] < math.inf or valve[FLOW] < math.inf)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -211,7 +225,7 @@ def pressure_history(
             column[k] = commands[k, i]
         pressure, cursor = before[i], -1
         if start > times[0] and not _remembers(valve[i]):
-            cursor = np.searchsorted(times, start - valve[i, 0], side="right") - 1
+            cursor = np.searchsorted(times, start - valve[i, DELAY], side="right") - 1
             pressure = column[cursor] if cursor >= 0 else before[i]
         elif start > times[0]:
             lead = start - times[0]
@@ -222,11 +236,6 @@ def pressure_history(
             pressure, out[s, 0, i], out[s, 1, i], cursor = advance_pressure(
                 times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i]
             )
-
-
-FOLLOW_KIND, FOLLOW_TAU, FOLLOW_LOW, FOLLOW_HIGH, FOLLOW_LEAST, FOLLOW_MOST = range(6)
-"""What follows a command: its kind (0 nothing, 1 a first-order filter, 2 an integrator, 3 a limit of its rate), time
-constant [s] or greatest rate, between what the command counts, between what the follower stays."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -246,32 +255,32 @@ def follow_history(follow: Array, value: float, dt: float, own: int, out: Array)
     Returns:
         The follower's value at the end.
     """
-    low, high, least, most = follow[2], follow[3], follow[4], follow[5]
-    tau = follow[1]
+    kind, number = follow[FOLLOW_KIND], follow[FOLLOW_NUMBER]
+    low, high, least, most = follow[FOLLOW_LOW], follow[FOLLOW_HIGH], follow[FOLLOW_LEAST], follow[FOLLOW_MOST]
     for s in range(len(out)):
         mean, slope = out[s, 0, own], out[s, 1, own]
         if mean - 0.5 * abs(slope) < low or mean + 0.5 * abs(slope) > high:
             first, last = min(max(mean - 0.5 * slope, low), high), min(max(mean + 0.5 * slope, low), high)
             mean, slope = 0.5 * (first + last), last - first
-        if follow[0] >= 2.0:
-            # One line, or one up to where a bound or the command is met, and that from there on.
-            if follow[0] == 2.0:
+        if kind >= INTEGRATED:
+            # Integrated or slewed: one line, or one up to where a bound or the command is met, and that from there on.
+            if kind == INTEGRATED:
                 ahead, goal = mean * dt, most if mean > 0.0 else least
             else:
                 goal = mean + 0.5 * slope
-                ahead = tau * dt if goal > value else -tau * dt
+                ahead = number * dt if goal > value else -number * dt
             way = goal - value
             x = 1.0 if abs(way) >= abs(ahead) else (way / ahead if ahead != 0.0 else 0.0)
             end = value + ahead * x
             middle = x * (value + 0.5 * ahead * x) + (1.0 - x) * end
             moment = x * x * (0.5 * value + ahead * x / 3.0) + 0.5 * (1.0 - x * x) * end
             rise = 12.0 * (moment - 0.5 * middle)
-            if follow[0] == 2.0 and x == 1.0:
+            if kind == INTEGRATED and x == 1.0:
                 middle -= dt * slope / 12.0
-        elif tau <= 0.0:
+        elif number <= 0.0:
             end, middle, rise = mean + 0.5 * slope, mean, slope
         else:
-            x, behind = dt / tau, tau * slope / dt
+            x, behind = dt / number, number * slope / dt
             decay, area, moment = _decay_moments(x)
             off = value - (mean - 0.5 * slope - behind)
             end = mean + 0.5 * slope - behind + off * decay
@@ -312,12 +321,12 @@ def followed_history(
     """
     pressure_history(times, commands, before, valve, start, dt, out)
     for i in range(commands.shape[1]):
-        if follow[i, 0] == 0.0:
+        if follow[i, FOLLOW_KIND] == DIRECT:
             continue
         value = first[i]
-        if follow[i, 0] != 2.0:
-            value = min(max(before[i], follow[i, 2]), follow[i, 3])
-            value = min(max(value, follow[i, 4]), follow[i, 5])
+        if follow[i, FOLLOW_KIND] != INTEGRATED:
+            value = min(max(before[i], follow[i, FOLLOW_LOW]), follow[i, FOLLOW_HIGH])
+            value = min(max(value, follow[i, FOLLOW_LEAST]), follow[i, FOLLOW_MOST])
             if start > times[0]:
                 # It has followed since the first command.
                 steps = max(math.ceil((start - times[0]) / dt), 1)
@@ -330,12 +339,12 @@ def followed_history(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pressure_rollouts(first: Array, arriving: Array, valve: Array, dt: float, means: Array, ends: Array) -> None:
-    """The pressures of many rollouts that begin alike, commands being given as they arrive at the valves.
+    """The pressures of many rollouts from one start, commands being given as they arrive at the valves.
 
     Args:
         first: (na,) behind the valves at the start [Pa].
         arriving: (n, steps, na) what reaches the valves, each held over its step [Pa].
-        valve: (na, 6), see ``advance_pressure``; delays take no part.
+        valve: (na, 6), see ``DELAY``; delays take no part.
         dt: a part of a step [s].
         means: (n, steps·parts, na) written: the mean over each part [Pa].
         ends: (n, steps + 1, na) written: when steps begin and end [Pa].
@@ -350,6 +359,6 @@ def pressure_rollouts(first: Array, arriving: Array, valve: Array, dt: float, me
                 target = arriving[run, k, i]
                 for part in range(k * parts, (k + 1) * parts):
                     fastest = _fastest(pressure, target, valve[i])
-                    pressure, area, _ = relax(pressure, target, valve[i, 1], valve[i, 2], fastest, dt)
+                    pressure, area, _ = relax(pressure, target, valve[i, FILL], valve[i, VENT], fastest, dt)
                     means[run, part, i] = area / dt
                 ends[run, k + 1, i] = pressure

@@ -7,13 +7,16 @@ from typing import Any, Protocol
 
 from equimus_ctrl.types import Array
 
+CURVE_MARGIN, CURVE_POINTS = 0.12, 240
+"""A curve goes on beyond what recordings cover, by so much of that span on either side; points of a curve."""
+
 
 class Description(Protocol):
     """What a sentence on an effect can contain: where it acts, and its estimated parameters in readable units."""
 
     @property
     def places(self) -> tuple[str, ...]:
-        """Where it acts alike."""
+        """Where it acts with the same parameters."""
         ...
 
     @property

@@ -10,11 +10,11 @@ class Excitation:
     """What recordings show of a place, from which sizes worth trying there follow.
 
     Attributes:
-        low: lower end of what its coordinate covers: a joint's angle [rad] or an actuator's length [m].
+        low: lower end of what its coordinate covers: a hinge's angle [rad], a slide's way or an actuator's length [m].
         high: upper end.
         speed: what its rate seldom exceeds [rad/s or m/s].
         force: generalised force that moves it from one end to the other [N·m or N].
-        command: largest command of the actuator, or of any where the place is none [Pa].
+        command: largest command of the actuator, or of any where the place is none [Pa or unit of the command].
         interval: usual time between samples [s].
         duration: of a trial [s].
         mass: of what moves [kg].

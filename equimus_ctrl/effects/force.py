@@ -1,8 +1,8 @@
 """Effects that exert a generalised force: a joint torque or a force along an actuator, as CasADi expressions.
 
-The one law of each effect is written over scalars: x is the joint's angle [rad] or the actuator's length [m], rate its
-derivative, z the effect's own states. Forces count positive where they would increase x. An effect may also scale what
-an actuator makes of its pressure.
+The one law of each effect is written over scalars: x is the joint's position [rad or m] or the actuator's length [m],
+rate its derivative, z the effect's own states. Forces count positive where they would increase x. An effect may also
+scale what an actuator makes of its pressure.
 """
 
 from __future__ import annotations
@@ -15,18 +15,15 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, Robots, parameter, register
-from equimus_ctrl.effects.description import Curve, Description
+from equimus_ctrl.effects.description import CURVE_MARGIN, CURVE_POINTS, Curve, Description
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.errors import ConfigError
 
 Parameters = Mapping[str, ca.SX]
 
-BEYOND, POINTS = 0.12, 240
-"""So much of the span that recordings cover a curve goes on beyond it on either side; points of a curve."""
-
 LEAST_LEFT = 0.2
-"""A narrowing area grows to five times itself at most, however short its actuator becomes."""
+"""A length-dependent area grows to five times itself at most, however short its actuator becomes."""
 
 PROBE, REST, LOAD = (0.73, -1.9, 1.9), 0.47, 1.3
 """Some x, rate, speed, rest length and load at which a law is asked whether its neutral parameters switch it off."""
@@ -34,16 +31,17 @@ PROBE, REST, LOAD = (0.73, -1.9, 1.9), 0.47, 1.3
 
 @dataclass(frozen=True)
 class ForceEffect(Effect):
-    """An effect that exerts a generalised force along one coordinate x."""
+    """An effect that exerts a generalised force along one coordinate x.
+
+    A subclass overrides ``force``, ``dry_friction``, ``friction_of_load`` or ``more_area``; ``rubs``, ``loads`` and
+    ``scales`` say which of the last three, and are found out by themselves.
+    """
 
     side = "force"
+    simulated = True
     n_states: ClassVar[int] = 0
-    rubs: ClassVar[bool] = False
-    """Whether the effect has a ``dry_friction`` of its own; found out by itself."""
     scales: ClassVar[bool] = False
-    """Whether it has a ``more_area`` of its own; found out by itself."""
-    loads: ClassVar[bool] = False
-    """Whether it has a ``friction_of_load`` of its own; found out by itself."""
+    """Whether it has a ``more_area`` of its own."""
     mujoco_field: ClassVar[tuple[str, int | None] | None] = None
     """Field of a degree of freedom in ``mujoco.MjModel`` that its only parameter is added to, and the entry there."""
     neutral: ClassVar[Mapping[str, float]]
@@ -59,6 +57,12 @@ class ForceEffect(Effect):
             cls.mujoco_flags = ("constraint", "frictionloss")
         if cls.exclusive is None and hasattr(cls, "name"):
             cls.exclusive = cls.name
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        """Kind of place → names of those at which forces can act, see ``robots.base.Robot.force_places``."""
+        places: Mapping[str, tuple[str, ...]] = robot.force_places()
+        return places
 
     @classmethod
     def grows_from(cls) -> float | None:
@@ -88,10 +92,8 @@ class ForceEffect(Effect):
         states = ca.vertsplit(z) if cls.n_states else []
         try:
             rates, rests = list(cls.state_rate(x, rate, states, p)), list(cls.rest_state(x, p))
-            terms = (
-                cls.force(x, rate, states, p) + cls.friction_of_load(ca.SX(LOAD), speed, p),
-                cls.dry_friction(x, speed, p), cls.more_area(x, ca.SX(REST), p),
-            )  # fmt: skip
+            most, more = cls.greatest_friction(x, speed, ca.SX(LOAD), p), cls.more_area(x, ca.SX(REST), p)
+            terms = (cls.force(x, rate, states, p), most, more)
             symbols = [x, rate, speed, z, ca.vertcat(*p.values())]
             law = ca.Function("law", symbols, [*map(ca.SX, terms), ca.vertcat(*rates), ca.vertcat(*rests)])
         except Exception as error:
@@ -114,7 +116,8 @@ class ForceEffect(Effect):
         if not self.scales:
             return ()
         rest = next(a for a in robot.actuators if a.name == self.location).rest_length
-        x = np.linspace(excitation.low - BEYOND * excitation.span, excitation.high + BEYOND * excitation.span, POINTS)
+        margin = CURVE_MARGIN * excitation.span
+        x = np.linspace(excitation.low - margin, excitation.high + margin, CURVE_POINTS)
         length, p = ca.SX.sym("length"), {key: ca.SX(value) for key, value in self.parameters().items()}
         share = 1 + ca.SX(self.more_area(length, ca.SX(rest), p))
         area = np.array(ca.Function("area", [length], [share])(x[None, :])).ravel()
@@ -132,8 +135,7 @@ class ForceEffect(Effect):
         """
         x, rate, p = ca.SX.sym("x"), ca.SX.sym("rate"), {key: ca.SX.sym(key) for key in cls.parameter_info()}
         z = [ca.SX.sym(f"z{k}") for k in range(cls.n_states)]
-        total = ca.SX(cls.force(x, rate, z, p)) + ca.SX(cls.dry_friction(x, ca.fabs(rate), p)) * ca.sign(rate)
-        total += ca.SX(cls.friction_of_load(ca.SX(LOAD), ca.fabs(rate), p)) * ca.sign(rate)
+        total = cls.sliding_force(x, rate, z, ca.SX(LOAD), p)
         area = ca.SX(cls.more_area(x, ca.SX(1), p))
         if z and ca.depends_on(total, ca.vertcat(*z)):
             return {"past"}
@@ -144,6 +146,17 @@ class ForceEffect(Effect):
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         """The generalised force [N·m] or [N]."""
         return ca.SX(0)
+
+    @classmethod
+    def greatest_friction(cls, x: ca.SX, speed: ca.SX, load: ca.SX, p: Parameters) -> ca.SX:
+        """``dry_friction`` + ``friction_of_load`` under a drive's force of a size ``load`` ≥ 0 [N·m] or [N]."""
+        return ca.SX(cls.dry_friction(x, speed, p)) + ca.SX(cls.friction_of_load(load, speed, p))
+
+    @classmethod
+    def sliding_force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], load: ca.SX, p: Parameters) -> ca.SX:
+        """All that it exerts while x moves: ``force`` − ``greatest_friction``·sign(rate) [N·m] or [N]."""
+        opposing = cls.greatest_friction(x, ca.fabs(rate), load, p) * ca.sign(rate)
+        return ca.SX(cls.force(x, rate, z, p)) - opposing
 
     @classmethod
     def more_area(cls, x: ca.SX, rest: ca.SX, p: Parameters) -> ca.SX:
@@ -344,7 +357,10 @@ class NonlinearStiffness(ForceEffect):
 @register
 @dataclass(frozen=True)
 class NarrowingArea(ForceEffect):
-    """Area s/(1 + loss·(x/l₀ − 1)) at length x, s at the rest length l₀; with loss 1 the actuator keeps its volume."""
+    """Length-dependent effective area s/(1 + loss·(x/l₀ − 1)) at length x, s being that at the rest length l₀.
+
+    With loss 1 the actuator keeps its volume.
+    """
 
     name = "narrowing_area"
     sits_at = ("actuator",)
@@ -464,6 +480,16 @@ class Hysteresis(ForceEffect):
     def sentence(cls, t: Description) -> str:
         force = t.one_or(f"The force of {t.at} depends", f"The forces of {t.at} depend")
         return f"{force} on the path of the length: a hysteresis of ±{t['size']} that builds up over {t['width']}."
+
+
+def force_effects(effects: Sequence[Effect]) -> tuple[ForceEffect, ...]:
+    """Those of a model's effects that exert a force, in their order."""
+    return tuple(effect for effect in effects if isinstance(effect, ForceEffect))
+
+
+def laws_of(effects: Sequence[Effect]) -> tuple[type[ForceEffect], ...]:
+    """The force laws that a model's effects have, each once, by name; see ``models.augmented``."""
+    return tuple(sorted({type(effect) for effect in force_effects(effects)}, key=lambda law: law.name))
 
 
 def force_laws(robots: Robots = "elastic") -> tuple[type[ForceEffect], ...]:

@@ -17,6 +17,7 @@ from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.types import Array
 
 OFFSET, SCALE, SENSOR_DELAY, PLAY = 0, 1, 2, 3
+"""A joint's sensor (4,): offset [rad], scale, delay [s] and play [rad]; of a slide with m in the place of rad."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,12 @@ class SensorEffect(Effect):
     """An effect that is a setting of a joint's sensor."""
 
     side = "measurement"
+    simulated = True
     sits_at = ("joint",)
     robots = ("elastic", "mjcf")
 
     def apply(self, sensor: Array) -> None:
-        """Write this effect into its joint's row (4,): offset [rad], scale, delay [s], play [rad]."""
+        """Write this effect into its joint's row (4,), see ``OFFSET``."""
         raise NotImplementedError
 
 
@@ -130,7 +132,7 @@ class Backlash(SensorEffect):
 
 
 def sensor_settings(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
-    """(nj, 4) offset [rad], scale, delay [s] and play [rad] of each joint's sensor."""
+    """(nj, 4) of each joint's sensor, see ``OFFSET``."""
     sensor = np.zeros((len(joints), 4))
     sensor[:, SCALE] = 1.0
     for effect in effects:
@@ -215,15 +217,15 @@ def sample(
         v: (n,) their rates [rad/s].
         start: of the grid [s].
         dt: of the grid [s].
-        sensor: (4,), see ``SensorEffect.apply``.
+        sensor: (4,), see ``OFFSET``.
         times: (m,) ascending, none beyond the grid [s].
         out: (m,) written [rad].
         before: rate of the joint before the grid [rad/s]; by default it stood still.
     """
-    n, play = len(q), sensor[3]
+    n, play = len(q), sensor[PLAY]
     held, reached = q[0], 0
     for k in range(len(times)):
-        place = (times[k] - sensor[2] - start) / dt
+        place = (times[k] - sensor[SENSOR_DELAY] - start) / dt
         if place <= 0.0:
             angle = q[0] + before * place * dt
         else:

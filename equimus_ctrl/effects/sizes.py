@@ -4,8 +4,8 @@ An effect's class holds its own (``Effect.leg_sizes``, ``Effect.mjcf_sizes``). A
 
 On the nominal leg they are numbers. A knee of this leg gives way by 1 rad for about 0.8 N·m and its hip for about
 3 N·m, so 2 mrad of noise are 1.6 and 6 mN·m, or some 0.05 N along an actuator. What lasts for a whole rest shows far
-below that. With middling noise the weak ends leave an excess of mostly 0.01 to 0.1, the strong ones 10 to 200. Commands
-reach 42 kPa (MAA) and 30 kPa (BAA), but BAA is mostly below 22 kPa.
+below that. With median noise the weak ends leave an excess residual variance of mostly 0.01 to 0.1, the strong ones 10
+to 200. Commands reach 42 kPa (MAA) and 30 kPa (BAA), but BAA is mostly below 22 kPa.
 
 On an MJCF robot they are shares of what its recordings show of each place: forces of the largest that the drive or
 gravity exerts there, rates and ways of what is covered.

@@ -1,7 +1,8 @@
 """Effects between a command and an actuator's pressure; the valves' laws are in ``effects.command``.
 
-A command passes first what acts on its value at once (dead zone, supply coupling, saturation, cutoff, in this
-order), then the valve: transport delay, rate limit, filling flow and lag.
+A command passes first what acts on its value at once (dead zone, supply coupling, saturation, threshold with jump, in
+this order), then the valve: transport delay, rate limit, filling flow and lag. Of motors a "valve" is whatever lies
+between a command and the drive, and Pa stands for the unit of its command.
 """
 
 from __future__ import annotations
@@ -14,13 +15,24 @@ from typing import Any, ClassVar
 import numpy as np
 
 from equimus_ctrl.effects.base import Effect, parameter, register
-from equimus_ctrl.effects.command import COUPLING, CUTOFF, DEAD_ZONE, REFERENCE, SATURATION, shape_column
+from equimus_ctrl.effects.command import (
+    COUPLING,
+    CUTOFF,
+    DEAD_ZONE,
+    REFERENCE,
+    SATURATION,
+    shape_column,
+)
+from equimus_ctrl.effects.command import DELAY as DELAY
+from equimus_ctrl.effects.command import FILL as FILL
+from equimus_ctrl.effects.command import FLOW as FLOW
+from equimus_ctrl.effects.command import POWER as POWER
+from equimus_ctrl.effects.command import RATE as RATE
+from equimus_ctrl.effects.command import VENT as VENT
 from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.types import Array
-
-DELAY, FILL, VENT, RATE, FLOW, POWER = range(6)
 
 
 @dataclass(frozen=True)
@@ -28,10 +40,11 @@ class ValveEffect(Effect):
     """An effect that is a setting of the valve between command and pressure."""
 
     side = "command"
+    simulated = True
     sits_at = ("actuator",)
 
     def apply(self, valve: Array) -> None:
-        """Write this effect into its actuator's row, see ``effects.command.advance_pressure``."""
+        """Write this effect into its actuator's row (6,), see ``effects.command.DELAY``."""
         raise NotImplementedError
 
 
@@ -40,6 +53,7 @@ class ShapingEffect(Effect):
     """An effect on the value of a command, without memory."""
 
     side = "command"
+    simulated = True
     sits_at = ("actuator",)
     order: ClassVar[int]
     """Effects of lower order act first."""
@@ -305,7 +319,7 @@ class Saturation(CompiledShaping):
 @register
 @dataclass(frozen=True)
 class Cutoff(CompiledShaping):
-    """u' = u where u ≥ least, else 0."""
+    """Threshold with jump: u' = u where u ≥ least, else 0."""
 
     name = "cutoff"
     summary = "threshold with jump: the valve stays shut below a least command, and follows it in full above"
@@ -329,7 +343,7 @@ class Cutoff(CompiledShaping):
 
 
 def valve_settings(effects: Sequence[Effect], actuators: Sequence[str]) -> Array:
-    """(na, 6) each actuator's valve, see ``effects.command.advance_pressure``."""
+    """(na, 6) each actuator's valve, see ``effects.command.DELAY``."""
     valve = np.zeros((len(actuators), 6))
     valve[:, [RATE, FLOW]] = math.inf
     for effect in effects:
@@ -351,9 +365,14 @@ def valve_effects(valve: Array, actuator: str) -> list[ValveEffect]:
     return found
 
 
+def shaping_effects(effects: Sequence[Effect]) -> list[ShapingEffect]:
+    """Those of a model's effects that act on a command's value, in the order in which they do."""
+    return sorted((e for e in effects if isinstance(e, ShapingEffect)), key=lambda e: e.order)
+
+
 def shaped_commands(effects: Sequence[Effect], actuators: Sequence[str], commands: Array) -> Array:
     """(n, na) what reaches the valves of commands (n, na) [Pa]; shaping effects of one order act side by side."""
-    shapers = sorted((e for e in effects if isinstance(e, ShapingEffect)), key=lambda e: e.order)
+    shapers = shaping_effects(effects)
     shaped: Array = np.array(commands)
     for order in sorted({e.order for e in shapers}):
         given = shaped.copy()
@@ -372,7 +391,7 @@ def command_for(
     effects: Sequence[Effect], actuators: Sequence[str], pressure: Array, low: Array | float, high: Array | float
 ) -> Array:
     """(n, na) commands between low and high of which shaping leaves pressures (n, na), or comes near to them [Pa]."""
-    if not any(isinstance(effect, ShapingEffect) for effect in effects):
+    if not shaping_effects(effects):
         return pressure
     command = best = np.clip(pressure, low, high)
     least = np.full((len(pressure), 1), math.inf)
@@ -398,7 +417,7 @@ def useful_commands(
     """
     na = len(actuators)
     least, most = np.full(na, low), np.full(na, high)
-    if not any(isinstance(effect, ShapingEffect) for effect in effects):
+    if not shaping_effects(effects):
         return least, most
 
     def arrives(own: Array) -> Array:
@@ -420,7 +439,7 @@ def useful_commands(
 
 def shaping_laws(effects: Sequence[Effect], actuators: Sequence[str]) -> Array | None:
     """(m, 3) the shaping effects as ``effects.command.shape_command`` takes them; None where one is Python alone."""
-    shapers = sorted((e for e in effects if isinstance(e, ShapingEffect)), key=lambda e: e.order)
+    shapers = shaping_effects(effects)
     rows = [
         (e.order, list(actuators).index(e.location), e.number)
         for e in shapers

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from equimus_ctrl import computer
 from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.command import FOLLOW_KIND, FOLLOW_LEAST, FOLLOW_MOST, INTEGRATED
 from equimus_ctrl.effects.sensors import SCALE
-from equimus_ctrl.effects.valves import (
-    ShapingEffect,
-    shaped_commands,
-)
+from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
 from equimus_ctrl.engines.encoding import Encoded, grouped
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
@@ -25,8 +23,8 @@ from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
-from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
-from equimus_ctrl.robots.mechanics import INTEGRATED, Structure
+from equimus_ctrl.robots.elastic.morphology import Phase, elastic_of
+from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
 
 STEP = 1e-3
@@ -52,8 +50,8 @@ def simulate(
         models: of one robot; they may differ in all parameters and effects. Encoded beforehand they are the same in
             every trial.
         trials: what is predicted.
-        starts: for each trial (k, nj) angles at the start, or (k, 2 nj) angles and velocities, one row a model [rad,
-            rad/s]; the trial's own by default.
+        starts: for each trial (k, nj) joint positions at the start, or (k, 2 nj) positions and velocities, one row a
+            model [rad or m, rad/s or m/s]; the trial's own by default.
         dt: physics step [s].
         threads: to use; as many as there are cores by default. The result does not depend on it.
         check: warn where the step is too long for the first model.
@@ -127,14 +125,14 @@ def _simulated(
     poses = [trial.position for trial in trials]
     robot = changed_bodies(models[0].effects, models[0].robot)
     # A divergence is visible by itself.
-    if check and isinstance(robot, Morphology) and all(found.sound[0] for found in results):
+    if check and robot.traits.held_in_place and all(found.sound[0] for found in results):
         reached = [found.position[0] for found in results]
-        warn_if_coarse(robot, models[0].phase, poses, dt, reached, MOST_DIVISOR)
+        warn_if_coarse(elastic_of(robot), models[0].phase, poses, dt, reached, MOST_DIVISOR)
     return results
 
 
 def _shared(trials: Sequence[Trial], chosen: Sequence[int]) -> list[list[int]]:
-    """Trials, as indices, that share one history of commands: such as windows of one recording."""
+    """Trials, as indices, that share one history of commands: such as shooting intervals of one recording."""
     groups: dict[Hashable, list[int]] = {}
     for index in chosen:
         groups.setdefault(trials[index].history, []).append(index)
@@ -142,7 +140,7 @@ def _shared(trials: Sequence[Trial], chosen: Sequence[int]) -> list[list[int]]:
 
 
 class _Histories:
-    """What reaches the valves in trials, each worked out once for all models and windows that share it."""
+    """What reaches the valves in trials, each worked out once for all models and shooting intervals that share it."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[Hashable, ...], Array] = {}
@@ -214,7 +212,7 @@ class _Block:
             row = trial.position if starts is None else starts[t][self.models]
             q0[t], speed = row[..., :nj], row[..., nj:]
             v0[t] = speed if speed.size else 0.0 if trial.velocity is None else trial.velocity
-        follow = self.follow[:, :, 0]
+        follow = self.follow[:, :, FOLLOW_KIND]
         first = np.zeros((len(trials), *follow.shape))
         if follow.any():
             first[:] = [first_activations(self.coded, self.rows, own, q) for own, q in zip(trials, q0, strict=True)]
@@ -273,13 +271,13 @@ def first_activations(coded: Encoded, rows: slice, trial: Trial, position: Array
     found = np.zeros(follow.shape[:2])
     if trial.activation is not None:
         found[:] = trial.activation
-    elif (follow[:, :, 0] == INTEGRATED).any():
+    elif (follow[:, :, FOLLOW_KIND] == INTEGRATED).any():
         lengths = actuator_lengths(coded.form, coded.models[0].phase)
         moved = coded.mechanics[0].starts
         for row, own, q in zip(found, coded.mechanics[rows], position, strict=True):
             along = np.array(lengths(q[moved], own.parameters)).ravel()
             row[:] = along[[channel.actuator for channel in own.channels]]
-    return np.clip(found, follow[:, :, 4], follow[:, :, 5])
+    return np.clip(found, follow[:, :, FOLLOW_LEAST], follow[:, :, FOLLOW_MOST])
 
 
 @lru_cache(maxsize=32)
@@ -298,5 +296,5 @@ def compile_kernel(model: Model) -> None:
 
 
 def shaped_for(model: Model, trial: Trial) -> Array:
-    """(1 + n, na) what reaches the valves: before the first row, then row by row [Pa]."""
+    """(1 + n, na) what reaches the valves, before the first row, then row by row [Pa or unit of the commands]."""
     return shaped_commands(model.effects, model.robot.actuator_names, np.vstack([trial.before, trial.commands]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import get_args
@@ -11,6 +11,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from equimus_ctrl.effects.base import Robots
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.engines.base import Discretisation, Engine, EngineName
 from equimus_ctrl.engines.batch import simulate
@@ -18,15 +19,13 @@ from equimus_ctrl.engines.contacts import touching
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_trials import simulate_mujoco
-from equimus_ctrl.engines.step_choice import followed_step, noise_of
+from equimus_ctrl.engines.step_choice import StepChoice, followed_step, noise_of
 from equimus_ctrl.engines.steps import step_divisor
 from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
-from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.robots.mechanics import Structure
-from equimus_ctrl.robots.mjcf.form import TreeForm
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
 
@@ -47,7 +46,7 @@ in a row. Those of so many links have more in any case."""
 @lru_cache(maxsize=64)
 def too_large(form: Structure) -> bool:
     """Whether the accelerations of a structure take so many operations that compiling them takes minutes."""
-    if isinstance(form, TreeForm) and len(form.links) > MOST_LINKS:
+    if form.n_links > MOST_LINKS:
         return True
     m = build(form, "swing")
     whole = ca.Function("acceleration", [m.q, m.v, m.f, m.tau, m.p], [m.acceleration])
@@ -60,7 +59,7 @@ class ReducedEngine(Engine):
 
     Attributes:
         dt: physics step [s]; by default ``longest``, divided until it follows the first model that is simulated. It
-            then stays, so that a search always sees the same discretisation.
+            then stays, so that a search always sees the same discretisation; see ``step_choice.StepChoice``.
         longest: [s].
         reason: see ``Engine``.
         noise: (nj,) of what is to be simulated, see ``step_choice.noise_of``; None where it is not known.
@@ -75,20 +74,19 @@ class ReducedEngine(Engine):
     longest: float = STEP
     reason: str = ""
     noise: Array | None = None
-    _chosen: list[float] = field(default_factory=list, init=False, repr=False)
+    _choice: StepChoice = field(default_factory=StepChoice, init=False, repr=False)
 
     @property
     def step(self) -> float | None:
         """The step that it took [s]; None where it has simulated nothing yet."""
-        return self._chosen[0] if self._chosen else self.dt
+        return self._choice.step or self.dt
 
     def simulate(
         self, models: Sequence[Model], trials: Sequence[Trial], starts: Sequence[Array], threads: int | None = None
     ) -> list[Predicted]:
-        if not self._chosen:
-            self._chosen.append(self.dt or self._short_enough(models[0], trials, [rows[0] for rows in starts]))
-        known = self.dt is not None
-        return simulate(models, trials, starts=starts, dt=self._chosen[0], threads=threads, check=known)
+        step = self._choice.kept(lambda: self.dt or self._short_enough(models[0], trials, [rows[0] for rows in starts]))
+        asked_for = self.dt is not None
+        return simulate(models, trials, starts=starts, dt=step, threads=threads, check=asked_for)
 
     def _short_enough(self, model: Model, trials: Sequence[Trial], starts: Sequence[Array]) -> float:
         if model.robot.traits.held_in_place:
@@ -217,10 +215,21 @@ def engine_for(
         raise ConfigError(unknown_name("engine", name, get_args(EngineName)))
     if dt is not None and not 0 < dt < float("inf"):
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
-    robot = model.robot
-    if isinstance(robot, Morphology):
-        return ElementEngine(dt) if name == "mujoco" else ReducedEngine(dt)
-    own = mjcf_of(robot)
+    return ENGINES_OF[model.robot.traits.catalogue](model, name, dt, positions)
+
+
+def _engine_of_elastic(
+    model: Model, name: EngineName | None, dt: float | None, positions: Sequence[Array]
+) -> ReducedEngine | ElementEngine:
+    """Compiled equations of motion hold every robot with elastic actuators."""
+    return ElementEngine(dt) if name == "mujoco" else ReducedEngine(dt)
+
+
+def _engine_of_mjcf(
+    model: Model, name: EngineName | None, dt: float | None, positions: Sequence[Array]
+) -> ReducedEngine | MujocoEngine:
+    """Compiled equations of motion where they hold all of the robot and can be compiled in time, else MuJoCo."""
+    robot, own = model.robot, mjcf_of(model.robot)
     if name == "mujoco":
         return MujocoEngine(own, dt, reason="it was asked for")
     reason = next(iter(own.obstacles), None) or touching(own, positions)
@@ -233,3 +242,10 @@ def engine_for(
     if name == "reduced":
         raise ConfigError(f"{robot.name}: compiled equations of motion cannot hold {reason}; expected --engine mujoco")
     return MujocoEngine(own, dt, reason=f"compiled equations of motion cannot hold {reason}")
+
+
+ENGINES_OF: dict[Robots, Callable[[Model, EngineName | None, float | None, Sequence[Array]], Engine]] = {
+    "elastic": _engine_of_elastic,
+    "mjcf": _engine_of_mjcf,
+}
+"""Kind of robots (``RobotTraits.catalogue``) → which of its engines simulates a model."""

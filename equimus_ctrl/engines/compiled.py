@@ -23,6 +23,7 @@ import numba
 import platformdirs
 
 from equimus_ctrl.engines import (
+    lane_dry_friction,
     lane_functions,
     lane_kernel,
     lane_objects,
@@ -55,6 +56,8 @@ from equimus_ctrl.types import Array
 DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")'
 _STUB = "equimus_ctrl.engines.model_functions"
 _LANE_STUB = "equimus_ctrl.engines.lane_functions"
+LANE_KERNELS = (lane_steps, lane_dry_friction, lane_kernel)
+"""Modules written against ``engines.lane_functions``, each of which may import from those before it."""
 
 
 def cache_folder() -> Path:
@@ -91,7 +94,7 @@ def load(model: Morphology, phase: Phase, kernel: ModuleType, laws: Laws = ()) -
         model: whose structure; its parameters are arguments of the kernels.
         phase: base fixed or foot pinned.
         kernel: a module written against ``engines.model_functions``; it may import from other such modules, and from
-            ``engines.lane_functions``, ``engines.lane_steps`` and ``engines.lane_kernel``.
+            ``engines.lane_functions`` and the kernels written against that (``LANE_KERNELS``).
         laws: force laws that the lanes have wherever they can sit.
     """
     return _load(structure(model), phase, kernel, laws)
@@ -130,7 +133,7 @@ def load_lanes(form: Structure, phase: Phase, laws: Laws) -> ModuleType:
 def _lane_modules(form: Structure, phase: Phase, laws: Laws) -> dict[str, ModuleType]:
     """What takes the place of each module that is written against the lanes' functions."""
     made = {_LANE_STUB: _lane_model(form, phase, laws)}
-    for module in (lane_steps, lane_kernel):
+    for module in LANE_KERNELS:
         made[module.__name__] = _led(module, made)
     return made
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
+from equimus_ctrl.effects.command import FOLLOW_KIND
 from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.sensors import SensorEffect, sensor_settings
 from equimus_ctrl.effects.valves import (
@@ -33,6 +34,7 @@ from equimus_ctrl.robots.mjcf.form import FAR
 from equimus_ctrl.types import Array
 
 KNOWN_KINDS = (BodyEffect, ForceEffect, SensorEffect, ShapingEffect, ValveEffect)
+"""What effects have to derive from to be simulated; each says so itself (``Effect.simulated``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +45,10 @@ class Encoded:
         models: (k) whose.
         mechanics: (k) of their robots, with all effects on bodies.
         parameters: (k, np).
-        valve: (k, na, 6).
-        follow: (k, na, 6).
+        valve: (k, na, 6), see ``effects.command.DELAY``.
+        follow: (k, na, 6), see ``effects.command.FOLLOW_KIND``.
         between: (k, 2, na) lowest and highest command that gets to the valves.
-        sensor: (k, nj, 4).
+        sensor: (k, nj, 4), see ``effects.sensors.OFFSET``.
         rubbing: rows of dry friction in use.
     """
 
@@ -99,7 +101,7 @@ def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
             )
         require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the reduced engine")
         for effect in model.effects:
-            if isinstance(effect, ForceEffect) and (effect.rubs or effect.loads):
+            if effect.rubs or effect.loads:
                 in_use |= {
                     r for r, (kind, i) in enumerate(places) if own.law_places.get(kind, {i: ""})[i] == effect.location
                 }
@@ -131,11 +133,7 @@ def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
 
 def mechanics_of(model: Model, trial: Trial | None) -> Mechanics:
     """Of a model's robot with all effects on bodies, and what is known to be another number in a trial."""
-    robot = model.robot
-    if trial is not None and (trial.settings or trial.factors):
-        known = robot.parameters()
-        settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
-        robot = robot.with_parameters(settings)
+    robot = model.robot if trial is None else trial.robot_in(model.robot)
     return changed_bodies(model.effects, robot).mechanics()
 
 
@@ -160,10 +158,10 @@ def _channels(model: Model, own: Mechanics) -> tuple[Array, Array, Array]:
         between[:, i] = channel.low, channel.high
         if channel.kind == FILTERED and channel.least <= channel.low and channel.high <= channel.most:
             valve[i, FILL] = valve[i, VENT] = channel.number
-            follow[i, 0] = DIRECT
+            follow[i, FOLLOW_KIND] = DIRECT
         if channel.kind == SLEWED:
             valve[i, RATE] = channel.number
-            follow[i, 0] = DIRECT
+            follow[i, FOLLOW_KIND] = DIRECT
     return valve, follow, between
 
 

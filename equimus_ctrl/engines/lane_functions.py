@@ -1,5 +1,8 @@
 """What the generator writes for each structure and set of laws; the lane kernel is written against these.
 
+Units here and in the kernels are those of hinges and pressures: rad, N·m, Pa. Of slides m takes the place of rad and N
+of N·m, and where commands are no pressures their own unit that of Pa.
+
 A lane is one parameter set. All lanes' numbers live in one flat work array w: entry l of row r at r·LANES + l. The
 rows ROW_* hold, in this order: the state x = (q, v, z), its derivative, a sum of derivatives, the state at the start
 of a step, pressures, held friction, what friction needs, what joint stops need, and the constants that

@@ -1,11 +1,9 @@
 """The batch kernel: many parameter sets, side by side in lanes, through one trial.
 
-The classical Runge–Kutta method of order four on a fixed grid. Dry friction is held over each step and corrected at its
-end by the impulses that velocity-level Coulomb friction asks for: a box-constrained complementarity problem, solved by
-active sets from the last step's friction, and by projected Gauss–Seidel where these do not settle. While something
-slides the held friction is exact and the method keeps its order; where it sticks, velocities are zero to rounding and
-angles do not drift. Where it turns within a step, the correction counts from the instant of the turn, so that a turn
-costs an error of the step squared.
+A trial is what the sensors show (``measure``) of a motion on a fixed grid (``run_lanes``) under what arrives of the
+commands (``begin``). Its steps are in ``lane_steps``, the dry friction at their ends is in ``lane_dry_friction``. What
+the same equations of motion say at many states that belong to no trial is told by ``field``, ``rubbing_field`` and
+``limit_gaps``. Units are those of ``lane_functions``.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.effects.command import followed_history
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, hermite, read, sample
+from equimus_ctrl.engines.lane_dry_friction import correct_friction as correct_friction
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ACTUATORS,
@@ -25,124 +24,25 @@ from equimus_ctrl.engines.lane_functions import (
     N_STATES,
     ROW_BOUND,
     ROW_CONSTANTS,
-    ROW_DELASSUS,
     ROW_DEPTHS,
-    ROW_DT,
     ROW_GAPS,
     ROW_PER_IMPULSE,
     ROW_PHI,
     ROW_PRESSED,
     ROW_PRESSURE,
     ROW_RATE,
-    ROW_SIDE,
-    ROW_SLIP,
-    ROW_SOUGHT,
-    ROW_SPAN,
     ROW_START,
-    ROW_SUM,
-    ROW_WORST,
     ROW_X,
     WORK_ROWS,
     lane_depths,
     lane_friction,
-    lane_hold,
     lane_motion,
     lane_rest,
-    lane_rub,
-    lane_sides,
     prepare_lane,
 )
 from equimus_ctrl.engines.lane_steps import N_STATE, anything_pressed, grip_limits, lane_stops, press_as_asked, step
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.types import Array
-
-MOST_SWEEPS, MOST_SOLUTIONS = 100, 8
-RESIDUAL = 1e-9
-"""Rate [rad/s or m/s] below which friction is taken as found."""
-NO_SIDE = 2.0
-"""In ROW_SIDE before it is known."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def sweep(w: Array, rubbing: Array) -> None:
-    """Find the friction of one row after another, in lanes where it is sought still (projected Gauss–Seidel).
-
-    Args:
-        w: work array.
-        rubbing: rows where any lane has dry friction.
-    """
-    for l in range(LANES):  # noqa: E741
-        w[ROW_WORST * LANES + l] = 0.0
-    for r in rubbing:
-        own = (ROW_DELASSUS + r * (N_ROWS + 1)) * LANES
-        for l in range(LANES):  # noqa: E741
-            bound = w[(ROW_BOUND + r) * LANES + l]
-            old = w[(ROW_PHI + r) * LANES + l]
-            # An actuator without a lever arm cannot rub.
-            span = w[(ROW_SPAN + r) * LANES + l]
-            correction = w[(ROW_SLIP + r) * LANES + l] / (w[own + l] * span) if w[own + l] > 0.0 else 0.0
-            new = min(max(old - correction, -bound), bound) if w[ROW_SOUGHT * LANES + l] > 0.0 else old
-            w[(ROW_PHI + r) * LANES + l] = new
-            w[ROW_RATE * LANES + l] = (new - old) * span
-            w[ROW_WORST * LANES + l] = max(w[ROW_WORST * LANES + l], abs(new - old) * span * w[own + l])
-        for s in rubbing:
-            for l in range(LANES):  # noqa: E741
-                w[(ROW_SLIP + s) * LANES + l] += (
-                    w[(ROW_DELASSUS + s + r * N_ROWS) * LANES + l] * w[ROW_RATE * LANES + l]
-                )
-    for l in range(LANES):  # noqa: E741
-        w[ROW_SOUGHT * LANES + l] = 1.0 if w[ROW_WORST * LANES + l] > RESIDUAL else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def sought_in_any(w: Array) -> bool:
-    """Whether friction is sought in any lane."""
-    left = 0.0
-    for l in range(LANES):  # noqa: E741
-        left += w[ROW_SOUGHT * LANES + l]
-    return left > 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def find_at_once(w: Array) -> bool:
-    """Find the friction of all rows at once, see ``models.sticking``; what goes on changing is left to ``sweep``.
-
-    Returns:
-        Whether it is found in all lanes.
-    """
-    for i in range(N_ROWS * LANES):
-        w[ROW_SIDE * LANES + i] = NO_SIDE
-    for _ in range(MOST_SOLUTIONS):
-        lane_sides(w)
-        if not sought_in_any(w):
-            return True
-        lane_hold(w)
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def correct_friction(w: Array, dt: float, rubbing: Array) -> None:
-    """Find the friction that the step's end asks for, and change angles and velocities by what is new in it.
-
-    Each lane stops when its own friction is found, whatever the others do.
-
-    Args:
-        w: work array.
-        dt: [s].
-        rubbing: rows where any lane has dry friction.
-    """
-    for l in range(LANES):  # noqa: E741
-        w[ROW_DT * LANES + l] = dt
-        w[ROW_SOUGHT * LANES + l] = 1.0
-    lane_friction(w)
-    for i in range(N_ROWS * LANES):
-        w[ROW_SUM * LANES + i] = w[ROW_PHI * LANES + i]
-    if not find_at_once(w):
-        for _ in range(MOST_SWEEPS):
-            sweep(w, rubbing)
-            if not sought_in_any(w):
-                break
-    lane_rub(w)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -178,17 +78,17 @@ def prepared(parameters: Array) -> Array:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def neighbours(commands: Array, before: Array, valve: Array, follow: Array) -> NDArray[np.bool_]:
+def same_as_previous(commands: Array, before: Array, valve: Array, follow: Array) -> NDArray[np.bool_]:
     """(k,) whether what reaches a lane's valves, and what they make of it, is as in the lane before it."""
-    alike = np.zeros(len(commands), dtype=np.bool_)
+    same = np.zeros(len(commands), dtype=np.bool_)
     for l in range(1, len(commands)):  # noqa: E741
-        alike[l] = (
+        same[l] = (
             np.array_equal(valve[l], valve[l - 1])
             and np.array_equal(follow[l], follow[l - 1])
             and np.array_equal(before[l], before[l - 1])
             and np.array_equal(commands[l], commands[l - 1])
         )
-    return alike
+    return same
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -205,11 +105,11 @@ def begin(
     v0: Array,
     start: float,
     dt: float,
-    alike: NDArray[np.bool_],
+    same: NDArray[np.bool_],
 ) -> None:
     """Put the lanes of the work array w at a start, and the pressures into drive (steps, 2, na·LANES).
 
-    The other arguments are those of ``run_trials``, for one trial, and what ``alike`` says of the lanes.
+    The other arguments are those of ``run_trials``, for one trial, and what ``same_as_previous`` says of the lanes.
     """
     k, steps = len(q0), len(drive)
     for i in range(ROW_CONSTANTS * LANES):
@@ -224,9 +124,9 @@ def begin(
     l = 0  # noqa: E741
     while l < k:
         followed_history(times, commands[l], before[l], valve[l], follow[l], first[l], start, dt, history)
-        # Neighbours with the same pressures get them at once, and lanes to spare those of the last.
+        # Lanes that follow with the same pressures get them at once, and lanes to spare those of the last.
         end = l + 1
-        while end < k and alike[end] and np.array_equal(first[end], first[end - 1]):
+        while end < k and same[end] and np.array_equal(first[end], first[end - 1]):
             end += 1
         last = end if end < k else LANES
         for s in range(steps):
@@ -248,10 +148,10 @@ def measure(
         grid: (n, 2 nj·LANES) angles and velocities.
         start: of the grid [s].
         dt: of the grid [s].
-        sensor: (k, nj, 4), see ``effects.sensors``.
+        sensor: (k, nj, 4), see ``effects.sensors.OFFSET``.
         moving: whether joints moved before the start as they do there; else they stood still.
         times: (m,) ascending [s].
-        out: (k, m, nj) written: measured angles [rad].
+        out: (k, m, nj) written: measured positions [rad or m].
         reached: (k,) written: m where all is well, else the index of the first sample that could not be had.
     """
     k, n = len(sensor), len(grid)
@@ -259,16 +159,17 @@ def measure(
     reached[:] = len(times)
     for j in range(N_JOINTS):
         place, speeds = j * LANES, (N_JOINTS + j) * LANES
-        alike = True
+        together = True
         for l in range(k):  # noqa: E741
-            alike = alike and sensor[l, j, PLAY] == 0.0 and sensor[l, j, SENSOR_DELAY] == sensor[0, j, SENSOR_DELAY]
-        if alike:
-            measure_alike(grid, j, start, dt, sensor, moving, times, out)
+            equal = sensor[l, j, SENSOR_DELAY] == sensor[0, j, SENSOR_DELAY]
+            together = together and sensor[l, j, PLAY] == 0.0 and equal
+        if together:
+            measure_together(grid, j, start, dt, sensor, moving, times, out)
         for l in range(k):  # noqa: E741
             sound = 0
             while sound < n and abs(grid[sound, speeds + l]) < MAX_SPEED:
                 sound += 1
-            if not alike:
+            if not together:
                 for s in range(n):
                     q[s], v[s] = grid[s, place + l], grid[s, speeds + l]
                 sample(q, v, start, dt, sensor[l, j], times, out[l, :, j], v[0] if moving else 0.0)
@@ -278,10 +179,10 @@ def measure(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure_alike(
+def measure_together(
     grid: Array, j: int, start: float, dt: float, sensor: Array, moving: bool, times: Array, out: Array
 ) -> None:
-    """What ``effects.sensors.sample`` says of a joint in all lanes, whose sensors have equal delays and no play."""
+    """What ``effects.sensors.sample`` says of a joint in all lanes at once, of sensors with one delay and no play."""
     k, n = len(sensor), len(grid)
     place, speeds, sensor_delay = j * LANES, (N_JOINTS + j) * LANES, sensor[0, j, SENSOR_DELAY]
     angles = np.empty(LANES)
@@ -325,14 +226,14 @@ def run_trials(
     Args:
         parameters: (k, np) parameter vectors, k ≤ LANES.
         times: (n,) from when each command holds [s].
-        commands: (k, n, na) what reaches the valves [Pa].
-        before: (k, na) in force before [Pa].
-        valve: (k, na, 6), see ``effects.valves``.
+        commands: (k, n, na) what reaches the valves [Pa or unit of the commands].
+        before: (k, na) in force before.
+        valve: (k, na, 6), see ``effects.command.DELAY``.
         follow: (k, na, 6), see ``effects.command.FOLLOW_KIND``.
         first: (trials, k, na) what integrators of commands begin with.
-        sensor: (k, nj, 4), see ``effects.sensors``.
-        q0: (trials, k, nj) angles at the starts [rad].
-        v0: (trials, k, nj) velocities there [rad/s].
+        sensor: (k, nj, 4), see ``effects.sensors.OFFSET``.
+        q0: (trials, k, nj) positions at the starts [rad or m].
+        v0: (trials, k, nj) velocities there [rad/s or m/s].
         rubbing: rows where any has dry friction.
         moving: whether joints moved before the start as they do there; else they stood still.
         start: (trials,) of the motion [s].
@@ -340,12 +241,12 @@ def run_trials(
         steps: (trials,) how many.
         out_times: (m,) of all trials, ascending in each [s].
         place: (trials + 1,) where in ``out_times`` each begins, and its end.
-        out: (k, m, nj) written: measured angles [rad].
+        out: (k, m, nj) written: measured positions [rad or m].
         reached: (trials, k) written: how many samples a trial has where all is well, else the index of the first that
             could not be had.
     """
     most = steps.max()
-    w, alike = prepared(parameters), neighbours(commands, before, valve, follow)
+    w, same = prepared(parameters), same_as_previous(commands, before, valve, follow)
     drive = np.empty((most, 2, N_ACTUATORS * LANES))
     grid = np.empty((most + 1, 2 * N_JOINTS * LANES))
     for trial in range(len(start)):
@@ -353,7 +254,7 @@ def run_trials(
         sampled = out_times[low:high]
         own = drive[:n]
         at = start[trial]
-        begin(w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, alike)
+        begin(w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, same)
         run_lanes(w, own, dt, rubbing, grid[: n + 1])
         measure(grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
 
@@ -380,23 +281,23 @@ def run_inner(
     Args:
         parameters: (1, np), as all arrays that are handed in those of ``run_trials`` for one set and trial.
         times: (n,) [s].
-        commands: (1, n, na) [Pa].
-        before: (1, na) [Pa].
+        commands: (1, n, na).
+        before: (1, na).
         valve: (1, na, 6).
         follow: (1, na, 6).
         first: (1, na).
-        q0: (1, nj) [rad].
-        v0: (1, nj) [rad/s].
+        q0: (1, nj).
+        v0: (1, nj).
         rubbing: rows with dry friction.
         start: of the motion [s].
         dt: physics step [s].
-        states: (steps + 1, 2 nj + nz) written: angles, velocities and effect states on the grid.
-        pressures: (steps, 2, na) written: mean and slope over each step [Pa].
+        states: (steps + 1, 2 nj + nz) written: positions, velocities and effect states on the grid.
+        pressures: (steps, 2, na) written: mean and slope over each step of what the forces are made of.
     """
     w = prepared(parameters)
     drive = np.empty((len(pressures), 2, N_ACTUATORS * LANES))
-    alike = neighbours(commands, before, valve, follow)
-    begin(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, alike)
+    same = same_as_previous(commands, before, valve, follow)
+    begin(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same)
     grid = np.empty((len(states), N_STATE * LANES))
     run_lanes(w, drive, dt, rubbing, grid)
     for s in range(len(states)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 MAX_SPEED = 1e3
-"""Joint velocity far beyond any leg's [rad/s]; a simulation that reaches it has diverged."""
+"""Joint velocity far beyond any robot's [rad/s or m/s]; a simulation that reaches it has diverged."""
 
 FOLLOWED = 1.4
 """Largest |λ|·dt at which the Runge–Kutta method of order four follows a motion well; it is stable up to 2.78."""

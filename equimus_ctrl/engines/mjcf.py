@@ -19,7 +19,7 @@ from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
-from equimus_ctrl.effects.force import ForceEffect, force_laws
+from equimus_ctrl.effects.force import ForceEffect, force_effects, force_laws
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, sample, sensor_settings
 from equimus_ctrl.effects.valves import DELAY, FILL, VENT, shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
@@ -65,8 +65,8 @@ class Realised:
         rotors: (n, 3) of drives that turn by themselves: in qpos, in qvel, and which joint they drive.
         laws: (nj, nc) prepared constants of what is stepped beside MuJoCo.
         loss: (nj,) dry friction in the model.
-        valve: (na, 6).
-        sensor: (nj, 4).
+        valve: (na, 6), see ``effects.command.DELAY``.
+        sensor: (nj, 4), see ``effects.sensors.OFFSET``.
     """
 
     robot: MjcfRobot
@@ -89,16 +89,12 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         dt: another physics step than the XML's [s].
     """
     given = mjcf_of(model.robot)
-    settings: dict[str, float] = {}
-    if trial is not None and (trial.settings or trial.factors):
-        known = given.parameters()
-        settings = {**trial.settings, **{name: factor * known[name] for name, factor in trial.factors.items()}}
-    robot = changed_bodies(model.effects, given.with_parameters(settings) if settings else given)
+    robot = changed_bodies(model.effects, given if trial is None else trial.robot_in(given))
     own = robot.mujoco_model(dt)
     # To look which constraints hang together takes longer than to solve those of a few joints at once.
     own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in robot.joints}
-    laws = [e for e in model.effects if isinstance(e, ForceEffect)]
+    laws = force_effects(model.effects)
     for effect in laws:
         if effect.mujoco_field is not None:
             field, entry = effect.mujoco_field
@@ -290,7 +286,7 @@ def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
     with np.errstate(all="ignore"):
         for j in range(nj):
             column = np.empty(len(times))
-            # A late sensor shows what was before the start: there the joint moved on as it does at the start.
+            # A sensor with a delay shows what was before the start: there the joint moved as it does at the start.
             lead = math.ceil(own.sensor[j, SENSOR_DELAY] / path.dt) + 1 if own.sensor[j, SENSOR_DELAY] > 0 else 0
             before = path.q[0, j] - path.v[0, j] * path.dt * np.arange(lead, 0, -1)
             q = np.concatenate([before, path.q[:, j]])

@@ -72,11 +72,11 @@ class SimulatedResponse:
                         continue
                     factor = SMALL / size
                     force = _on_steps(trial, torque * factor, dt, len(ctrl))
-                    seen, reached = measured_of(
+                    measured, reached = measured_of(
                         own, follow(own, trial, self.starts[i], ctrl, force), trial.sample_times
                     )
-                    if reached == len(seen):
-                        found[i][:, :, column] = (seen - plain) / factor
+                    if reached == len(measured):
+                        found[i][:, :, column] = (measured - plain) / factor
 
         parts = processors()
         with quietly():

@@ -34,7 +34,8 @@ class Inner:
         time: (n,) [s].
         position: (n, nj) of the true joints [rad or m].
         velocity: (n, nj) [rad/s or m/s].
-        pressure: (n, na) behind the valves [Pa], or what else the actuators' forces are made of.
+        pressure: (n, na) what the actuators' forces are made of: pressures behind the valves [Pa], or commands as they
+            arrive at drives [unit of the commands].
         length: (n, na) of the actuators [m], or of what they act along.
         rate: (n, na) its derivative.
         arm: (n, na, nj) ∂length/∂position.
@@ -79,7 +80,8 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     Args:
         model: what moves.
         trial: its commands, start and sample times.
-        start: (nj,) angles or (2 nj,) angles and velocities at the start, in place of the trial's [rad, rad/s].
+        start: (nj,) joint positions or (2 nj,) positions and velocities at the start, in place of the trial's [rad or
+            m, rad/s or m/s].
         dt: physics step [s].
 
     Raises:
@@ -134,8 +136,8 @@ class _Grid:
         coded: what moved.
         start: of the grid [s].
         dt: of the grid [s].
-        states: (steps + 1, 2 nj + nz) angles, velocities and effect states.
-        pressures: (steps, 2, na) mean and slope over each step [Pa].
+        states: (steps + 1, 2 nj + nz) positions, velocities and effect states.
+        pressures: (steps, 2, na) mean and slope over each step of ``Inner.pressure``.
     """
 
     coded: Encoded
@@ -151,20 +153,20 @@ class _Grid:
         return step, (place - step)[:, None]
 
     def pressure(self, times: Array) -> Array:
-        """(n, na) [Pa]."""
+        """(n, na) ``Inner.pressure`` at some instants (n,) [s]."""
         step, share = self._places(times)
         mean, slope = self.pressures[step, 0], self.pressures[step, 1]
         return np.asarray(mean + (share - 0.5) * slope)
 
     def impulse(self, times: Array) -> Array:
-        """(n, na) the pressures' integrals since the start [Pa·s]."""
+        """(n, na) its integrals since the start."""
         step, share = self._places(times)
         mean, slope = self.pressures[step, 0], self.pressures[step, 1]
         before = np.vstack([np.zeros_like(mean[:1]), np.cumsum(self.pressures[:, 0], axis=0)])[step]
         return np.asarray(self.dt * (before + share * (mean + (share - 1) / 2 * slope)))
 
     def at(self, times: Array, pressure: Array) -> Inner:
-        """The motion at some instants (n,) [s], with pressures (n, na) [Pa]."""
+        """The motion at some instants (n,) [s], with ``Inner.pressure`` (n, na)."""
         own = self.coded.mechanics[0]
         nv = len(own.starts)
         step, share = self._places(times)

@@ -13,7 +13,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
@@ -44,7 +44,7 @@ class ForceStepper:
     """
 
     def __init__(self, model: Model, robot: Morphology, mujoco_model: mujoco.MjModel) -> None:
-        laws = tuple(sorted({type(e) for e in model.effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+        laws = laws_of(model.effects)
         self.active = bool(laws)
         if not self.active:
             return

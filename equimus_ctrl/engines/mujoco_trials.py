@@ -11,7 +11,7 @@ import numpy as np
 from equimus_ctrl.effects.base import require_kinds
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.command import pressure_history
-from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.force import ForceEffect, force_effects
 from equimus_ctrl.effects.sensors import SensorEffect, sample, sensor_settings
 from equimus_ctrl.effects.valves import ShapingEffect, ValveEffect, shaped_commands, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -108,7 +108,7 @@ def _one_trial(
         commands = shaped_commands(model.effects, m.actuator_names, given)
         valve = valve_settings(model.effects, m.actuator_names)
         pressure_history(trial.times, commands[1:].copy(), commands[0].copy(), valve, trial.start, dt, pressure[i])
-    if any(isinstance(effect, ForceEffect) for model in models for effect in model.effects):
+    if any(force_effects(model.effects) for model in models):
         runs = [
             _followed(model, robot, batch.settings, q0[i], v0[i], pressure[i, :, 0])
             for i, (model, robot) in enumerate(zip(models, robots, strict=True))

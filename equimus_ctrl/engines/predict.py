@@ -23,7 +23,7 @@ MUJOCO_STEP = 1 / 480
 """Default physics step of a single prediction in MuJoCo [s]."""
 
 SLOPE_SPAN, SLOPE_SAMPLES = 0.1, 6
-"""Half the time over which angles and velocities are read off by a parabola [s]; of less smooth motions in samples."""
+"""Half the time over which a start's velocities are read off by a parabola [s]; of less smooth motions in samples."""
 SET, TIMES = "set.", "times."
 """What notes begin with that give a number of the model for one recording, by itself or as a factor on it."""
 SETTLED_SPAN = 0.1
@@ -31,7 +31,16 @@ SETTLED_SPAN = 0.1
 
 
 def local_motion(recording: Recording, at: float, span: float) -> tuple[Array, Array]:
-    """Angles and velocities at an instant, from a parabola through the measurements around it."""
+    """Positions and velocities at an instant t: x₀ and x₁ of the parabola x₀ + x₁ (s − t) + x₂ (s − t)² that fits best.
+
+    It is fitted to the measurements at the instants s with |s − t| ≤ span, or to the five nearest where these are fewer
+    than four.
+
+    Args:
+        recording: what was measured.
+        at: the instant t [s].
+        span: half the time that counts [s].
+    """
     time = recording.time
     near = np.abs(time - at) <= span
     if np.count_nonzero(near) < 4:
@@ -42,7 +51,7 @@ def local_motion(recording: Recording, at: float, span: float) -> tuple[Array, A
 
 
 def slope_span(model: Model, recording: Recording) -> float:
-    """Half the time over which angles and velocities at an instant are read off a recording [s].
+    """Half the time over which positions and velocities at an instant are read off a recording [s].
 
     A robot that a motor drives changes its speed within a tenth of a second.
     """
@@ -79,7 +88,7 @@ def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
 
 
 def measured_start(recording: Recording) -> Array:
-    """(nj,) the angles a trial starts from [rad]: the mean of its first 0.1 s while the command before it still holds.
+    """(nj,) the positions a trial starts from [rad or m]: the mean of its first 0.1 s under the command before it.
 
     A recording starts at rest (see the recording format), so these samples differ by noise alone. Where the command
     changes in the very first row, or a note says ``settled = no``, the first measurement stands alone.
@@ -94,12 +103,17 @@ def measured_start(recording: Recording) -> Array:
 
 
 def modelled_start(model: Model, recording: Recording) -> Array:
-    """(nj,) the joint angles that the model's sensors show as the measured start [rad]."""
+    """(nj,) the joint positions that the model's sensors show as the measured start [rad or m]."""
     return np.asarray(behind_sensors([model], measured_start(recording)[None, :])[0])
 
 
 def behind_sensors(models: Sequence[Model], shown: Array) -> Array:
-    """(k, nj) angles, or (k, 2 nj) angles and velocities, behind what each model's sensors show (of the same shape)."""
+    """(k, nj) positions, or (k, 2 nj) positions and velocities, of which each model's sensors show these values.
+
+    Args:
+        models: k of one robot.
+        shown: what their sensors show, one row a model.
+    """
     return behind_all(models, [shown])[0]
 
 
@@ -139,15 +153,15 @@ def predict(
     start: Array | None = None,
     dt: float | None = None,
 ) -> Array:
-    """(n, nj) angles at the recording's times under its commands [rad], from rest at ``start``.
+    """(n, nj) joint positions at the recording's times under its commands [rad or m], from rest at ``start``.
 
     Args:
         model: what is simulated.
         recording: whose commands and times.
         engine: ``"reduced"`` (compiled equations of motion) or ``"mujoco"``; by default what suits the robot, see
             ``engines.choice.engine_for``.
-        start: (nj,) first angles [rad]; by default those that the model's sensors show as the measured start. Of a
-            robot that need not start at rest also (2 nj,) angles and velocities, by default those measured.
+        start: (nj,) first positions [rad or m]; by default those that the model's sensors show as the measured start.
+            Of a robot that need not start at rest also (2 nj,) positions and velocities, by default those measured.
         dt: physics step [s]; by default 1 ms (reduced) or 1/480 s (MuJoCo), divided for quick robots.
 
     Raises:

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
@@ -43,7 +43,7 @@ def _at_rest(form: Structure, phase: Phase, laws: Laws) -> ca.Function:
 
 def forces_at_rest(model: Model) -> Forces | None:
     """What the effects of a model exert at rest, without dry friction; None where none of them is a force."""
-    laws = tuple(sorted({type(e) for e in model.effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+    laws = laws_of(model.effects)
     if not laws:
         return None
     robot = changed_bodies(model.effects, model.morphology)

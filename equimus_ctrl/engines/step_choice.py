@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,6 +15,29 @@ from equimus_ctrl.engines.steps import FEW, STABLE
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
+
+
+class StepChoice:
+    """The physics step of one engine: chosen at its first simulation, and kept from then on.
+
+    It is all that an engine remembers. The order of calls matters by it: what is simulated first decides. In a
+    diagnosis that is the initial model for the engine of fits, and the fitted models for the coarser engine that
+    screens candidates and for the finer one that compares alternatives. Were the step to follow each hypothesis, two of
+    them would differ by their discretisation error, too.
+
+    Attributes:
+        step: [s]; None before the first simulation.
+    """
+
+    def __init__(self) -> None:
+        self.step: float | None = None
+
+    def kept(self, choose: Callable[[], float]) -> float:
+        """The step [s], by ``choose`` where there is none yet."""
+        if self.step is None:
+            self.step = choose()
+        return self.step
+
 
 SAMPLED = 6
 """So many trials decide how short a step has to be."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array, Recording
 
+R = TypeVar("R", bound=Robot)
 Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
 
 
@@ -30,17 +33,20 @@ class Same:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A command history and the times at which the angles are wanted.
+    """A command history and the times at which joint positions are wanted.
+
+    Commands are pressures [Pa] of robots with elastic actuators, else in the unit of each actuator's command
+    (``Robot.command_unit``). Positions are in rad at hinges and in m at slides, velocities in rad/s and m/s.
 
     Attributes:
         name: for messages.
         times: (n,) ascending instants from which each command holds [s].
-        commands: (n, na) [Pa].
-        before: (na,) command in force before times[0] [Pa], the pressures settled under it.
+        commands: (n, na).
+        before: (na,) command in force before times[0]: what follows it (pressures, filters) has settled under it.
         start: when the motion starts [s].
-        position: (nj,) angles there [rad].
+        position: (nj,) of the joints there [rad or m].
         sample_times: (m,) ascending, none before ``start`` [s].
-        velocity: (nj,) joint velocities at the start [rad/s]; none by default.
+        velocity: (nj,) of the joints at the start [rad/s or m/s]; 0 by default.
         settings: parameters of the model that are known to be others in this trial, by dotted name.
         factors: the same, in units of what the model has.
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
@@ -63,19 +69,28 @@ class Trial:
         """Key that differs between trials in which a model has other parameter values."""
         return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))
 
+    def robot_in(self, robot: R) -> R:
+        """A robot as it is in this trial: with ``settings``, and with ``factors`` times what it has."""
+        if not (self.settings or self.factors):
+            return robot
+        own = robot.parameters()
+        return robot.with_parameters(
+            {**self.settings, **{name: factor * own[name] for name, factor in self.factors.items()}}
+        )
+
     @property
     def history(self) -> tuple[Same, Same, bytes]:
-        """Which commands these are, the same for windows of one recording: a key."""
+        """Which commands these are, the same for shooting intervals of one recording: a key."""
         return Same(self.times), Same(self.commands), self.before.tobytes()
 
     @classmethod
     def of(cls, recording: Recording, position: ArrayLike, window: tuple[float, float] | None = None) -> Trial:
-        """A recording's commands and times, the motion starting at its first row, or at the window's beginning.
+        """A recording's commands and times, the motion starting at its first row, or where a window begins.
 
         Args:
             recording: whose.
-            position: (nj,) angles at the start [rad].
-            window: (from, to) what is sampled and simulated [s]; the whole recording by default.
+            position: (nj,) of the joints at the start [rad or m].
+            window: (from, to) the part of it that is sampled and simulated [s]; the whole recording by default.
         """
         time = recording.time
         inside = np.ones(len(time), dtype=bool)
@@ -93,7 +108,7 @@ class Trial:
         )
 
     def starting_from(self, position: ArrayLike) -> Trial:
-        """The same from other angles (nj,) [rad]."""
+        """The same from other joint positions (nj,) [rad or m]."""
         return replace(self, position=np.array(position, dtype=np.float64))
 
 
@@ -102,7 +117,7 @@ class Predicted:
     """What ``simulate`` found for one trial.
 
     Attributes:
-        position: (k, m, nj) measured angles of each model [rad]; parameters after a divergence mean nothing.
+        position: (k, m, nj) measured positions of each model [rad or m]; numbers after a divergence mean nothing.
         reached: (k,) m where all is well, else the index of the first sample that could not be had.
     """
 

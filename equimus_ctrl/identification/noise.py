@@ -87,6 +87,8 @@ def whiten(noise: Noise, time: Array, values: Array) -> Array:
         An array of the same shape.
     """
     m, nj = values.shape[:2]
+    if all(own.coloured == 0.0 for own in noise):
+        return np.asarray(values / np.array([own.white for own in noise]).reshape(nj, *[1] * (values.ndim - 2)))
     flat = values.reshape(m, nj, -1)
     out = np.empty_like(flat)
     for j, own in enumerate(noise):

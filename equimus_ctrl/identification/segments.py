@@ -42,9 +42,10 @@ class Segment:
 
     Attributes:
         trial: commands, start and sample times.
-        measured: (m, nj) angles at the sample times [rad].
+        measured: (m, nj) positions of the joints at the sample times [rad or m].
         recording: which of the recordings it was cut from.
-        start: (2 nj,) angles and velocities at the start as the sensors show them [rad, rad/s].
+        recording_name: of that recording; trials of shooting intervals have names of their own.
+        start: (2 nj,) positions and velocities at the start as the sensors show them [rad, rad/s or m, m/s].
         free_start: how many components of the initial state are free: none, the angles (nj), or angles and velocities
             (2 nj). What was read off the measurements then counts as one more sample, see ``start_weights``.
         slope_span: half the time over which a start was read off [s].
@@ -55,6 +56,7 @@ class Segment:
     trial: Trial
     measured: Array
     recording: int
+    recording_name: str
     start: Array
     free_start: int = 0
     slope_span: float = SLOPE_SPAN
@@ -82,12 +84,12 @@ def cut(
         model: whose names the recordings must have.
         recordings: what was measured.
         window: (from, to) what is compared [s]; all of it by default. The motion starts with the recording.
-        shoot: cut what is compared into windows of this length, each from its own free angles and velocities [s]. Of
-            a robot that need not start at rest each whole trial is one by default.
+        shoot: cut what is compared into shooting intervals of this length, each from its own free positions and
+            velocities [s]. Of a robot that need not start at rest each whole trial is one by default.
         fit_start: let each recording's first angles be free.
 
     Raises:
-        ConfigError: where names do not match, or a recording or a shooting window is too short to identify from.
+        ConfigError: where names do not match, or a recording or a shooting interval is too short to identify from.
     """
     at_rest = model.robot.traits.starts_at_rest
     if shoot is not None and not (0.05 <= shoot < math.inf or (shoot == math.inf and not at_rest)):
@@ -108,9 +110,10 @@ def cut(
             start = np.concatenate([measured_start(recording), np.zeros(len(recording.joints))])
             trial = _sampled(whole, np.array(time[inside]))
             nj = len(recording.joints)
-            segments.append(Segment(trial, np.array(recording.position[inside]), index, start, nj if fit_start else 0))
+            measured = np.array(recording.position[inside])
+            segments.append(Segment(trial, measured, index, recording.name, start, nj if fit_start else 0))
         else:
-            segments += _windows(model, recording, index, inside, shoot or math.inf)
+            segments += _shooting_intervals(model, recording, index, inside, shoot or math.inf)
     return segments
 
 
@@ -118,14 +121,18 @@ def _sampled(trial: Trial, times: Array) -> Trial:
     return replace(trial, sample_times=times)
 
 
-def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.bool_], length: float) -> list[Segment]:
+def _shooting_intervals(
+    model: Model, recording: Recording, index: int, inside: NDArray[np.bool_], length: float
+) -> list[Segment]:
+    """What is compared cut into intervals of about a length [s], each from its own free positions and velocities."""
     time = recording.time
     low, high = time[inside][0], time[inside][-1]
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
     span = slope_span(model, recording)
     trust = None if model.robot.traits.smooth_motion else start_trust(recording, span)
-    found: list[Segment] = []
+    # All intervals share these arrays, by which engines know that they share one history of commands.
     times, command, before = np.array(time), np.array(recording.command), np.array(recording.command_before)
+    segments: list[Segment] = []
     for a, b in pairwise(edges):
         chosen = inside & (time >= a) & ((time < b) | (b == high))
         if np.count_nonzero(chosen) < LEAST_SAMPLES:
@@ -133,25 +140,26 @@ def _windows(model: Model, recording: Recording, index: int, inside: NDArray[np.
         start = np.concatenate(local_motion(recording, float(a), span))
         position, velocity = np.split(behind_sensors([model], start[None, :])[0], 2)
         trial = Trial(
-            f"{recording.name} from {a:.3f} s" if len(edges) > 2 else recording.name,
-            times,
-            command,
-            before,
-            float(a),
-            position,
-            np.array(time[chosen]),
-            velocity,
-            noted(model, recording, SET),
-            noted(model, recording, TIMES),
+            name=f"{recording.name} from {a:.3f} s" if len(edges) > 2 else recording.name,
+            times=times,
+            commands=command,
+            before=before,
+            start=float(a),
+            position=position,
+            sample_times=np.array(time[chosen]),
+            velocity=velocity,
+            settings=noted(model, recording, SET),
+            factors=noted(model, recording, TIMES),
         )
         measured = np.array(recording.position[chosen])
-        found.append(Segment(trial, measured, index, start, 2 * len(recording.joints), span, trust))
-    if not found:
+        free = 2 * len(recording.joints)
+        segments.append(Segment(trial, measured, index, recording.name, start, free, span, trust))
+    if not segments:
         raise ConfigError(
             f"{recording.name}: no shooting window of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "
             f"{2 * LEAST_SAMPLES * np.median(np.diff(time)):.2g} s"
         )
-    return found
+    return segments
 
 
 def start_trust(recording: Recording, span: float) -> Array:
@@ -166,10 +174,10 @@ def start_trust(recording: Recording, span: float) -> Array:
     """
     time = recording.time
     chosen = np.unique(np.linspace(0, len(time) - 1, min(INSTANTS, len(time))).round().astype(int))
-    changes, left = [], []
+    changes, residuals = [], []
     for at in time[chosen]:
         whole, part = (np.concatenate(local_motion(recording, float(at), s)) for s in (span, span / 2))
         changes.append(whole - part)
-        left.append(recording.position[np.argmin(np.abs(time - at))] - whole[: len(whole) // 2])
-    noise, sizes = np.sqrt(np.mean(np.square(left), axis=0)), np.sqrt(np.mean(np.square(changes), axis=0))
+        residuals.append(recording.position[np.argmin(np.abs(time - at))] - whole[: len(whole) // 2])
+    noise, sizes = np.sqrt(np.mean(np.square(residuals), axis=0)), np.sqrt(np.mean(np.square(changes), axis=0))
     return np.asarray(np.maximum(np.tile(noise, 2) / (WIDE * np.maximum(sizes, 1e-300)), LEAST_TRUST))

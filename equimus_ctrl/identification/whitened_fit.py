@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from equimus_ctrl import computer
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.projection import Nuisance
@@ -22,32 +24,37 @@ class WhitenedFit:
         residual: (N,) of standard deviation 1 where the noise is all there is.
         slopes: (N, p) ∂prediction/∂θ in units of the parameters' scale.
         starts: for each segment its whitened derivatives by the initial state.
+        threads: among which segments are shared out.
     """
 
     noise: Noise
     residual: Array
     slopes: Array
     starts: list[Nuisance]
+    threads: int = 1
 
     def columns(self, times: Sequence[Array], changes: Sequence[Array]) -> Array:
         """(N, k) changes (m, nj, k) of predictions, whitened likewise."""
-        rows = []
-        for time, change, start in zip(times, changes, self.starts, strict=True):
-            rows.append(start.project_out(whiten(self.noise, time, change).reshape(len(start.basis), -1)))
-        return np.concatenate(rows)
+
+        def rows(time: Array, change: Array, start: Nuisance) -> Array:
+            return start.project_out(whiten(self.noise, time, change).reshape(len(start.basis), -1))
+
+        if len(times) != len(changes):
+            raise ConfigError(f"changes are of {len(changes)} segments, expected {len(times)}")
+        return np.concatenate(list(computer.threads(self.threads).map(rows, times, changes, self.starts)))
 
 
 def whiten_fit(times: Sequence[Array], fit: Fit, noise: Noise) -> WhitenedFit:
     """The residuals (m, nj) and derivatives of a fit at each segment's times (m,) [s], under a noise."""
     scale = fit.parameters.scale
-    residuals, slopes, starts = [], [], []
-    rows = zip(times, fit.residuals, fit.jacobians, fit.start_jacobians, strict=True)
-    for time, r, j, s in rows:
-        count = r.size
-        start = Nuisance.of(whiten(noise, time, s).reshape(count, -1))
-        both = whiten(noise, time, np.concatenate([r[:, :, None], j * scale], axis=2)).reshape(count, -1)
-        both = start.project_out(both)
-        residuals.append(both[:, 0])
-        slopes.append(both[:, 1:])
-        starts.append(start)
-    return WhitenedFit(noise, np.concatenate(residuals), np.concatenate(slopes), starts)
+
+    def parts(time: Array, residual: Array, by_theta: Array, by_start: Array) -> tuple[Nuisance, Array]:
+        start = Nuisance.of(whiten(noise, time, by_start).reshape(residual.size, -1))
+        both = np.concatenate([residual[:, :, None], by_theta * scale], axis=2)
+        return start, start.project_out(whiten(noise, time, both).reshape(residual.size, -1))
+
+    threads = computer.worker_count(fit.problem.simulator.threads, len(times))
+    rows = (times, fit.residuals, fit.jacobians, fit.start_jacobians)
+    starts, both = zip(*computer.threads(threads).map(parts, *rows), strict=True)
+    residual, slopes = (np.concatenate(own) for own in ([b[:, 0] for b in both], [b[:, 1:] for b in both]))
+    return WhitenedFit(noise, residual, slopes, list(starts), threads)

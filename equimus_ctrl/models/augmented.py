@@ -3,8 +3,8 @@
     M(q) a + h(q, v) = Jᵀ (A(l)·P + F(l, l̇, z) + φ_drive) + T(q, v, z) + φ_joint,    dz/dt = g
 
 A is an actuator's area, which effects may change. F and T are the effects' own forces and torques, z their states.
-φ is dry friction; it is held over a time step and found at velocity level (see ``engines.lane_kernel``), for it is no
-function of the state where something sticks.
+φ is dry friction; it is held over a time step and found at velocity level (see ``engines.lane_dry_friction``), for it
+is no function of the state where something sticks.
 """
 
 from __future__ import annotations
@@ -46,6 +46,9 @@ class Slot:
 @dataclass(frozen=True, eq=False)
 class AugmentedModel:
     """CasADi SX expressions; symbols are q, v, z, pressure, phi, v0, pressed, p.
+
+    Units are those of hinges. Of slides m takes the place of rad and N of N·m. Where commands are no pressures their
+    own unit takes the place of Pa.
 
     Attributes:
         q: (nj,) joint angles [rad].

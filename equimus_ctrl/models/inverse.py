@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
@@ -50,7 +50,7 @@ def holding_pressure(model: Model, pose: ArrayLike) -> Array:
     They may lie outside the range; stops take no part, dry friction neither.
     """
     robot = changed_bodies(model.effects, model.morphology)
-    laws = tuple(sorted({type(e) for e in model.effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+    laws = laws_of(model.effects)
     form = structure(robot)
     slots = augmented_model(form, model.phase, laws).slots
     parameters = [*pack(robot), *law_parameters(slots, model.effects, robot.joint_names, robot.actuator_names)]

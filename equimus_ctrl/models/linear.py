@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings
 from equimus_ctrl.effects.valves import FILL, VENT, valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, slots_of
@@ -74,7 +74,7 @@ def state_matrices(
     """
     nj, na = len(morphology.joints), len(morphology.actuators)
     at, given = np.asarray(pose, dtype=np.float64), np.asarray(pressure, dtype=np.float64)
-    laws = tuple(sorted({type(e) for e in effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+    laws = laws_of(effects)
     form = structure(morphology)
     if laws:
         slots = slots_of(form, laws)

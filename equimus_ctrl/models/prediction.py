@@ -17,7 +17,7 @@ import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import REFERENCE
-from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import sensor_settings
 from equimus_ctrl.effects.valves import FILL, FLOW, POWER, RATE, VENT, valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
@@ -76,7 +76,7 @@ def prediction(model: Model, stops: bool = True) -> Prediction:
         stops: whether joints press on their stops; without them they turn freely, and a long step stays stable.
     """
     robot, effects = changed_bodies(model.effects, model.morphology), model.effects
-    laws = tuple(sorted({type(e) for e in effects if isinstance(e, ForceEffect)}, key=lambda law: law.name))
+    laws = laws_of(effects)
     form = structure(robot)
     slots = augmented_model(form, model.phase, laws).slots
     own = law_parameters(slots, effects, robot.joint_names, robot.actuator_names)

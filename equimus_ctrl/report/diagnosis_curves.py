@@ -10,9 +10,11 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import Finding, Unexplained
+from equimus_ctrl.diagnosis.force_basis import Coordinate
+from equimus_ctrl.diagnosis.results import Finding, ResidualForce, Unexplained
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import SensorEffect
 from equimus_ctrl.identification.parameters import place_unit, unit_of
@@ -31,7 +33,7 @@ from equimus_ctrl.report.diagnosis_panels import (
     variants,
 )
 from equimus_ctrl.report.diagnosis_signals import command_panels, sensor_panels
-from equimus_ctrl.report.diagnosis_words import coordinate, number, quantity, reading
+from equimus_ctrl.report.diagnosis_words import coordinates_text, number, quantity, reading
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
 
@@ -56,8 +58,8 @@ def panels(scene: Scene, finding: Finding) -> list[Panel]:
         finding: whose.
     """
     best, others = finding.part.effects, variants(finding)
-    if own := _own_panels(scene, best[0], [o[0] for o in others]):
-        return own
+    if drawn := _own_panels(scene, best[0], [o[0] for o in others]):
+        return drawn
     if isinstance(best[0], ForceEffect):
         return _force_panels(scene, best[0], [cast(ForceEffect, o[0]) for o in others])
     if isinstance(best[0], BodyEffect):
@@ -66,17 +68,17 @@ def panels(scene: Scene, finding: Finding) -> list[Panel]:
     return make(scene, best, others)
 
 
-def unexplained_panel(scene: Scene, left: Unexplained) -> Panel | None:
+def unexplained_panel(scene: Scene, residual: Unexplained) -> Panel | None:
     """The curve of an unstructured residual force; None where it has no coordinate."""
-    if not left.axis or len(left.x) == 0:
+    if not isinstance(residual, ResidualForce) or residual.axis is None or len(residual.x) == 0:
         return None
-    along = reading(left.axis_unit, float(np.abs(left.x).max()))
-    unit = reading(left.unit, float(np.abs(left.force).max()))
-    x, y, half = left.x * along.factor, left.force * unit.factor, left.band * unit.factor
-    values = scene.values(left.axis)
+    along = reading(residual.axis_unit, float(np.abs(residual.x).max()))
+    unit = reading(residual.unit, float(np.abs(residual.force).max()))
+    x, y, half = residual.x * along.factor, residual.force * unit.factor, residual.band * unit.factor
+    values = scene.values(residual.axis)
     return Panel(
-        f"at {' and '.join(left.places)}",
-        f"{coordinate(left.axis, scene.model).removeprefix('the ')} {along.bracket}",
+        f"at {' and '.join(residual.places)}",
+        f"{coordinates_text([residual.axis], scene.model).removeprefix('the ')} {along.bracket}",
         f"residual force {unit.bracket}",
         (Line(x, np.zeros(len(x)), "as modelled", True), Line(x, y, "unstructured residual force")),
         (x, y - half, y + half),
@@ -118,8 +120,8 @@ class _Law:
 
     def settled(self, x: Array) -> Array:
         """(nz, n) states after a long rest at each x (n,)."""
-        found = self.rest(x[None, :], np.repeat(self.p, len(x), axis=1))
-        return np.array(found).reshape(self.effect.n_states, len(x))
+        states = self.rest(x[None, :], np.repeat(self.p, len(x), axis=1))
+        return np.array(states).reshape(self.effect.n_states, len(x))
 
     def exerted(self, x: Array, rate: Array, z: Array) -> Array:
         """(n,) what acts on the coordinate [N·m or N], dry friction against the rate."""
@@ -150,43 +152,105 @@ class _Law:
         return self.exerted(x[::2], rate[::2], z)
 
 
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Motions of a joint or an actuator by which a force there is shown, within what recordings cover of it.
+
+    Attributes:
+        name: of it.
+        noun: "angle", "position" or "length".
+        covered: what recordings show of it.
+        x_unit: SI unit of its coordinate.
+        force_unit: SI unit of a force there.
+    """
+
+    name: str
+    noun: str
+    covered: Excitation
+    x_unit: str
+    force_unit: str
+
+    @classmethod
+    def of(cls, scene: Scene, name: str) -> _Place:
+        noun = units.noun(scene.model, name) if name in scene.model.robot.joint_names else "length"
+        x_unit, force_unit = (place_unit(scene.model, unit, name) for unit in ("rad | m", "N·m | N"))
+        return cls(name, noun, scene.seen[name], x_unit, force_unit)
+
+    @property
+    def middle(self) -> float:
+        return (self.covered.low + self.covered.high) / 2
+
+    @property
+    def half(self) -> float:
+        return self.covered.span / 2
+
+    @property
+    def period(self) -> float:
+        """Of a sine over the whole range whose largest speed is that of the recordings [s]."""
+        return float(2 * np.pi * self.half / self.covered.speed)
+
+    @property
+    def range(self) -> Array:
+        """(POINTS,) coordinates, somewhat beyond what is covered."""
+        beyond = BEYOND * self.covered.span
+        return np.linspace(self.covered.low - beyond, self.covered.high + beyond, POINTS)
+
+    @property
+    def rates(self) -> Array:
+        """(2 POINTS,) speeds either way, dense about 0."""
+        fast = FAST * self.covered.speed
+        return np.concatenate([-np.geomspace(fast, 1e-9, POINTS), np.geomspace(1e-9, fast, POINTS)])
+
+    @property
+    def to_and_fro(self) -> tuple[Array, Array, float]:
+        """(n,) coordinate, (n,) rate and twice their interval [s] of a sine."""
+        turn = np.linspace(0, 2 * np.pi * CYCLES, 2 * CYCLES * CYCLE + 1)
+        rate = self.covered.speed * np.cos(turn)
+        return self.middle + self.half * np.sin(turn), rate, self.period / CYCLE
+
+    @property
+    def step(self) -> tuple[Array, Array, Array]:
+        """(n,) time [s], at half steps, (n,) coordinate and (n,) rate of a ramp over half the range."""
+        time = np.arange(-round(4 * RAMP / STEP), round(2 * LONGEST / STEP) + 1) * STEP / 2
+        x = self.middle + self.half * (np.clip(time / RAMP, 0, 1) - 0.5)
+        return time, x, np.where((time >= 0) & (time < RAMP), self.half / RAMP, 0)
+
+    def at_rest(self, law: _Law) -> Array:
+        """(POINTS,) the force over the range, after a long rest."""
+        x = self.range
+        return law.exerted(x, np.zeros(len(x)), law.settled(x))
+
+    def sliding(self, law: _Law) -> Array:
+        """(POINTS,) the same at the speed of the recordings."""
+        x = self.range
+        return law.exerted(x, np.full(len(x), self.covered.speed), law.settled(x))
+
+    def in_motion(self, law: _Law) -> Array:
+        """(2 POINTS,) the force over the rates, in the middle of the range."""
+        x = np.full(2 * POINTS, self.middle)
+        return law.exerted(x, self.rates, law.settled(x))
+
+    def around(self, law: _Law) -> Array:
+        """(CYCLE + 1,) the force over the last period to and fro."""
+        return law.along(*self.to_and_fro)[-CYCLE - 1 :]
+
+    def relaxing(self, law: _Law) -> Array:
+        """(n,) the force after the step."""
+        _, x, rate = self.step
+        return law.along(x, rate, STEP)
+
+
 def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]) -> list[Panel]:
     """Force against the coordinate, against its rate, around a loop and after a step: those that say anything."""
-    place, seen = best.location, scene.seen[best.location]
-    joint = place in scene.model.robot.joint_names
-    short = units.noun(scene.model, place) if joint else "length"
-    long, torque = (place_unit(scene.model, unit, place) for unit in ("rad | m", "N·m | N"))
-    law, rest = _Law.of(best, seen.force), [_Law.of(o, seen.force) for o in others]
-    middle, half = (seen.low + seen.high) / 2, seen.span / 2
-    x = np.linspace(seen.low - BEYOND * seen.span, seen.high + BEYOND * seen.span, POINTS)
-    rate = np.concatenate(
-        [-np.geomspace(FAST * seen.speed, 1e-9, POINTS), np.geomspace(1e-9, FAST * seen.speed, POINTS)]
-    )
-    period = 2 * np.pi * half / seen.speed
-    turn = np.linspace(0, 2 * np.pi * CYCLES, 2 * CYCLES * CYCLE + 1)
-    to_and_fro = middle + half * np.sin(turn), seen.speed * np.cos(turn), period / CYCLE
-    after = np.arange(-round(4 * RAMP / STEP), round(2 * LONGEST / STEP) + 1) * STEP / 2
-    jump = middle + half * (np.clip(after / RAMP, 0, 1) - 0.5), np.where((after >= 0) & (after < RAMP), half / RAMP, 0)
-
-    def at_rest(own: _Law) -> Array:
-        return own.exerted(x, np.zeros(len(x)), own.settled(x))
-
-    def in_motion(own: _Law) -> Array:
-        at = np.full(len(rate), middle)
-        return own.exerted(at, rate, own.settled(at))
-
-    def around(own: _Law) -> Array:
-        return own.along(*to_and_fro)[-CYCLE - 1 :]
-
-    def relaxing(own: _Law) -> Array:
-        return own.along(*jump, STEP)
-
-    loop, still, moving = around(law), at_rest(law), in_motion(law)
+    place = _Place.of(scene, best.location)
+    law, rest = _Law.of(best, place.covered.force), [_Law.of(o, place.covered.force) for o in others]
+    loop, still, moving = place.around(law), place.at_rest(law), place.in_motion(law)
     size = max(float(np.abs(curve).max()) for curve in (loop, still, moving))
-    unit = reading(torque, size)
-    label = f"{'torque' if torque == 'N·m' else 'force'} {unit.bracket}"
-    far, quick = reading(long, float(np.abs(x).max())), reading(f"{long}/s", seen.speed)
-    axis, data = f"{short} of {place} {far.bracket}", scene.position(place) * far.factor
+    unit = reading(place.force_unit, size)
+    label = f"{'torque' if place.force_unit == 'N·m' else 'force'} {unit.bracket}"
+    far = reading(place.x_unit, float(np.abs(place.range).max()))
+    quick = reading(f"{place.x_unit}/s", place.covered.speed)
+    axis, data = f"{place.noun} of {place.name} {far.bracket}", scene.position(place.name) * far.factor
 
     def panel(title: str, x: str, along: Array, of: Callable[[_Law], Array], where: Array | None = None) -> Panel:
         curve = of(law) * unit.factor
@@ -197,34 +261,33 @@ def _force_panels(scene: Scene, best: ForceEffect, others: Sequence[ForceEffect]
     def varies(curve: Array) -> bool:
         return float(np.ptp(curve)) > VISIBLE * size
 
-    found = []
-    sliding = law.exerted(x, np.full(len(x), seen.speed), law.settled(x))
-    if best.n_states or varies(sliding - still):
-        title = f"to and fro, once in {quantity(period, 's')}"
-        found.append(panel(title, axis, to_and_fro[0][::2][-CYCLE - 1 :] * far.factor, around, data))
-    if best.n_states and varies((relaxed := relaxing(law))[after[::2] > RAMP]):
-        instants = after[::2]
+    drawn = []
+    if best.n_states or varies(place.sliding(law) - still):
+        title = f"to and fro, once in {quantity(place.period, 's')}"
+        x = place.to_and_fro[0][::2][-CYCLE - 1 :]
+        drawn.append(panel(title, axis, x * far.factor, place.around, data))
+    instants = place.step[0][::2]
+    if best.n_states and varies((relaxed := place.relaxing(law))[instants > RAMP]):
         until = float(np.clip(1.4 * settled(instants[instants > RAMP], relaxed[instants > RAMP]), 4 * RAMP, LONGEST))
         kept = instants <= until
         shown, time = in_time(instants[kept])
-        wide = quantity(half, long)
-        found.append(panel(f"after a step of {wide}", time, shown, lambda own: relaxing(own)[kept]))
+        title = f"after a step of {quantity(place.half, place.x_unit)}"
+        drawn.append(panel(title, time, shown, lambda own: place.relaxing(own)[kept]))
     if varies(moving):
-        fast = scene.values(f"vel.{place}")
+        fast = scene.values(Coordinate("vel", place.name))
         where = None if fast is None else fast * quick.factor
-        found.append(
-            panel("against the speed", f"speed of {place} {quick.bracket}", rate * quick.factor, in_motion, where)
-        )
+        x_label = f"speed of {place.name} {quick.bracket}"
+        drawn.append(panel("against the speed", x_label, place.rates * quick.factor, place.in_motion, where))
     if varies(still):
-        found.append(panel(f"against the {short}", axis, x * far.factor, at_rest, data))
-    return found
+        drawn.append(panel(f"against the {place.noun}", axis, place.range * far.factor, place.at_rest, data))
+    return drawn
 
 
 def _own_panels(scene: Scene, best: Effect, others: Sequence[Effect]) -> list[Panel]:
     """The curves that an effect has of its own."""
     robot, place = scene.model.robot, best.location
     shown, rest = (best.curves(robot, scene.seen[place]), [o.curves(robot, scene.seen[place]) for o in others])
-    found = []
+    drawn = []
     for k, curve in enumerate(shown):
         far, up = (
             reading(unit, float(np.abs(values).max()))
@@ -236,8 +299,8 @@ def _own_panels(scene: Scene, best: Effect, others: Sequence[Effect]) -> list[Pa
         axes = f"{curve.x} of {place} {far.bracket}".rstrip(), f"{curve.y} {up.bracket}".rstrip()
         around = band(along, values, [own[k].values * up.factor for own in rest])
         data = scene.position(place) * far.factor if curve.where_seen else None
-        found.append(Panel(curve.title, *axes, lines, around, data))
-    return found
+        drawn.append(Panel(curve.title, *axes, lines, around, data))
+    return drawn
 
 
 def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence[Effect]]) -> list[Panel]:
@@ -251,7 +314,7 @@ def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence
 
     modelled, now, rest = robot(()), robot(best), [robot(o) for o in others]
     pose = np.median(scene.angles, axis=0)
-    found = []
+    drawn = []
     for what in ("stops", "gravity", "springs"):
         for j, joint in enumerate(m.joint_names):
             seen = scene.position(joint)
@@ -273,8 +336,8 @@ def _body_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequence
             curves = [_torque(own, scene.model, what, poses)[:, j] * unit.factor for own in rest]
             around = band(x, curve * unit.factor, curves)
             axes = f"angle of {joint} [°]", f"torque of {what} {unit.bracket}"
-            found.append(Panel(f"{what} at the {joint}", *axes, lines, around, np.degrees(seen)))
-    return [*found, Panel("parameters of the robot", rows=_changed_parameters(scene.model, modelled, now))]
+            drawn.append(Panel(f"{what} at the {joint}", *axes, lines, around, np.degrees(seen)))
+    return [*drawn, Panel("parameters of the robot", rows=_changed_parameters(scene.model, modelled, now))]
 
 
 def _torque(robot: Morphology, model: Model, what: str, poses: Array) -> Array:

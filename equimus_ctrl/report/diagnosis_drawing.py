@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from equimus_ctrl.diagnosis.results import Diagnosis, Finding, Named, Unexplained
+from equimus_ctrl.diagnosis.results import Diagnosis, Finding, Named, Ranked, ResidualForce, Unexplained
 from equimus_ctrl.report import style
 from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_panels import Band, Panel, Scene
-from equimus_ctrl.report.diagnosis_words import coordinate, short
+from equimus_ctrl.report.diagnosis_words import coordinates_text, short
 from equimus_ctrl.types import Array
 
 WIDTH = 11.0
@@ -41,12 +41,13 @@ def finding_figure(scene: Scene, finding: Finding) -> Figure:
     return _figure(f"{short(finding.named)[:1].upper()}{short(finding.named)[1:]}{alike}", shown, "interval")
 
 
-def unexplained_figure(scene: Scene, left: Unexplained) -> Figure | None:
+def unexplained_figure(scene: Scene, residual: Unexplained) -> Figure | None:
     """The curve of an unstructured residual force; None where it has none."""
-    panel = unexplained_panel(scene, left)
-    if panel is None:
+    panel = unexplained_panel(scene, residual)
+    if panel is None or not isinstance(residual, ResidualForce):
         return None
-    title = f"Unexplained at {left.location}: a force that depends on {coordinate(left.depends_on, scene.model)}"
+    on = coordinates_text(residual.coordinates, scene.model)
+    title = f"Unexplained at {residual.location}: a force that depends on {on}"
     return _figure(textwrap.fill(title, 58), [panel], "95 % interval")
 
 
@@ -152,36 +153,17 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
     )
     axes = figure.add_subplot()
     threshold = min(r.threshold for r in diagnosis.ranking)
-    largest = max(
-        [
-            10.0,
-            threshold,
-            *(f.evidence.gain for f in diagnosis.findings),
-            *(max(r.screened, r.fitted or 0.0) for r in shown),
-        ]
-    )
+    beside = {f.named: f.evidence.gain for f in diagnosis.findings}
+    gains = [max(r.screened, r.fitted or 0.0) for r in shown]
+    largest = max([10.0, threshold, *beside.values(), *gains])
     least = max(1.0, 1e-5 * largest)
-
-    def colour(named: Named) -> str:
-        return WITH if named in findings else EQUIVALENT if named in equivalent else OTHER
-
-    for row, ranked in enumerate(shown):
-        if ranked.fitted is not None:
-            axes.barh(row, max(ranked.fitted, least) - least, left=least, height=0.66, color=colour(ranked.named))
-        axes.plot(
-            max(ranked.screened, least),
-            row,
-            marker="o",
-            markersize=5.5,
-            markerfacecolor="white",
-            markeredgecolor=style.INK,
-            clip_on=False,
-        )
-    beside = {f.named: f.evidence.gain for f in diagnosis.findings} if len(findings) > 1 else {}
-    for row, ranked in enumerate(shown):
-        if ranked.named in beside:
-            at = max(beside[ranked.named], least)
-            axes.plot(at, row, marker="D", markersize=7, color=WITH, markeredgecolor="white")
+    colours = {r.named: WITH if r.named in findings else EQUIVALENT if r.named in equivalent else OTHER for r in shown}
+    _draw_gains(axes, shown, colours, least)
+    if len(findings) > 1:
+        for row, ranked in enumerate(shown):
+            if ranked.named in beside:
+                at = max(beside[ranked.named], least)
+                axes.plot(at, row, marker="D", markersize=7, color=WITH, markeredgecolor="white")
     axes.axvline(threshold, color=style.ALERT, linewidth=1.3, linestyle=style.DASHES)
     axes.set_xscale("log")
     axes.set_xlim(least, 2 * largest)
@@ -192,20 +174,35 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
     for label, ranked in zip(axes.get_yticklabels(), shown, strict=True):
         if ranked.named in findings:
             label.set_fontweight("bold")
+    fitted = {colours[r.named] for r in shown if r.fitted is not None}
+    style.legend_below(figure, _ranking_handles(len(findings), bool(equivalent), OTHER in fitted))
+    return figure
+
+
+def _draw_gains(axes: Axes, shown: Sequence[Ranked], colours: Mapping[Named, str], least: float) -> None:
+    """A bar for the gain when fitted, a circle for that expected to first order, row by row."""
+    for row, ranked in enumerate(shown):
+        if ranked.fitted is not None:
+            length = max(ranked.fitted, least) - least
+            axes.barh(row, length, left=least, height=0.66, color=colours[ranked.named])
+        axes.plot(
+            max(ranked.screened, least), row, marker="o", markersize=5.5, markerfacecolor="white",
+            markeredgecolor=style.INK, clip_on=False,
+        )  # fmt: skip
+
+
+def _ranking_handles(findings: int, equivalent: bool, others: bool) -> list[Artist]:
+    """The legend of a ranking, by what it has: how many findings, equivalents, other candidates fitted."""
     handles: list[Artist] = []
     if findings:
         handles.append(Patch(facecolor=WITH, label="found"))
-    if beside:
+    if findings > 1:
         handles.append(Line2D([], [], marker="D", linestyle="", color=WITH, label="found, beside the others"))
     if equivalent:
         handles.append(Patch(facecolor=EQUIVALENT, label="not distinguishable from it"))
-    if any(r.fitted is not None and r.named not in (*findings, *equivalent) for r in shown):
+    if others:
         handles.append(Patch(facecolor=OTHER, label="other, fitted"))
-    handles.append(
-        Line2D(
-            [], [], marker="o", linestyle="", color="white", markeredgecolor=style.INK, label="expected to first order"
-        )
-    )
+    expected = {"color": "white", "markeredgecolor": style.INK, "label": "expected to first order"}
+    handles.append(Line2D([], [], marker="o", linestyle="", **expected))  # type: ignore[arg-type]
     handles.append(Line2D([], [], color=style.ALERT, linestyle=style.DASHES, label="acceptance threshold"))
-    style.legend_below(figure, handles)
-    return figure
+    return handles

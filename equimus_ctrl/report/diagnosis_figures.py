@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -20,6 +20,7 @@ from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import SETS, STATES, Diagnosis
 from equimus_ctrl.identification.residuals import DIVERGED
 from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.report import diagnosis_text, style
 from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_drawing import (
@@ -56,8 +57,8 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
         figures["ranking"] = ranking_figure(diagnosis)
     for k, finding in enumerate(diagnosis.findings):
         figures[f"finding_{k + 1}"] = finding_figure(scene, finding)
-    for k, left in enumerate(diagnosis.unexplained):
-        if (figure := unexplained_figure(scene, left)) is not None:
+    for k, residual in enumerate(diagnosis.unexplained):
+        if (figure := unexplained_figure(scene, residual)) is not None:
             figures[f"unexplained_{k + 1}"] = figure
     return figures
 
@@ -67,8 +68,8 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
 
 def _part(diagnosis: Diagnosis) -> tuple[str, Sequence[Segment]]:
     for part in ("test", "validation"):
-        if own := getattr(diagnosis, part):
-            return part, own
+        if segments := getattr(diagnosis, part):
+            return part, segments
     return "train", diagnosis.train
 
 
@@ -177,60 +178,79 @@ def before_after_figure(diagnosis: Diagnosis) -> Figure:
 
 def residuals_figure(diagnosis: Diagnosis) -> Figure:
     """Size and mean of the residuals against time since a step, the joint's angle and speed, and the commands."""
-    m = diagnosis.model.robot
+    model, joints = diagnosis.model, diagnosis.joints
     states = diagnosis_text.states(diagnosis)[1:]
     segments = (*diagnosis.train, *diagnosis.validation, *diagnosis.test)
     rows = {s: [r for part in SETS for r in getattr(diagnosis.residuals[s], part)] for s in states}
-    model = diagnosis.model
     residuals = {s: np.concatenate(r) for s, r in rows.items()}
-    angles = np.concatenate([s.measured for s in segments])
-    rates = np.concatenate([speeds(s) for s in segments])
-    given = np.concatenate([commands(s)[0] for s in segments])
-    since = np.concatenate([_since_step(s, float(given.max())) for s in segments])
-    shown = [units.command(model, name) for name in m.actuator_names]
-    shared = [
-        (f"command of {name} {u.bracket}".rstrip(), given[:, a] * u.factor)
-        for a, (name, u) in enumerate(zip(m.actuator_names, shown, strict=True))
-    ]
-    figure = style.new_figure(WIDTH + 1, 0.9 + 3.3 * len(m.joint_names), "Where the error lies")
-    columns = 3 + len(shared)
+    figure = style.new_figure(WIDTH + 1, 0.9 + 3.3 * len(joints), "Where the error lies")
     grid = figure.subplots(
-        2 * len(m.joint_names), columns, squeeze=False, sharey="row", height_ratios=[1.3, 1] * len(m.joint_names)
+        2 * len(joints),
+        3 + len(model.robot.actuator_names),
+        squeeze=False,
+        sharey="row",
+        height_ratios=[1.3, 1] * len(joints),
     )
-    for j, joint in enumerate(m.joint_names):
-        place, fast, unit = (of(model, joint) for of in (units.position, units.speed, units.error))
-        own = [
-            ("time since a step [s]", since),
-            (f"{units.noun(model, joint)} of {joint} {place.bracket}", angles[:, j] * place.factor),
-            (f"speed of {joint} {fast.bracket}", rates[:, j] * fast.factor),
-            *shared,
-        ]
-        sigma = _sigma(diagnosis)[j] * unit.factor
-        for c, (label, values) in enumerate(own):
+    columns = _columns(model, segments)
+    for j, joint in enumerate(joints):
+        unit, sigma = units.error(model, joint), _sigma(diagnosis)[j]
+        of_joint = {state: r[:, j] * unit.factor for state, r in residuals.items()}
+        for c, (label, values) in enumerate(columns[joint]):
             top, bottom = grid[2 * j, c], grid[2 * j + 1, c]
-            for state in states:
-                x, size, mean = _binned(values, residuals[state][:, j] * unit.factor, even=c > 0)
-                top.plot(x, size, color=COLOURS[state], linewidth=1.4, marker="o", markersize=3.5)
-                bottom.plot(x, mean, color=COLOURS[state], linewidth=1.4, marker="o", markersize=3.5)
-            top.axhline(sigma, color=style.INK, linewidth=1.0, linestyle=":")
-            bottom.axhline(0.0, color=style.FAINT, linewidth=0.8)
-            top.tick_params(labelbottom=False)
-            if c == 0:
-                for axes in (top, bottom):
-                    axes.set_xscale("log")
-                    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-                    axes.xaxis.set_major_formatter("{x:g}")
-                    axes.xaxis.set_minor_formatter(NullFormatter())
+            _draw_binned(top, bottom, values, of_joint, even=c > 0)
+            top.axhline(sigma * unit.factor, color=style.INK, linewidth=1.0, linestyle=":")
             title = f"{joint}: size of the error" if c == 0 else ""
             style.dress(top, title=title, y=f"RMS {unit.bracket}" if c == 0 else "")
             style.dress(bottom, x=label, y=f"mean {unit.bracket}" if c == 0 else "")
             bottom.xaxis.label.set_size(style.SMALL_SIZE)
+        for axes in grid[2 * j : 2 * j + 2, 0]:
+            _log_time(axes)
         grid[2 * j, 0].set_ylim(bottom=0)
     figure.align_ylabels()
     handles: list[Artist] = [Line2D([], [], color=COLOURS[s], marker="o", label=WORDS[s]) for s in states]
     handles.append(Line2D([], [], color=style.INK, linewidth=1.0, linestyle=":", label="noise"))
     style.legend_below(figure, handles)
     return figure
+
+
+def _columns(model: Model, segments: Sequence[Segment]) -> dict[str, list[tuple[str, Array]]]:
+    """For each joint what its residuals are drawn against: labels, and (m,) values in units that a person reads."""
+    positions = np.concatenate([s.measured for s in segments])
+    rates = np.concatenate([speeds(s) for s in segments])
+    given = np.concatenate([commands(s)[0] for s in segments])
+    since = np.concatenate([_since_step(s, float(given.max())) for s in segments])
+    shown = [(name, units.command(model, name)) for name in model.robot.actuator_names]
+    shared = [
+        (f"command of {name} {unit.bracket}".rstrip(), given[:, a] * unit.factor)
+        for a, (name, unit) in enumerate(shown)
+    ]
+    columns = {}
+    for j, joint in enumerate(model.robot.joint_names):
+        place, fast = units.position(model, joint), units.speed(model, joint)
+        columns[joint] = [
+            ("time since a step [s]", since),
+            (f"{units.noun(model, joint)} of {joint} {place.bracket}", positions[:, j] * place.factor),
+            (f"speed of {joint} {fast.bracket}", rates[:, j] * fast.factor),
+            *shared,
+        ]
+    return columns
+
+
+def _draw_binned(top: Axes, bottom: Axes, values: Array, residuals: Mapping[str, Array], even: bool) -> None:
+    """RMS above and mean below of each state's residuals in bins of values, see ``_binned``."""
+    for state, residual in residuals.items():
+        x, size, mean = _binned(values, residual, even)
+        for axes, y in ((top, size), (bottom, mean)):
+            axes.plot(x, y, color=COLOURS[state], linewidth=1.4, marker="o", markersize=3.5)
+    bottom.axhline(0.0, color=style.FAINT, linewidth=0.8)
+    top.tick_params(labelbottom=False)
+
+
+def _log_time(axes: Axes) -> None:
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _since_step(segment: Segment, largest: float) -> Array:
@@ -250,15 +270,15 @@ def _binned(values: Array, residual: Array, even: bool) -> tuple[Array, Array, A
         edges = (edges + np.linspace(edges[0], edges[-1], BINS + 1)) / 2
     edges = np.unique(edges)
     edges[-1] = np.inf
-    found = []
+    rows = []
     for low, high in pairwise(edges):
-        own = residual[(values >= low) & (values < high)]
-        if len(own) >= LEAST_IN_BIN:
+        binned = residual[(values >= low) & (values < high)]
+        if len(binned) >= LEAST_IN_BIN:
             middle = np.median(values[(values >= low) & (values < high)])
-            found.append((middle, np.sqrt((own**2).mean()), own.mean()))
-    if not found:
-        found = [(np.median(values), np.sqrt((residual**2).mean()), residual.mean())]
-    x, size, mean = np.array(found).T
+            rows.append((middle, np.sqrt((binned**2).mean()), binned.mean()))
+    if not rows:
+        rows = [(np.median(values), np.sqrt((residual**2).mean()), residual.mean())]
+    x, size, mean = np.array(rows).T
     return x, size, mean
 
 
@@ -311,7 +331,8 @@ def _first_panel(diagnosis: Diagnosis, scene: Scene) -> Panel | None:
     if diagnosis.findings:
         first = diagnosis.findings[0]
         return replace(panels(scene, first)[0], title=short(first.named))
-    return next((p for left in diagnosis.unexplained if (p := unexplained_panel(scene, left)) is not None), None)
+    drawn = (unexplained_panel(scene, residual) for residual in diagnosis.unexplained)
+    return next((panel for panel in drawn if panel is not None), None)
 
 
 def _draw_against_noise(axes: Axes, diagnosis: Diagnosis) -> None:

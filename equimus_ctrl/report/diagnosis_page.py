@@ -13,13 +13,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import SETS, Diagnosis
+from equimus_ctrl.diagnosis.results import SETS, Diagnosis, ResidualForce
 from equimus_ctrl.identification.results import together
 from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_words import (
-    coordinate,
+    coordinates_text,
     interval_digits,
     interval_text,
     number,
@@ -57,8 +57,6 @@ pre { padding: 8px 12px; white-space: pre-wrap; overflow-wrap: anywhere; }
   figure, tr, .verdict { break-inside: avoid; } h2, h3 { break-after: avoid; } }
 """
 METHOD = (
-    "All parameters to estimate are refitted first, by simulating every trial in full. Everything else is measured "
-    "against this refitted model, so that a wrong stiffness is not called friction.",
     "The noise of each joint, white and coloured, is estimated from the residuals. A gain is the fall of −2 log "
     "likelihood under it.",
     "Every effect of the catalogue is screened at every place by the component of its response that is orthogonal to "
@@ -69,6 +67,7 @@ METHOD = (
     "The remaining residuals are searched for generalised forces that depend on angles, speeds, lengths, pressures or "
     "time. Intervals are of 95 %; nominal is the model before refitting.",
 )
+"""What is done after the refit, see ``_method``."""
 
 
 def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
@@ -86,12 +85,12 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("findings", "Missing physics", _findings(diagnosis, figures)),
         ("trials", "Before and after", _before_after(diagnosis, figures)),
         ("unexplained", "Unexplained residuals", _unexplained(diagnosis, figures)),
-        ("confounded", "Not distinguishable", _confounded(diagnosis)),
+        ("confounded", "Not distinguishable", _not_distinguishable(diagnosis)),
         ("parameters", "Model parameters", _parameters(diagnosis)),
         ("candidates", "All candidates", _candidates(diagnosis, figures)),
         ("detectable", "Smallest detectable sizes", _detectable(diagnosis)),
         ("decisions", "What was decided, stage by stage", _decisions(diagnosis)),
-        ("method", "Method", f"<ol>{''.join(f'<li>{escape(line)}</li>' for line in METHOD)}</ol>"),
+        ("method", "Method", _method(diagnosis)),
         ("provenance", "Provenance", _provenance(diagnosis, command_line)),
     ]
     kept = [(key, head, body) for key, head, body in parts if body]
@@ -210,10 +209,11 @@ def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
 
 def _unexplained(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     body = _list(diagnosis_text.remains(diagnosis))
-    for k, left in enumerate(diagnosis.unexplained):
-        if figure := figures.get(f"unexplained_{k + 1}"):
-            alt = f"Unstructured residual force at {left.location}, against {coordinate(left.axis, diagnosis.model)}"
-            body += _figure(figure, alt)
+    for k, residual in enumerate(diagnosis.unexplained):
+        figure = figures.get(f"unexplained_{k + 1}")
+        if figure and isinstance(residual, ResidualForce) and residual.axis:
+            against = coordinates_text([residual.axis], diagnosis.model)
+            body += _figure(figure, f"Unstructured residual force at {residual.location}, against {against}")
     return body
 
 
@@ -223,8 +223,8 @@ def _decisions(diagnosis: Diagnosis) -> str:
     return _table(("stage", "decision", "reason"), [(d.stage, d.decision, d.reason) for d in diagnosis.decisions], 3)
 
 
-def _confounded(diagnosis: Diagnosis) -> str:
-    body = _list(diagnosis_text.confounded(diagnosis))
+def _not_distinguishable(diagnosis: Diagnosis) -> str:
+    body = _list(diagnosis_text.not_distinguishable(diagnosis))
     if diagnosis.experiment is not None:
         body += f"<p>{escape(diagnosis_text.separating(diagnosis.experiment))}</p>"
         body += f"<pre>{escape(diagnosis_text.command(diagnosis.experiment))}</pre>"
@@ -278,6 +278,23 @@ def _detectable(diagnosis: Diagnosis) -> str:
         return ""
     text = "<p>Nothing was found. An effect of this size, its other parameters at median values, would be accepted.</p>"
     return text + _table(("effect", "smallest size"), rows, 2)
+
+
+def _method(diagnosis: Diagnosis) -> str:
+    """How it was done; the refit by whole trials or by multiple shooting, as the trials were cut."""
+    segments = diagnosis.train
+    cut = len(segments) > len({s.recording for s in segments})
+    length = float(np.median([s.trial.sample_times[-1] - s.trial.start for s in segments]))
+    how = (
+        f"multiple shooting over intervals of {number(length)} s, each from an initial state of its own"
+        if cut
+        else "simulating each trial fitted as a whole"
+    )
+    refit = (
+        f"All parameters to estimate are refitted first, by {how}. Everything else is measured against this refitted "
+        "model, so that a wrong stiffness is not called friction."
+    )
+    return f"<ol>{''.join(f'<li>{escape(line)}</li>' for line in (refit, *METHOD))}</ol>"
 
 
 def _provenance(diagnosis: Diagnosis, command_line: str) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import excitation_of
+from equimus_ctrl.diagnosis.force_basis import Coordinate
 from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
 from equimus_ctrl.effects.base import Effect
@@ -108,47 +109,46 @@ class Scene:
         """(m, na) in force when they were measured [Pa]."""
         return np.concatenate([commands(s)[0] for s in self.segments])
 
-    def values(self, coordinate: str) -> Array | None:
-        """(m,) of a coordinate as ``diagnosis.force_basis`` calls them (``pos.hip``, ``cmd.maa``, …); None of some."""
-        first, less, second = coordinate.partition("−")
-        if less:
-            pair = self.values(first), self.values(second)
-            return None if pair[0] is None or pair[1] is None else pair[0] - pair[1]
-        kind, _, name = coordinate.partition(".")
-        m = self.model.robot
-        if kind == "time" and not name:
+    def values(self, coordinate: Coordinate) -> Array | None:
+        """(m,) of a coordinate; None of those that recordings do not show."""
+        if coordinate.less:
+            places = coordinate.place, coordinate.less
+            first, second = (self.values(replace(coordinate, place=place, less="")) for place in places)
+            return None if first is None or second is None else first - second
+        kind, name, robot = coordinate.kind, coordinate.place, self.model.robot
+        if kind == "time" and coordinate.frequency is None:
             return np.concatenate([s.trial.sample_times - s.trial.start for s in self.segments])
-        if kind in ("pos", "vel") and name in m.joint_names:
-            return np.asarray((self.angles if kind == "pos" else self.speeds)[:, m.joint_names.index(name)])
-        if kind == "cmd" and name in m.actuator_names:
-            return np.asarray(self.commands[:, m.actuator_names.index(name)])
-        if kind == "len" and name in m.actuator_names and m.traits.forces_along_actuators:
-            kinematics, own = Kinematics(self.model.morphology, self.model.phase), m.actuator_names.index(name)
+        if kind in ("pos", "vel") and name in robot.joint_names:
+            return np.asarray((self.angles if kind == "pos" else self.speeds)[:, robot.joint_names.index(name)])
+        if kind == "cmd" and name in robot.actuator_names:
+            return np.asarray(self.commands[:, robot.actuator_names.index(name)])
+        if kind == "len" and name in robot.actuator_names and robot.traits.forces_along_actuators:
+            kinematics, column = Kinematics(self.model.morphology, self.model.phase), robot.actuator_names.index(name)
             poses = self.angles[:: max(len(self.angles) // FEW, 1)]
-            return np.array([kinematics.lengths(q)[own] for q in poses])
+            return np.array([kinematics.lengths(q)[column] for q in poses])
         return None
 
     def position(self, place: str) -> Array:
-        """(m,) angles of a joint or lengths of an actuator."""
+        """(m,) positions of a joint or lengths of an actuator."""
         joint = place in self.model.robot.joint_names
-        values = self.values(f"{'pos' if joint else 'len'}.{place}")
+        values = self.values(Coordinate("pos" if joint else "len", place))
         assert values is not None
         return values
 
 
 def variants(finding: Finding) -> list[tuple[Effect, ...]]:
     """The effects with one parameter after the other at the ends of its interval."""
-    candidate, found = finding.part.candidate, []
+    candidate, varied = finding.part.candidate, []
     info = candidate.effect.parameter_info()
     for key, estimate in finding.parameters.items():
         for end in (estimate.low, estimate.high):
             if math.isfinite(end):
                 inside = float(np.clip(end, info[key]["low"], info[key]["high"]))
                 try:
-                    found.append(candidate.attached({**finding.part.values, key: inside}))
+                    varied.append(candidate.attached({**finding.part.values, key: inside}))
                 except ConfigError:  # an effect may refuse parameter values that do not go together
                     continue
-    return found
+    return varied
 
 
 def band(x: Array, best: Array, others: Sequence[Array]) -> Band | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,62 +37,95 @@ def command_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequen
         best: the effects.
         others: the same with other parameters.
     """
-    names = scene.model.robot.actuator_names
-    own = names.index(best[0].location)
-    shown_in = units.command(scene.model, names[own])
-    factor = shown_in.factor
+    valve = _Valve.of(scene, best)
+    shown_in = units.command(scene.model, valve.name)
+    factor, commands = shown_in.factor, scene.commands[:, valve.place]
     pressures = scene.model.robot.traits.commands_are_pressures
     label = "pressure" if pressures else "what acts"
-    commands = scene.commands
-    rest = [i for i in range(len(names)) if i != own]
-    grid = np.linspace(0.0, max(float(commands[:, own].max()), 1.0), POINTS)
-
-    def static(effects: Sequence[Effect], demand: float) -> Array:
-        asked = np.full((POINTS, len(names)), demand)
-        asked[:, own] = grid
-        return np.asarray(shaped_commands((*scene.model.effects, *effects), names, asked)[:, own] * factor)
-
-    busy = float(np.quantile(commands[:, rest], 0.9)) if rest else 0.0
-    demand = busy if changes(static(best, busy), static(best, 0.0)) else 0.0
-    plain, curve = static((), demand), static(best, demand)
-    found = []
+    x, plain, curve = (values * factor for values in (valve.grid, valve.static(()), valve.static(best)))
+    drawn = []
     if changes(curve, plain):
+        demand = valve.demand
         title = f"while {quantity(demand, 'Pa')} are asked of the others" if demand else "once it has settled"
-        lines = (Line(grid * factor, plain, "without", True), Line(grid * factor, curve, name_of(best)))
-        around = band(grid * factor, curve, [static(o, demand) for o in others])
-        axis = f"command of {names[own]} {shown_in.bracket}"
-        found.append(Panel(title, axis, f"{label} {shown_in.bracket}", lines, around, commands[:, own] * factor))
-    low, high = _typical_step(commands[:, own])
-    if changes(curve, plain) and np.allclose(np.interp([low, high], grid, curve - plain), 0.0):
-        low, high = 0.0, float(grid[-1])  # such as a level that a typical command does not reach
-
-    def response(effects: Sequence[Effect], half: float) -> Array:
-        """Pressures from a tenth of ``half`` before the step up to ``half`` after the one down, which comes then."""
-        asked = np.full((3, len(names)), demand)
-        asked[:, own] = low, high, low
-        whole = (*scene.model.effects, *effects)
-        shaped = shaped_commands(whole, names, asked)
-        out = np.empty((round(2.1 * half / STEP), 2, len(names)))
-        times = np.array([0.0, half])
-        pressure_history(times, shaped[1:], shaped[0], valve_settings(whole, names), -0.1 * half, STEP, out)
-        return np.asarray(out[:, 0, own] * factor)
-
-    def clock(half: float) -> Array:
-        return np.asarray(np.arange(round(2.1 * half / STEP)) * STEP + STEP / 2 - 0.1 * half)
-
-    long, time = response(best, LONGEST), clock(LONGEST)
-    up, down = time < LONGEST, time >= LONGEST
-    lasts = max(settled(time[up], long[up]), settled(time[down], long[down]) - LONGEST)
-    half = float(np.clip(1.4 * lasts, SHORTEST, LONGEST))
-    shown, axis = in_time(clock(half))
-    moving = response(best, half)
-    lines = (Line(shown, response((), half), "without", True), Line(shown, moving, name_of(best)))
-    around = band(shown, moving, [response(o, half) for o in others])
+        lines = (Line(x, plain, "without", True), Line(x, curve, name_of(best)))
+        around = band(x, curve, [valve.static(o) * factor for o in others])
+        axis = f"command of {valve.name} {shown_in.bracket}"
+        drawn.append(Panel(title, axis, f"{label} {shown_in.bracket}", lines, around, commands * factor))
+    low, high = _typical_step(commands)
+    if changes(curve, plain) and np.allclose(np.interp([low, high], valve.grid, curve - plain), 0.0):
+        low, high = 0.0, float(valve.grid[-1])  # such as a level that a typical command does not reach
+    half = valve.settles_within(best, low, high)
+    shown, axis = in_time(_clock(half))
+    before, after = (valve.response(effects, low, high, half) * factor for effects in ((), best))
+    lines = (Line(shown, before, "without", True), Line(shown, after, name_of(best)))
+    around = band(shown, after, [valve.response(o, low, high, half) * factor for o in others])
     ends = [f"{number(value * factor)} {shown_in.unit}".rstrip() for value in (high, low)]
     if pressures:
         ends = [quantity(high, "Pa"), quantity(low, "Pa")]
     title = f"a step to {ends[0]} and back to {ends[1]}"
-    return [*found, Panel(title, axis, f"{label} of {names[own]} {shown_in.bracket}", lines, around)]
+    return [*drawn, Panel(title, axis, f"{label} of {valve.name} {shown_in.bracket}", lines, around)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Valve:
+    """What reaches one actuator of a model.
+
+    Attributes:
+        model: with effects of its own.
+        place: of the actuator.
+        grid: (POINTS,) its commands, from 0 to the largest.
+        demand: what is asked of all others meanwhile, where that matters; else 0.
+    """
+
+    model: Model
+    place: int
+    grid: Array
+    demand: float
+
+    @classmethod
+    def of(cls, scene: Scene, best: Sequence[Effect]) -> _Valve:
+        """The one that effects are at."""
+        names, commands = scene.model.robot.actuator_names, scene.commands
+        place = names.index(best[0].location)
+        others = [i for i in range(len(names)) if i != place]
+        grid = np.linspace(0.0, max(float(commands[:, place].max()), 1.0), POINTS)
+        idle = cls(scene.model, place, grid, 0.0)
+        busy = replace(idle, demand=float(np.quantile(commands[:, others], 0.9)) if others else 0.0)
+        return busy if changes(busy.static(best), idle.static(best)) else idle
+
+    @property
+    def name(self) -> str:
+        return self.model.robot.actuator_names[self.place]
+
+    def static(self, effects: Sequence[Effect]) -> Array:
+        """(POINTS,) what each command of the grid comes to."""
+        names = self.model.robot.actuator_names
+        asked = np.full((POINTS, len(names)), self.demand)
+        asked[:, self.place] = self.grid
+        return np.asarray(shaped_commands((*self.model.effects, *effects), names, asked)[:, self.place])
+
+    def response(self, effects: Sequence[Effect], low: float, high: float, half: float) -> Array:
+        """(n,) what reaches it from a tenth of ``half`` [s] before the step up to ``half`` after the one down."""
+        names, whole = self.model.robot.actuator_names, (*self.model.effects, *effects)
+        asked = np.full((3, len(names)), self.demand)
+        asked[:, self.place] = low, high, low
+        shaped = shaped_commands(whole, names, asked)
+        out = np.empty((round(2.1 * half / STEP), 2, len(names)))
+        times = np.array([0.0, half])
+        pressure_history(times, shaped[1:], shaped[0], valve_settings(whole, names), -0.1 * half, STEP, out)
+        return np.asarray(out[:, 0, self.place])
+
+    def settles_within(self, effects: Sequence[Effect], low: float, high: float) -> float:
+        """Half of what is drawn of the response to a step [s]."""
+        whole, time = self.response(effects, low, high, LONGEST), _clock(LONGEST)
+        up, down = time < LONGEST, time >= LONGEST
+        lasts = max(settled(time[up], whole[up]), settled(time[down], whole[down]) - LONGEST)
+        return float(np.clip(1.4 * lasts, SHORTEST, LONGEST))
+
+
+def _clock(half: float) -> Array:
+    """(n,) instants of a response [s]."""
+    return np.asarray(np.arange(round(2.1 * half / STEP)) * STEP + STEP / 2 - 0.1 * half)
 
 
 def _typical_step(commands: Array) -> tuple[float, float]:
@@ -107,14 +141,14 @@ def sensor_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequenc
     m = scene.model.robot
     joint = best[0].location
     place, what = units.position(scene.model, joint), units.noun(scene.model, joint)
-    own = m.joint_names.index(joint)
+    column = m.joint_names.index(joint)
     seen = scene.seen[joint]
 
     def sensor(effects: Sequence[Effect]) -> Array:
-        return np.asarray(sensor_settings((*scene.model.effects, *effects), m.joint_names)[own])
+        return np.asarray(sensor_settings((*scene.model.effects, *effects), m.joint_names)[column])
 
     now, plain = sensor(best), sensor(())
-    found = []
+    drawn = []
     true = np.linspace(seen.low, seen.high, POINTS)
 
     def error(row: Array) -> Array:
@@ -126,14 +160,14 @@ def sensor_panels(scene: Scene, best: Sequence[Effect], others: Sequence[Sequenc
         lines = (Line(x, error(plain), "without", True), Line(x, error(now), name_of(best)))
         around = band(x, error(now), [error(sensor(o)) for o in others])
         axis = f"true {what} of {joint} {place.bracket}"
-        found.append(Panel("error of what is shown", axis, f"shown − true {place.bracket}", lines, around, data))
+        drawn.append(Panel("error of what is shown", axis, f"shown − true {place.bracket}", lines, around, data))
         lines = (Line(x, x + error(plain), "without", True), Line(x, x + error(now), name_of(best)))
         around = band(x, x + error(now), [x + error(sensor(o)) for o in others])
-        found.append(Panel("what is shown", axis, f"shown {what} {place.bracket}", lines, around, data))
+        drawn.append(Panel("what is shown", axis, f"shown {what} {place.bracket}", lines, around, data))
     if any(now[key] != plain[key] for key in (SENSOR_DELAY, PLAY)):
         sensors = plain, now, [sensor(o) for o in others]
-        found += _to_and_fro(scene.model, joint, seen.low, seen.high, seen.speed, sensors, best)
-    return found
+        drawn += _to_and_fro(scene.model, joint, seen.low, seen.high, seen.speed, sensors, best)
+    return drawn
 
 
 def _to_and_fro(

@@ -8,13 +8,21 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import STATES, Detectable, Diagnosis, Estimate, Experiment, Unexplained
+from equimus_ctrl.diagnosis.results import (
+    STATES,
+    Detectable,
+    Diagnosis,
+    Estimate,
+    Experiment,
+    ResidualAboveNoise,
+    Unexplained,
+)
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_words import (
-    coordinate,
+    coordinates_text,
     estimate_text,
     listed,
     number,
@@ -25,6 +33,8 @@ from equimus_ctrl.report.diagnosis_words import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
 __all__ = ["print_diagnosis", "sentence"]
@@ -43,12 +53,13 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "unexplained":
         return "Unexplained: physics is missing from the model, and it is none of the known effects."
     what = listed([short(f.named) for f in diagnosis.findings])
-    found = f"{COUNTS[n] if n < len(COUNTS) else n} {'effect' if n == 1 else 'effects'} missing from the model: {what}"
+    count = COUNTS[n] if n < len(COUNTS) else n
+    effects = f"{count} {'effect' if n == 1 else 'effects'} missing from the model: {what}"
     if diagnosis.verdict == "unfinished":
-        return f"Unfinished: so far {found if n else 'no missing effect was found'}, not confirmed."
+        return f"Unfinished: so far {effects if n else 'no missing effect was found'}, not confirmed."
     if diagnosis.verdict == "explained":
-        return f"Explained: {found}."
-    return f"Partly explained: {found}; further residuals are none of the known effects."
+        return f"Explained: {effects}."
+    return f"Partly explained: {effects}; further residuals are none of the known effects."
 
 
 def states(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -121,37 +132,37 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
 
 def remains(diagnosis: Diagnosis) -> list[str]:
     """What none of the findings explains, and effects that were rejected because of it."""
-    lines = [_left(left, diagnosis.model) for left in diagnosis.unexplained]
+    lines = [_unexplained(residual, diagnosis.model) for residual in diagnosis.unexplained]
     if diagnosis.rejected:
         named = listed([short(named) for named in diagnosis.rejected])
         lines.append(f"Of the known effects, {named} fits best, but no better than an unstructured residual force.")
     return lines
 
 
-def _left(left: Unexplained, model: Model) -> str:
-    if not left.depends_on:
-        return f"At the {left.location}: normalised RMSE {number(math.sqrt(1 + left.gain))}" + (
-            f" on {left.only_on} trials{', whatever the parameters' * (left.only_on == 'validation')}"
-            if left.only_on
-            else ", which depends on none of the coordinates tried"
-        )
-    at = f" at {listed(left.places)}" if set(left.places) != {left.location} else ""
+def _unexplained(residual: Unexplained, model: Model) -> str:
+    if isinstance(residual, ResidualAboveNoise):
+        text = f"At the {residual.location}: normalised RMSE {number(math.sqrt(1 + residual.excess))}"
+        if not residual.only_on:
+            return f"{text}, which depends on none of the coordinates tried"
+        whatever = ", whatever the parameters" if residual.only_on == "validation" else ""
+        return f"{text} on {residual.only_on} trials{whatever}"
+    at = f" at {listed(residual.places)}" if set(residual.places) != {residual.location} else ""
     size = ""
-    if left.axis and len(left.force):
-        k = int(np.argmax(np.abs(left.force)))
-        largest, half = float(abs(left.force[k])), float(left.band[k])
-        size = f", up to {estimate_text(Estimate(largest, largest - half, largest + half, left.unit))}"
+    if residual.axis and len(residual.force):
+        k = int(np.argmax(np.abs(residual.force)))
+        largest, half = float(abs(residual.force[k])), float(residual.band[k])
+        size = f", up to {estimate_text(Estimate(largest, largest - half, largest + half, residual.unit))}"
     return (
-        f"At the {left.location}: a residual force{at} that depends on {coordinate(left.depends_on, model)}{size}; "
-        f"{percent(left.share)} of the remaining excess; "
-        f"χ² falls by {number(left.gain)} (threshold {number(left.threshold)})"
+        f"At the {residual.location}: a residual force{at} that depends on "
+        f"{coordinates_text(residual.coordinates, model)}{size}; {percent(residual.share)} of the remaining excess; "
+        f"χ² falls by {number(residual.gain)} (threshold {number(residual.threshold)})"
     )
 
 
-def confounded(diagnosis: Diagnosis) -> list[str]:
+def not_distinguishable(diagnosis: Diagnosis) -> list[str]:
     """Findings that these recordings do not distinguish from others."""
-    found = [f for f in diagnosis.findings if f.equivalent]
-    return [f"{_upper(short(f.named))} or {listed([short(o) for o in f.equivalent], 'or')}." for f in found]
+    ambiguous = [f for f in diagnosis.findings if f.equivalent]
+    return [f"{_upper(short(f.named))} or {listed([short(o) for o in f.equivalent], 'or')}." for f in ambiguous]
 
 
 def _upper(text: str) -> str:
@@ -185,12 +196,12 @@ def smallest(detectable: Detectable) -> str:
 
 def detectables(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """(effect and its parameter, sizes by place) of effects at one place each."""
-    found: dict[str, list[str]] = {}
+    by_effect: dict[str, list[str]] = {}
     for d in diagnosis.detectable:
         if len(d.named.locations) == 1:
             who = f"{d.named.effect} ({d.parameter})".replace("_", " ")
-            found.setdefault(who, []).append(f"{smallest(d)} at {d.named.locations[0]}")
-    return [(who, ", ".join(sizes)) for who, sizes in sorted(found.items())]
+            by_effect.setdefault(who, []).append(f"{smallest(d)} at {d.named.locations[0]}")
+    return [(who, ", ".join(sizes)) for who, sizes in sorted(by_effect.items())]
 
 
 def trials(diagnosis: Diagnosis) -> str:
@@ -213,44 +224,37 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     def say(text: str, indent: int = 0, style: str = "") -> None:
         console.print(Padding(Text(text, style=style), (0, 0, 0, indent)))
 
-    def head(text: str) -> None:
-        say(text, style="bold")
+    def listing(head: str, lines: Sequence[str]) -> None:
+        if lines:
+            say(head, style="bold")
+        for line in lines:
+            say(line, 2)
 
     say(trials(diagnosis), style="dim")
     if diagnosis.engine.reason:
         say(diagnosis.engine.sentence, style="dim")
-    head(verdict(diagnosis))
+    say(verdict(diagnosis), style="bold")
     if text := headline(diagnosis):
         say(text)
     first, *joints = against_noise(diagnosis)
     say(first)
     for line in joints:
         say(line, 2)
-    if diagnosis.verdict != "consistent":
-        head("Where the residuals of the refitted model are")
-        for line in where(diagnosis):
-            say(line, 2)
+    listing(
+        "Where the residuals of the refitted model are", where(diagnosis) if diagnosis.verdict != "consistent" else []
+    )
     if diagnosis.findings:
-        head("Missing physics")
-        for k, finding in enumerate(diagnosis.findings):
-            say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
-            say(evidence(diagnosis, k), 5, "dim")
-    if lines := remains(diagnosis):
-        head("Unexplained residuals")
-        for line in lines:
-            say(line, 2)
-    if lines := confounded(diagnosis):
-        head("Not distinguishable from these recordings")
-        for line in lines:
-            say(line, 2)
+        say("Missing physics", style="bold")
+    for k, finding in enumerate(diagnosis.findings):
+        say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
+        say(evidence(diagnosis, k), 5, "dim")
+    listing("Unexplained residuals", remains(diagnosis))
+    listing("Not distinguishable from these recordings", not_distinguishable(diagnosis))
     if diagnosis.experiment is not None:
         say(separating(diagnosis.experiment))
         console.print(f"  {command(diagnosis.experiment)}", markup=False, soft_wrap=True, highlight=False)
-    if shown := detectables(diagnosis):
-        head("Smallest detectable sizes")
-        for who, sizes in shown[:MOST_DETECTABLE]:
-            say(f"{who}: {sizes}", 2)
-        if len(shown) > MOST_DETECTABLE:
-            say(f"and {len(shown) - MOST_DETECTABLE} more", 2)
+    sizes = [f"{who}: {values}" for who, values in detectables(diagnosis)]
+    more = [f"and {len(sizes) - MOST_DETECTABLE} more"] if len(sizes) > MOST_DETECTABLE else []
+    listing("Smallest detectable sizes", [*sizes[:MOST_DETECTABLE], *more])
     for note in diagnosis.notes:
         say(note, style="yellow")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
+from equimus_ctrl.diagnosis.force_basis import Coordinate, Kind
 from equimus_ctrl.diagnosis.results import Estimate, Named
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.models.model import Model
@@ -127,36 +127,37 @@ def short(named: Named) -> str:
     return f"{named.effect.replace('_', ' ')} at {listed(named.locations)}"
 
 
-_COORDINATES = {
+_COORDINATES: dict[Kind, str] = {
     "pos": "the angle of {}",
-    "place": "the position of {}",
     "vel": "the speed of {}",
     "cmd": "the pressure of {}",
     "len": "the length of {}",
     "rate": "the rate of length of {}",
     "path": "the path that the length of {} has taken",
     "past": "what the length of {} has been",
+    "time": "the time since a trial's start",
 }
 
 
-def coordinate(text: str, model: Model | None = None) -> str:
-    """What a residual force depends on, in words: ``pos.hip·vel.hip`` → ``the angle of hip and the speed of hip``.
+def coordinates_text(coordinates: Sequence[Coordinate], model: Model | None = None) -> str:
+    """What a residual force depends on, in words: ``the angle of hip and the speed of hip``.
 
     Args:
-        text: as ``diagnosis.force_basis`` calls it.
+        coordinates: on which.
         model: of the robot, whose joints may slide and whose commands may be no pressures.
     """
-    words = dict(_COORDINATES)
-    if model is not None and not model.robot.traits.commands_are_pressures:
-        words["cmd"] = "the command of {}"
-    sliding = [] if model is None else [name for name in model.robot.joint_names if model.robot.slides(name)]
-    if sliding:
-        text = re.sub(r"\bpos\.([^−()+·]+)", lambda m: f"place.{m[1]}" if m[1] in sliding else m[0], text)
-    text = re.sub(r"^time( at .*)?$|^time(?=·)", lambda m: f"the time since a trial's start{m[1] or ''}", text)
-    text = re.sub(r"sign\(vel\.([^()]+)\)", r"the direction in which \1 moves", text)
-    kinds = "|".join(words)
-    parts = []
-    for part in text.split("·"):
-        named = re.sub(rf"\b({kinds})\.([^−()+]+)", lambda m: words[m[1]].format(m[2]), part)
-        parts.append(named.replace("−the", " less the"))
-    return listed(parts)
+    return listed([_coordinate(c, model) for c in coordinates])
+
+
+def _coordinate(coordinate: Coordinate, model: Model | None) -> str:
+    if coordinate.sign:
+        return f"the direction in which {coordinate.place} moves"
+    words = _COORDINATES[coordinate.kind]
+    if model is not None and coordinate.kind == "cmd" and not model.robot.traits.commands_are_pressures:
+        words = "the command of {}"
+    if model is not None and coordinate.kind == "pos" and model.robot.slides(coordinate.place):
+        words = "the position of {}"
+    text = words.format(coordinate.place)
+    if coordinate.less:
+        text += f" less {words.format(coordinate.less)}"
+    return text if coordinate.frequency is None else f"{text} at {coordinate.frequency:.4g} Hz"

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect, Robots
-from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.types import Array
 
@@ -40,8 +39,8 @@ class RobotTraits:
             it. Else a drive with a fixed gear is where its joint is, and forces act at joints alone.
         commands_are_pressures: commands are pressures in Pa, so actuators fill and vent; else they are what each
             actuator asks for.
-        trials_alike: all recordings are of one kind of experiment, so what is found in some has to show in the others.
-            Else some may never come near a drive's limit, say.
+        same_kind_of_trials: all recordings are of one kind of experiment, so what is found in some has to show in the
+            others. Else some may never come near a drive's limit, say.
         notes_set_parameters: notes of a recording may set parameters for it alone, such as a payload or a gain.
         has_stance: it has a foot that can be pinned while the base moves.
         damping_known_within: factor by which damping is off at most when missing physics is looked for; beyond, it
@@ -68,6 +67,11 @@ class RobotTraits:
     least_command: float
     least_motion: float
     most_angle: float
+
+    @property
+    def has_elastic_actuators(self) -> bool:
+        """Whether it is of the kind of ``robots.elastic``, which controllers and plants drive by pressures."""
+        return self.catalogue == "elastic"
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +124,7 @@ class Robot(ABC):
         """Kind of place (see ``effects.base.PLACES``) → names of those an effect can sit at."""
 
     def force_places(self) -> dict[str, tuple[str, ...]]:
-        """The same of effects that are a force: at actuators only where forces can act along them."""
+        """``places`` of effects that exert a force: at actuators only where forces can act along them."""
         along = self.traits.forces_along_actuators
         return self.places() if along else {**self.places(), "actuator": ()}
 
@@ -216,10 +220,8 @@ class Robot(ABC):
     def check(self, effects: Sequence[Effect]) -> None:
         """Raise ConfigError where effects cannot be attached: not to this kind of robot, not there, not together."""
         effects_base.check_robots(effects, self.traits.catalogue, self.name)
-        anywhere, force_places = self.places(), self.force_places()
         for effect in effects:
-            here = force_places if isinstance(effect, ForceEffect) else anywhere
-            effects_base.check_locations([effect], here, self.name)
+            effects_base.check_locations([effect], effect.places_on(self), self.name)
         effects_base.check_exclusive(effects, self, self.name)
 
     @abstractmethod

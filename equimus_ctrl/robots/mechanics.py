@@ -8,13 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.effects.command import DIRECT as DIRECT
+from equimus_ctrl.effects.command import FILTERED as FILTERED
+from equimus_ctrl.effects.command import INTEGRATED as INTEGRATED
+from equimus_ctrl.effects.command import SLEWED as SLEWED
 from equimus_ctrl.robots.elastic.form import ElasticForm
 from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
 from equimus_ctrl.types import Array
 
 Structure = ElasticForm | TreeForm
 """What the form of equations depends on; robots of one structure differ in parameters alone."""
-DIRECT, FILTERED, INTEGRATED, SLEWED = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class Channel:
         low: lowest command that counts.
         high: highest.
         delay: of the command [s].
-        kind: DIRECT, FILTERED (da/dt = (u − a)/number), INTEGRATED (da/dt = u) or SLEWED (|da/dt| ≤ number).
+        kind: DIRECT, FILTERED, INTEGRATED or SLEWED, see ``effects.command.DIRECT``.
         number: time constant [s] or fastest rate.
         least: lowest a.
         most: highest a.

@@ -28,13 +28,13 @@ def load_model(path: Path | str | None = None) -> Model:
 
 
 def load_elastic(path: Path | str | None = None) -> Model:
-    """The same, but of a robot with elastic actuators alone.
+    """The model in a model file, of a robot with elastic actuators alone; the nominal leg where ``path`` is None.
 
     Raises:
         ConfigError, ModelError: see ``load_model``; also for an MJCF robot.
     """
     model = load_model(path)
-    if model.robot.traits.catalogue != "elastic":
+    if not model.robot.traits.has_elastic_actuators:
         raise ConfigError(
             f"{path}: is an MJCF robot, which this is not for; identify, diagnose, prove, score, "
             "sensitivity, list parameters and recordings check take it"

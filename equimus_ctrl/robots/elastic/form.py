@@ -24,6 +24,11 @@ class ElasticForm(NamedTuple):
     foot: int
 
     @property
+    def n_links(self) -> int:
+        """How many links move."""
+        return len(self.parents)
+
+    @property
     def law_places(self) -> dict[str, int]:
         """Kind of place → how many there are at which force laws act."""
         return {"joint": len(self.parents), "actuator": len(self.spans)}

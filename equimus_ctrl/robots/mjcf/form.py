@@ -204,6 +204,11 @@ class TreeForm:
         yield from ((f"clamp tendon {t}", 2) for t in self.clamped_tendons)
 
     @property
+    def n_links(self) -> int:
+        """How many links move."""
+        return len(self.links)
+
+    @property
     def n_parameters(self) -> int:
         """How many entries the parameter vector has."""
         return max(block.stop for block in self.layout.values())
