@@ -30,6 +30,7 @@ def test_theory_gives_the_numbers_that_it_is_said_to_give() -> None:
         < thresholds.residual_gain
         < 1.2 * chi2.isf(thresholds.significance / 40, 8)
     )
+    assert chi2.isf(0.0025, 2) == pytest.approx(thresholds.colour, abs=0.1)
     assert (1 + thresholds.far_off) ** 0.5 == 2.0 and thresholds.step_matters < thresholds.simulation_error
 
 

@@ -12,7 +12,15 @@ import pytest
 from scipy.special import gammaincc
 
 from equimus_ctrl.diagnosis import confirmation, stages
-from equimus_ctrl.diagnosis.alternatives import in_place, listed, replacement, simplified, without_parts
+from equimus_ctrl.diagnosis.alternatives import (
+    contested,
+    in_place,
+    listed,
+    narrowed,
+    replacement,
+    simplified,
+    without_parts,
+)
 from equimus_ctrl.diagnosis.findings import _smallest
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
@@ -169,6 +177,34 @@ def test_a_rejected_effect_is_no_simpler_one_and_none_that_fits_as_well() -> Non
     found = found.rejecting([RUB, OFF])
     assert simplified(search, found).best.labels == {STICK}
     assert in_place(search, found, 0, lambda t: 50.0)[0] == []
+
+
+@pytest.mark.parametrize("beside", [900.0, 1010.0], ids=["better from there", "worse from there"])
+def test_alternatives_are_fitted_again_beside_the_other_parts_as_they_are_now(beside: float) -> None:
+    known = Known(
+        {(): 5000.0, (RUB,): 3000.0, (DEAD,): 3100.0, (FULL,): 3200.0, (RUB, DEAD): 1000.0, (RUB, FULL): beside}
+    )
+    search = OnPaper(known)
+    far = fitted(1100.0, RUB, FULL)  # where the fit without the dead zone led
+    found = SearchState(known(), known(RUB, DEAD), (known(DEAD), known(RUB)), ((), (far,)))
+    end = contested(search, found)
+    if beside < 1000.0:
+        assert end.best is known(RUB, FULL)
+    else:
+        assert end.best is known(RUB, DEAD)
+        assert far in end.alternatives[1] and known(RUB, FULL) in end.alternatives[1]
+        assert known(RUB, FULL) in end.tried.fitted
+
+
+def test_the_search_that_moves_to_fewer_places_keeps_its_rivals() -> None:
+    both, knee = "coulomb_friction:hip+knee", "coulomb_friction:knee"
+    pool = {**POOL, both: Candidate(REGISTRY["coulomb_friction"], ("hip", "knee"), (VALUES["coulomb_friction"],))}
+    known = Known({(): 5000.0, (knee,): 1002.0, (OFF,): 1500.0})
+    search = OnPaper(known)
+    broad = Fitted((Part(pool[both], VALUES["coulomb_friction"]),), known().fit, None, 1000.0)  # type: ignore[arg-type]
+    end = narrowed(search, SearchState(known(), broad, (known(),), ((known(OFF),),)))
+    assert end.best is known(knee)
+    assert end.alternatives[0][0] is broad and known(OFF) in end.alternatives[0]
 
 
 def test_parts_are_known_by_what_they_are_and_where() -> None:

@@ -12,8 +12,6 @@ from equimus_ctrl.diagnosis.policy import Thresholds
 
 Kind = tuple[str, tuple[str, ...]]
 """What a part is: its law, or what it shares with those that exclude it, and where."""
-CONTESTS, CONTENDERS = 2, 2
-"""How often, and how many of each part's best alternatives are fitted beside the other parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ def contested(search: HypothesisMoves, state: SearchState) -> SearchState:
     """
     if len(state.best.hypothesis) < 2 or search.settings.many_minima:
         return state
-    for _ in range(CONTESTS):
+    for _ in range(search.settings.contests):
         state = _with_contenders(search, state, state)
         size = len(state.best.hypothesis)
         no_larger = [a for fits in state.alternatives for a in fits if len(a.hypothesis) <= size]
@@ -78,7 +76,8 @@ def _beside_others(
     best = state.best
     room = best.n_parameters - sum(p.candidate.n_parameters for j, p in enumerate(best.hypothesis) if j != k)
     parts = [part for part in closest if part is not None and part.candidate.n_parameters <= room]
-    hypotheses = [(*best.hypothesis[:k], part, *best.hypothesis[k + 1 :]) for part in parts[:CONTENDERS]]
+    contenders = parts[: search.settings.contenders]
+    hypotheses = [(*best.hypothesis[:k], part, *best.hypothesis[k + 1 :]) for part in contenders]
     return _all_refitted(search, state.tried, best, hypotheses)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -28,8 +28,6 @@ Reason = Literal["gain", "distance", "evident", "uninformative"]
 - evident: they cannot show it, and the gain on the fitted trials is ``Thresholds.evident`` times the least one.
 - uninformative: they cannot show it, and that gain is not as large.
 """
-OTHERS = 3
-"""So many hypotheses are tried in the place of one that is not confirmed."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +42,34 @@ class Confirmation:
     reason: Reason
     ratio: float
 
+    def __str__(self) -> str:
+        """A clause for the report."""
+        said = {
+            "gain": f"validation trials gain {self.ratio:.3g} of what the fitted ones let expect",
+            "distance": f"validation trials gain {self.ratio:.3g} of what they can show of it",
+            "evident": "validation trials cannot show it, and its gain on the fitted ones is far above the threshold",
+            "uninformative": "validation trials cannot show it, and its gain on the fitted ones is not far above the "
+            "threshold",
+        }
+        return said[self.reason]
 
-def confirmed(search: Search, state: SearchState, split: Split) -> SearchState:
+
+Tell = Callable[[str, Confirmation], None]
+"""Called with the label of a part and what validation trials say of it."""
+
+
+def confirmed(
+    search: Search, state: SearchState, split: Split, tell: Tell = lambda label, confirmation: None
+) -> SearchState:
     """The hypothesis without the parts that held-out trials do not confirm.
 
     Where an alternative fits as well in such a part's place and is confirmed, it is accepted.
+
+    Args:
+        search: that ended there.
+        state: its end.
+        split: with the validation trials.
+        tell: told of each part that is confirmed or rejected.
     """
     if not split.validation:
         return state
@@ -56,8 +77,12 @@ def confirmed(search: Search, state: SearchState, split: Split) -> SearchState:
         holdout = HoldoutResiduals(search.data, split, state)
         confirmations = [_carried_over(search, holdout, without, state.best) for without in state.without]
         place = int(np.argmin([c.ratio for c in confirmations]))
+        parts = [part.candidate.label for part in state.best.hypothesis]
         if _confirms(search, confirmations[place].ratio):
+            for label, confirmation in zip(parts, confirmations, strict=True):
+                tell(label, confirmation)
             return state
+        tell(parts[place], confirmations[place])
         if search.settings.many_minima:
             state, confirms = _another(search, state, place, split)
             if confirms:
@@ -90,7 +115,7 @@ def _another(search: Search, state: SearchState, place: int, split: Split) -> tu
     looked_at = {state.best.labels}
     limit = search.score(state.without[place])
     for fitted in sorted(state.tried.fitted, key=search.score):
-        if len(looked_at) > OTHERS or search.score(fitted) >= limit:
+        if len(looked_at) > search.settings.unconfirmed or search.score(fitted) >= limit:
             break
         if fitted.labels in looked_at or not state.tried.allows(fitted.labels):
             continue
@@ -157,10 +182,6 @@ class HoldoutResiduals:
         if model not in self._known:
             self._known[model] = residuals_of(model, self.split.validation, self.data.simulator)
         return self._known[model]
-
-    def nominal(self) -> list[Array]:
-        """For each segment fitted (m, nj) measured − predicted by the nominal model [rad or m]."""
-        return residuals_of(self.data.free.model, self.split.train, self.data.simulator)
 
     def gain(self, simple: Fitted, rich: Fitted) -> float:
         """−2Δln L on validation trials, under one noise; nan where nothing is held out."""

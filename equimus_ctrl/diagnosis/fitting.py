@@ -277,9 +277,12 @@ class Data:
 
     def _with_noise(self, hypothesis: Hypothesis, after: Fit) -> Fitted:
         """A hypothesis with its estimates, the noise estimated from its residuals, and its deviance under that."""
-        noise = estimate_noise(self.times, after.residuals)
+        noise = estimate_noise(self.times, after.residuals, correlated=self._correlated)
         deviance = -2.0 * log_likelihood(noise, self.times, after.residuals)
         return Fitted(refined(hypothesis, after.theta[len(self.free.free) :]), after, noise, deviance)
+
+    def _correlated(self, gain: float) -> bool:
+        return self.thresholds.decides(lambda t: gain >= t.colour)
 
     def base(self) -> Fitted:
         """The model without any hypothesis, refitted.
@@ -333,11 +336,6 @@ class Data:
     def _first_noise(self) -> Noise:
         """White, as large as the motion: each joint counts in units of how far it moves."""
         return white_noise([s.measured - s.measured.mean(axis=0) for s in self.segments])
-
-
-def whitened(data: Data, noise: Noise, values: Sequence[Array]) -> list[Array]:
-    """For each segment (m, nj, ...) values in standard deviations of their innovations, see ``noise.whiten``."""
-    return [whiten(noise, t, v) for t, v in zip(data.times, values, strict=True)]
 
 
 def chi_squared(noise: Noise, times: Sequence[Array], values: Sequence[Array]) -> float:

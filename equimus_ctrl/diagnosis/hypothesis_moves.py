@@ -28,18 +28,10 @@ StopReason = Literal[
 - no effect accepted: none gains as much as the acceptance threshold, or scores better.
 - a residual force explains more: far more than the next effect, in more rounds than ``SearchSettings.patience``.
 - no part needed: the model without any effect fits as well as the hypothesis of this round.
-- most rounds: as many as there can be, see ``search.ROUNDS_PER_PART``.
+- most rounds: as many as there can be, see ``SearchSettings.rounds_per_part``.
 - no more parts asked for: only the present ones were exchanged.
 """
 
-WITHIN, CLOSE = 0.5, 50.0
-"""Share of the best gain of deviance, and deviance, that a hypothesis may lack to be fitted to the end."""
-COARSE_STEPS, LONG = 5, 15
-"""Iterations of a coarse fit, and of a fit of the few that are best by then."""
-FEW_ALTERNATIVES = 3
-"""Candidates fitted, for each whitening of the residuals, to take the place of a part."""
-MOST_ROUNDS = 8
-"""How often parts are exchanged at most."""
 EXCHANGE_MARGIN = 2 * CONVERGED_GAIN
 """Least difference of score for which a part is exchanged. Either fit may end ``CONVERGED_GAIN`` above its minimum, so
 less than twice that ranks nothing: two parts that fit alike would take each other's place round after round."""
@@ -227,7 +219,7 @@ class HypothesisMoves:
             known: labels of those that are known; None where only promising ones are to be fitted.
         """
         pool = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
-        most = min(self.settings.tried, FEW_ALTERNATIVES) if replaced else self.settings.tried
+        most = min(self.settings.tried, self.settings.tried_in_place) if replaced else self.settings.tried
         choice = Choice(pool, most if known is None else len(pool), known is not None)
         screened = screen(self.data, fitted, pool)
         if not fitted.hypothesis and not tried.first:
@@ -309,29 +301,30 @@ class HypothesisMoves:
 
     def _coarse_fits(self, proposals: Sequence[Proposal], noise: Noise) -> list[Fitted]:
         """Those that can be simulated, after a few steps, the best score first."""
-        options = []
+        options, steps = [], self.settings.coarse_steps
         for proposal in proposals:
             try:
-                options.append(self.data.coarse_fit(proposal.hypothesis, proposal.begins, noise, COARSE_STEPS))
+                options.append(self.data.coarse_fit(proposal.hypothesis, proposal.begins, noise, steps))
             except SimulationDiverged:  # so it cannot be what happened
                 continue
         return sorted(options, key=self.score)
 
     def _best_converged(self, fitted: Fitted, options: Sequence[Fitted]) -> list[Fitted]:
         """Coarse fits, best first, of which the first few that are close to the best are fitted until converged."""
-        after = []
+        after, settings = [], self.settings
         for k, option in enumerate(options):
             best = options[0].deviance
-            if k < self.settings.kept and option.deviance <= best + WITHIN * max(fitted.deviance - best, 0.0) + CLOSE:
+            close = best + settings.kept_share * max(fitted.deviance - best, 0.0) + settings.kept_gain
+            if k < settings.kept and option.deviance <= close:
                 noise = white_noise(option.fit.residuals)
-                longer = self.data.coarse_fit(option.hypothesis, [option.begin], noise, LONG)
+                longer = self.data.coarse_fit(option.hypothesis, [option.begin], noise, settings.long_steps)
                 option = self.data.converge(min(option, longer, key=lambda f: f.deviance))
             after.append(option)
         return after
 
     def exchanged(self, state: SearchState) -> SearchState:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
-        for _ in range(MOST_ROUNDS):
+        for _ in range(self.settings.exchanges):
             state, changed = self._dropped_or_exchanged(state)
             if not changed:
                 return state
@@ -399,10 +392,10 @@ class HypothesisMoves:
         noise = white_noise(fitted.fit.residuals)
         try:
             begin: Begin = (data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
-            after = data.coarse_fit(hypothesis, [begin], noise, LONG)
+            after = data.coarse_fit(hypothesis, [begin], noise, self.settings.long_steps)
         except SimulationDiverged:
             begin = (data.theta_of(data.free.start, hypothesis), [s.start for s in data.segments])
-            after = data.coarse_fit(hypothesis, [begin], noise, LONG)
+            after = data.coarse_fit(hypothesis, [begin], noise, self.settings.long_steps)
         after = data.converge(after)
         return after, tried.having(after)
 

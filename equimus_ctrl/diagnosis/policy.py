@@ -76,6 +76,13 @@ class Thresholds:
         "calibration",
         PROOFS,
     )
+    colour: float = _decides(
+        12.0,
+        DEVIANCE,
+        "a joint's noise is taken to be correlated over time from this gain over white noise on",
+        "theory",
+        "likelihood-ratio test (Wilks, 1938) of two more parameters, size and time, at the level 0.0025",
+    )
     minima_scatter: float = _decides(
         20.0,
         DEVIANCE,
@@ -270,12 +277,25 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How much a search looks at.
+    """How much a search looks at. None of these numbers accepts anything: more of each takes longer and misses less.
 
     Attributes:
         most_parts: largest number of effects in a hypothesis.
-        tried: candidates fitted at each step, for each weighting of the residuals.
-        kept: of them, how many are fitted until converged.
+        rounds_per_part: rounds for each of them, at most: each adds a part, and may drop another beside it.
+        tried: candidates fitted at each step, for each whitening of the residuals.
+        tried_in_place: the same of candidates that are to take a part's place.
+        kept: of them, how many are fitted until converged,
+        kept_share: where they lack less than this share of the best one's gain in −2 ln L,
+        kept_gain: and this much.
+        coarse_steps: iterations of a first fit.
+        long_steps: iterations of the next fit, of the few that are best by then.
+        runners_up: so many others than the best first part, of those with about as much gain, are given a second too.
+        exchanges: rounds in which parts are exchanged, at most.
+        contests: how often each part's alternatives are fitted beside the other parts.
+        contenders: how many of its alternatives are.
+        unconfirmed: hypotheses tried in the place of one that held-out trials do not confirm.
+        again: how often a search goes on beside the accepted effects where residual forces made others redundant. If
+            it comes to such effects again, the residuals stay unexplained.
         patience: how many effects in a row may explain far less than a residual force: of two missing effects each
             alone may.
         many_minima: whether fits have many local minima because errors grow along a trial. First-order gains then
@@ -284,8 +304,20 @@ class SearchSettings:
     """
 
     most_parts: int = 3
+    rounds_per_part: int = 2
     tried: int = 5
+    tried_in_place: int = 3
     kept: int = 3
+    kept_share: float = 0.5
+    kept_gain: float = 50.0
+    coarse_steps: int = 5
+    long_steps: int = 15
+    runners_up: int = 2
+    exchanges: int = 8
+    contests: int = 2
+    contenders: int = 2
+    unconfirmed: int = 3
+    again: int = 1
     patience: int = 0
     many_minima: bool = False
 

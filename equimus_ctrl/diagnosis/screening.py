@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of, with_part
 from equimus_ctrl.errors import ConfigError
@@ -179,10 +180,16 @@ def _evaluated(responses: _Responses) -> dict[Candidate, list[_Guess]]:
     evaluated: dict[Candidate, list[_Guess]] = {}
     for kept in {_kept(owners, fitted.hypothesis, guess) for guess in guesses}:
         rows = [k for k, guess in enumerate(guesses) if _kept(owners, fitted.hypothesis, guess) == kept]
-        by_whitening = [
-            _gains(w, columns[:, rows], np.array(kept))
-            for w, columns in zip(responses.whitened_fits, responses.columns, strict=True)
-        ]
+
+        def of_rows(
+            whitened_fit: WhitenedFit, columns: Array, rows: list[int], kept: Sequence[int]
+        ) -> _FirstOrderGains:
+            return _gains(whitened_fit, columns[:, rows], np.array(kept))
+
+        threads = computer.threads(responses.whitened_fits[WHITE].threads)
+        by_whitening = list(
+            threads.map(of_rows, responses.whitened_fits, responses.columns, [rows, rows], [kept, kept])
+        )
         for place, k in enumerate(rows):
             theta = np.array(fitted.fit.theta)[list(kept)]
             theta += by_whitening[WHITE].change[:, place] * scale[list(kept)]

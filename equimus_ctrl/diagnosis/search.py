@@ -40,11 +40,6 @@ from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHisto
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.screening import screen
 
-RUNNERS_UP = 2
-"""So many others than the best first part, of those with about as much gain, are given a second part as well."""
-ROUNDS_PER_PART = 2
-"""Rounds of a search for each part it may find, at most: each adds a part, and may drop another beside it."""
-
 
 @dataclass(frozen=True, eq=False)
 class _Options:
@@ -109,7 +104,7 @@ class Search(HypothesisMoves):
             yield self._finished(replace(self.exchanged(state), stopped="no more parts asked for"))
             return
         forward = _Forward(state, state)
-        for depth in range(ROUNDS_PER_PART * self.settings.most_parts):
+        for depth in range(self.settings.rounds_per_part * self.settings.most_parts):
             self.notify(f"what could be missing, round {depth + 1}", forward.state.best.label)
             forward = self._round(forward)
             if forward.stop is not None:
@@ -212,7 +207,7 @@ class Search(HypothesisMoves):
 
         close = [option for option in sorted(state.alternatives[0], key=self.score) if near_the_best(option)]
         options: list[Fitted] = []
-        for alternative in close[:RUNNERS_UP]:
+        for alternative in close[: self.settings.runners_up]:
             self.notify("a second effect beside another", alternative.label)
             more, tried = self.challenge(tried, alternative)
             options += self._small(more)

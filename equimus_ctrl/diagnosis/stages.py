@@ -20,7 +20,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.alternatives import listed, without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, confirmed
+from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
 from equimus_ctrl.diagnosis.experiment import Designs, separating
 from equimus_ctrl.diagnosis.findings import (
@@ -35,7 +35,7 @@ from equimus_ctrl.diagnosis.findings import (
 )
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis_moves import LONG, SearchState
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.results import (
@@ -58,9 +58,6 @@ from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.types import Array
 
-AGAIN = 1
-"""How often a search goes on beside the accepted effects where others were rejected. If it comes to rejected effects
-again, the residuals stay unexplained."""
 ROUNDS = 12
 """So many steps of a search divide its share of the progress."""
 SEARCH_SHARE = (0.15, 0.8)
@@ -279,18 +276,23 @@ def _accepted(state: State) -> State:
         state = state.decided("search", f"{part.candidate.label} accepted", reason)
     if not best.hypothesis:
         reason = "no gain exceeds the threshold and the scatter of deviances"
-        state = state.decided("search", "no effect accepted", reason)
+        return state.decided("search", "no effect accepted", reason)
+    if state.end.stopped is not None:
+        state = state.decided("search", "no further effect", state.end.stopped)
     return state
 
 
 def confirm(state: State) -> State:
     """The effects that held-out trials confirm; where they reject one, another that they do confirm."""
-    end = confirmed(state.search, state.end, state.inputs.split)
+    said: dict[str, Confirmation] = {}
+    end = confirmed(state.search, state.end, state.inputs.split, said.__setitem__)
     after, before = replace(state, end=end), state.end.best.labels
     for label in sorted(before - end.best.labels):
-        after = after.decided("confirmation", f"{label} rejected", "held-out trials do not improve enough with it")
+        after = after.decided("confirmation", f"{label} rejected", str(said.get(label, "not needed beside the others")))
     for label in sorted(end.best.labels - before):
         after = after.decided("confirmation", f"{label} accepted", "fits in its place, and held-out trials confirm it")
+    for label in sorted((end.best.labels & before) & said.keys()):
+        after = after.decided("confirmation", f"{label} confirmed", str(said[label]))
     return after
 
 
@@ -302,7 +304,7 @@ def explain_residuals(state: State) -> State:
     """
     search, end, rejected = state.search, state.end, state.rejected
     reasons: dict[str, str] = {}
-    further = AGAIN
+    further = search.settings.again
     analysis = residual_analysis(state.data, end.base, end.best, end.without)
     while analysis.redundant:
         dropped = {end.best.hypothesis[k]: reason for k, reason in analysis.redundant.items()}
@@ -543,7 +545,8 @@ def _from_short(search: Search, end: SearchState, split: Split, base: Fitted) ->
     other = Search(data, search.pool, settings, notify, short_end.tried.fitted)
     begin = (best.fit.theta, [s.start for s in data.segments])
     try:
-        start = data.converge(data.coarse_fit(best.hypothesis, [begin], white_noise(best.fit.residuals), LONG))
+        noise = white_noise(best.fit.residuals)
+        start = data.converge(data.coarse_fit(best.hypothesis, [begin], noise, settings.long_steps))
     except SimulationDiverged:  # so it cannot be what happened
         return search, end
     other_end = other.go_on(other.beginning(end.base, start))

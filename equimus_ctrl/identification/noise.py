@@ -10,7 +10,7 @@ Its innovations, from a Kalman filter with one state, are white, so that sums of
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ from scipy.optimize import minimize
 
 from equimus_ctrl.types import Array
 
+COLOUR = 12.0
+"""Least gain in −2 ln L of correlated noise over white noise: χ² of its two parameters at the level 0.0025."""
 LONGEST = 0.12
 """Longest correlation that counts as noise [s]; what lasts longer is motion that the model ought to give."""
 SHORTEST = 2e-3
@@ -126,21 +128,29 @@ def noise_of_differences(positions: Sequence[Array]) -> Noise:
     return tuple(JointNoise(max(float(s), LEAST)) for s in size)
 
 
-def estimate_noise(times: Sequence[Array], residuals: Sequence[Array], longest: float = LONGEST) -> Noise:
+def estimate_noise(
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    longest: float = LONGEST,
+    correlated: Callable[[float], bool] = lambda gain: gain >= COLOUR,
+) -> Noise:
     """The noise that makes residual series (m, nj) most likely, joint by joint.
 
     Args:
         times: for each series (m,) [s].
-        residuals: for each series (m, nj) [rad].
+        residuals: for each series (m, nj) [rad or m].
         longest: upper bound of the correlation time [s].
+        correlated: whether noise that is correlated over time is taken, for its gain in −2 ln L over white noise.
     """
     return tuple(
-        _estimate(times, [np.ascontiguousarray(r[:, j : j + 1]) for r in residuals], longest)
+        _estimate(times, [np.ascontiguousarray(r[:, j : j + 1]) for r in residuals], longest, correlated)
         for j in range(residuals[0].shape[1])
     )
 
 
-def _estimate(times: Sequence[Array], series: Sequence[Array], longest: float) -> JointNoise:
+def _estimate(
+    times: Sequence[Array], series: Sequence[Array], longest: float, correlated: Callable[[float], bool]
+) -> JointNoise:
     count = sum(len(s) for s in series)
     columns = [np.empty_like(s) for s in series]
 
@@ -169,7 +179,6 @@ def _estimate(times: Sequence[Array], series: Sequence[Array], longest: float) -
     share, tau = float(found.x[0]), math.exp(float(found.x[1]))
     value, size = profile(share, tau)
     plain, plain_size = profile(0.0, tau)
-    # Two more parameters have to be significant.
-    if (plain - value) * count < 12.0:
+    if not correlated((plain - value) * count):
         return JointNoise(math.sqrt(plain_size))
     return JointNoise(math.sqrt((1.0 - share) * size), math.sqrt(share * size), tau)
