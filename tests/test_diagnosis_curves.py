@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from diagnosed_leg import DRAG, PLAUSIBLE, TRUE, finding_of, part_of, plausible
 
-from equimus_ctrl.diagnosis.force_basis import read
+from equimus_ctrl.diagnosis.coordinates import read
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
 from equimus_ctrl.effects import BodyEffect, ForceEffect, SensorEffect, ShapingEffect, make, parameter, register
 from equimus_ctrl.effects.bodies import Robot

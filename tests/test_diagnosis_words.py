@@ -8,7 +8,7 @@ import pytest
 from diagnosed_leg import DRAG, finding_of, part_of, plausible
 from effect_cases import CASES, PLAUSIBLE
 
-from equimus_ctrl.diagnosis.force_basis import read
+from equimus_ctrl.diagnosis.coordinates import read
 from equimus_ctrl.diagnosis.results import Estimate
 from equimus_ctrl.effects import REGISTRY, Effect
 from equimus_ctrl.models.model import nominal_model

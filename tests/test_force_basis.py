@@ -14,19 +14,17 @@ import pytest
 from morphologies import random_morphology
 from threadpoolctl import threadpool_limits
 
+from equimus_ctrl.diagnosis.coordinates import Coordinate, read, written
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import (
     AT_ACTUATORS,
     AT_JOINTS,
     MEMORIES,
     Axis,
-    Coordinate,
     Group,
     groups,
     harmonics,
-    read,
     responses,
-    written,
 )
 from equimus_ctrl.diagnosis.linear_response import Linearised, along_actuator, linearise
 from equimus_ctrl.diagnosis.residual_force import LinearisedFit, force_candidates, judged

@@ -15,9 +15,9 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.stages import DiagnosisInputs
-from equimus_ctrl.diagnosis.stages import DiagnosisSettings as DiagnosisSettings
-from equimus_ctrl.diagnosis.stages import Progress as Progress
+from equimus_ctrl.diagnosis.state import DiagnosisInputs
+from equimus_ctrl.diagnosis.state import DiagnosisSettings as DiagnosisSettings
+from equimus_ctrl.diagnosis.state import Progress as Progress
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.errors import ConfigError, unknown_name

@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -22,7 +22,7 @@ from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
-from equimus_ctrl.diagnosis.experiment import Designs, separating
+from equimus_ctrl.diagnosis.experiment import separating
 from equimus_ctrl.diagnosis.findings import (
     beyond_range,
     detectable,
@@ -37,22 +37,17 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
-from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.results import (
     STATES,
-    Decision,
     Diagnosis,
-    Equivalent,
-    Named,
-    Ranked,
     ResidualAboveNoise,
     Residuals,
     Unexplained,
 )
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test, residual_analysis
+from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
+from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test, residual_analysis
 from equimus_ctrl.effects.base import REGISTRY
-from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.residuals import residuals_of
@@ -64,105 +59,6 @@ SEARCH_SHARE = (0.15, 0.8)
 """Share of the whole that is done when a search begins, and when it ends."""
 OTHER_SHARE = (0.94, 0.99)
 """The same of a diagnosis with other trials held out."""
-Progress = Callable[[str, float, str], None]
-"""Called with the stage, the share of the whole that is done, and the best hypothesis so far."""
-
-
-@dataclass(frozen=True)
-class DiagnosisSettings:
-    """How a diagnosis goes.
-
-    Attributes:
-        search: how sets of effects are searched.
-        threads: of the simulations; all cores by default.
-        engine: by its name; by default see ``engines.choice.engine_for``.
-        exclude: names of effects that are not looked for.
-        budget: how long it may take [s]; its best so far is given then. As long as it needs by default.
-        thresholds: that decide.
-    """
-
-    search: SearchSettings = field(default_factory=SearchSettings)
-    threads: int | None = None
-    engine: EngineName | None = None
-    exclude: tuple[str, ...] = ()
-    budget: float | None = None
-    thresholds: Thresholds = field(default_factory=Thresholds)
-
-
-@dataclass(frozen=True, eq=False)
-class DiagnosisInputs:
-    """What is asked.
-
-    Attributes:
-        data: what hypotheses are fitted to.
-        split: trials to fit and trials to validate on.
-        settings: how it goes.
-        designs: experiments to choose from where effects are not distinguishable.
-        progress: see ``Progress``.
-        begun: by ``time.perf_counter``.
-    """
-
-    data: Data
-    split: Split
-    settings: DiagnosisSettings
-    designs: Designs
-    progress: Progress
-    begun: float
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """What is known after a stage.
-
-    Attributes:
-        inputs: what is asked.
-        search: that goes on from where it is.
-        end: of the search, so far.
-        short: the model fitted to short shooting intervals, where residuals are large; else None.
-        nominal: for each segment fitted (m, nj) the residuals of the nominal model [rad or m].
-        analysis: of what the end leaves unexplained.
-        rejected: effects that were rejected, for a residual force explains as much.
-        ranking: all candidates, alone.
-        coarse: a sentence on the engine's step, where its error was taken off; "" else.
-        equivalent: for each part of the hypothesis what fits as well in its place; None where nobody looked.
-        notes: what else a person ought to know.
-        decisions: of the stages so far.
-        ended_in: the stage in which the budget ended; "" where it did not.
-    """
-
-    inputs: DiagnosisInputs
-    search: Search
-    end: SearchState
-    short: Fitted | None
-    nominal: tuple[Array, ...]
-    analysis: ResidualAnalysis = field(default_factory=ResidualAnalysis)
-    rejected: tuple[Named, ...] = ()
-    ranking: tuple[Ranked, ...] = ()
-    coarse: str = ""
-    equivalent: tuple[tuple[Equivalent, ...], ...] | None = None
-    notes: tuple[str, ...] = ()
-    decisions: tuple[Decision, ...] = ()
-    ended_in: str = ""
-
-    @property
-    def skipped(self) -> tuple[Stage, ...]:
-        """Stages that were not carried out to their end."""
-        return ORDER[STAGES.index(self.ended_in) :] if self.ended_in else ()
-
-    @property
-    def data(self) -> Data:
-        """What hypotheses are fitted to by now."""
-        return self.search.data
-
-    def ended(self, stage: str) -> State:
-        """The same, its budget having ended in a stage."""
-        return replace(self, ended_in=stage).decided(
-            stage, "ended", "the time was up, or the best so far was asked for"
-        )
-
-    def decided(self, stage: str, decision: str, reason: str) -> State:
-        """The same with one more decision."""
-        return replace(self, decisions=(*self.decisions, Decision(stage, decision, reason)))
 
 
 @dataclass(frozen=True)
@@ -451,6 +347,11 @@ STAGES = tuple(stage.name for stage in ORDER)
 """What follows the refit, in order."""
 
 
+def skipped(state: State) -> tuple[Stage, ...]:
+    """Stages that were not carried out to their end."""
+    return ORDER[STAGES.index(state.ended_in) :] if state.ended_in else ()
+
+
 def tested(state: State) -> State:
     """Joints whose residuals on the test set alone are far above the noise: told, and nothing is chosen by it."""
     if state.analysis.unexplained or state.ended_in:
@@ -471,7 +372,7 @@ def report(state: State) -> Diagnosis:
     residuals = _residuals(state, holdout)
     inputs.progress("done", 1.0, end.best.label)
     return Diagnosis(
-        verdict=verdict(named, state.analysis, not any(stage.settles for stage in state.skipped)),
+        verdict=verdict(named, state.analysis, not any(stage.settles for stage in skipped(state))),
         model=model,
         refitted=end.base.fit.model,
         corrected=end.best.fit.model,
@@ -490,14 +391,14 @@ def report(state: State) -> Diagnosis:
         experiment=None if state.ended_in else separating(data, end, named, equivalent, inputs.designs),
         excess_variance={name: float(excess_variances(residuals[name].train, noise).mean()) for name in STATES},
         notes=(
-            *notes(end, split, inputs.settings.exclude, [stage.decides for stage in state.skipped]),
+            *notes(end, split, inputs.settings.exclude, [stage.decides for stage in skipped(state)]),
             *beyond_range(model, split),
             *([state.coarse] if state.coarse else []),
             *state.notes,
         ),
         seconds=time.perf_counter() - inputs.begun,
         decisions=state.decisions,
-        not_done=tuple(stage.name for stage in state.skipped),
+        not_done=tuple(stage.name for stage in skipped(state)),
     )
 
 

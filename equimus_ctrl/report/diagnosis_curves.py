@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.force_basis import Coordinate
+from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.results import Finding, ResidualForce, Unexplained
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.diagnosis.candidates import excitation_of
-from equimus_ctrl.diagnosis.force_basis import Coordinate
+from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.localization import commands, speeds
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
 from equimus_ctrl.effects.base import Effect

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from equimus_ctrl.diagnosis.force_basis import Coordinate, Kind
+from equimus_ctrl.diagnosis.coordinates import Coordinate, Kind
 from equimus_ctrl.diagnosis.results import Estimate, Named
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.models.model import Model

@@ -1,0 +1,117 @@
+"""What a diagnosis is asked, and what is known of it after each of its stages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from equimus_ctrl.diagnosis.experiment import Designs
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
+from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
+from equimus_ctrl.diagnosis.results import (
+    Decision,
+    Equivalent,
+    Named,
+    Ranked,
+)
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
+from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.types import Array
+
+Progress = Callable[[str, float, str], None]
+"""Called with the stage, the share of the whole that is done, and the best hypothesis so far."""
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """How a diagnosis goes.
+
+    Attributes:
+        search: how sets of effects are searched.
+        threads: of the simulations; all cores by default.
+        engine: by its name; by default see ``engines.choice.engine_for``.
+        exclude: names of effects that are not looked for.
+        budget: how long it may take [s]; its best so far is given then. As long as it needs by default.
+        thresholds: that decide.
+    """
+
+    search: SearchSettings = field(default_factory=SearchSettings)
+    threads: int | None = None
+    engine: EngineName | None = None
+    exclude: tuple[str, ...] = ()
+    budget: float | None = None
+    thresholds: Thresholds = field(default_factory=Thresholds)
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisInputs:
+    """What is asked.
+
+    Attributes:
+        data: what hypotheses are fitted to.
+        split: trials to fit and trials to validate on.
+        settings: how it goes.
+        designs: experiments to choose from where effects are not distinguishable.
+        progress: see ``Progress``.
+        begun: by ``time.perf_counter``.
+    """
+
+    data: Data
+    split: Split
+    settings: DiagnosisSettings
+    designs: Designs
+    progress: Progress
+    begun: float
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is known after a stage.
+
+    Attributes:
+        inputs: what is asked.
+        search: that goes on from where it is.
+        end: of the search, so far.
+        short: the model fitted to short shooting intervals, where residuals are large; else None.
+        nominal: for each segment fitted (m, nj) the residuals of the nominal model [rad or m].
+        analysis: of what the end leaves unexplained.
+        rejected: effects that were rejected, for a residual force explains as much.
+        ranking: all candidates, alone.
+        coarse: a sentence on the engine's step, where its error was taken off; "" else.
+        equivalent: for each part of the hypothesis what fits as well in its place; None where nobody looked.
+        notes: what else a person ought to know.
+        decisions: of the stages so far.
+        ended_in: the stage in which the budget ended; "" where it did not.
+    """
+
+    inputs: DiagnosisInputs
+    search: Search
+    end: SearchState
+    short: Fitted | None
+    nominal: tuple[Array, ...]
+    analysis: ResidualAnalysis = field(default_factory=ResidualAnalysis)
+    rejected: tuple[Named, ...] = ()
+    ranking: tuple[Ranked, ...] = ()
+    coarse: str = ""
+    equivalent: tuple[tuple[Equivalent, ...], ...] | None = None
+    notes: tuple[str, ...] = ()
+    decisions: tuple[Decision, ...] = ()
+    ended_in: str = ""
+
+    @property
+    def data(self) -> Data:
+        """What hypotheses are fitted to by now."""
+        return self.search.data
+
+    def ended(self, stage: str) -> State:
+        """The same, its budget having ended in a stage."""
+        return replace(self, ended_in=stage).decided(
+            stage, "ended", "the time was up, or the best so far was asked for"
+        )
+
+    def decided(self, stage: str, decision: str, reason: str) -> State:
+        """The same with one more decision."""
+        return replace(self, decisions=(*self.decisions, Decision(stage, decision, reason)))
