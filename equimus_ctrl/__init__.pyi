@@ -101,6 +101,7 @@ from .robots.elastic.morphology import (
     Point as Point,
 )
 from .robots.mjcf.robot import MjcfRobot as MjcfRobot
+from .scenarios.comparison import Condition as Condition
 from .scenarios.references import (
     FunctionReference as FunctionReference,
     HoldReference as HoldReference,
@@ -129,7 +130,6 @@ from .types import (
     Start as Start,
 )
 from .workflow import (
-    Condition as Condition,
     compare as compare,
     diagnose_recordings as diagnose_recordings,
     identify_poses as identify_poses,

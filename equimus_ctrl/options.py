@@ -496,8 +496,8 @@ class CompareOptions:
 
     Attributes:
         controllers: names, ``path.py:Name``, controllers, classes or functions; all that are made for it by default.
-        under: names of ``workflow.compare.CONDITIONS``, or conditions; by default the first ones, and with a corrected
-            model the last ones too.
+        under: names of ``workflow.comparisons.CONDITIONS``, or conditions; by default the first ones, and with a
+            corrected model the last ones too.
         draws: how many perturbed robots.
         scenario_options: of the scenarios, as text.
         settings: controller → its settings file.

@@ -23,7 +23,7 @@ from equimus_ctrl.scenarios.comparison import Comparison, Condition
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.types import Array, Observation, Reference
-from equimus_ctrl.workflow.compare import DELAY, LAG, compare, conditions
+from equimus_ctrl.workflow.comparisons import DELAY, LAG, compare, conditions
 
 POSE = np.array([1.45, 0.6])
 SHORT = {"duration": "1.5"}

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from equimus_ctrl.identification.fit import Fit
+    from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged
     from equimus_ctrl.identification.statics import StaticFit
     from equimus_ctrl.types import Array
-    from equimus_ctrl.workflow import Identification, Identified, IdentifiedPoses, Judged
 
 
 @with_options(IdentifyOptions)

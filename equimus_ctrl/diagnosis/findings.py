@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.candidates import Part
@@ -114,9 +114,9 @@ def _evidence(search: Search, end: SearchState, holdout: HoldoutResiduals, k: in
 
 def _log_p_value(gain: float, count: int) -> float:
     """Ln P(χ²(count) > gain), by its asymptote where it is too small to be computed."""
-    exact = float(chi2.logsf(gain, count))
-    if math.isfinite(exact):
-        return exact
+    exact = float(chdtrc(count, gain))
+    if exact > 0.0:
+        return math.log(exact)
     return (count / 2 - 1) * math.log(gain / 2) - gain / 2 - math.lgamma(count / 2)
 
 

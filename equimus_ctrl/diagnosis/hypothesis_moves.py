@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
@@ -180,7 +180,7 @@ class HypothesisMoves:
             thresholds: those of the data by default.
         """
         t = thresholds or self.data.thresholds
-        by_chance = float(chi2.isf(t.significance / max(len(self.pool), 1), parameters))
+        by_chance = float(chdtri(parameters, t.significance / max(len(self.pool), 1)))
         return max(by_chance, t.simulation_error * self.data.n) + self.scatter(t)
 
     def scatter(self, thresholds: Thresholds) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.types import Array
@@ -139,7 +139,7 @@ def uncertainty(
     else:
         covariance = inverse @ meat @ inverse * (effective / freedom)
         error = np.where(hidden, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)) * scale)
-        t = float(stats.t.ppf(0.5 + confidence / 2, freedom))
+        t = float(stdtrit(freedom, 0.5 + confidence / 2))
     bread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlation = np.where(hidden[:, None] | hidden[None, :], np.nan, inverse / np.outer(bread, bread))
     return Uncertainty(

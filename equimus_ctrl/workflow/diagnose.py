@@ -18,7 +18,6 @@ from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
 from equimus_ctrl.workflow.identify import choose, simulator_of, with_file
-from equimus_ctrl.workflow.runs import load_scenario
 from equimus_ctrl.workflow.scores import gather
 
 if TYPE_CHECKING:
@@ -74,6 +73,9 @@ def diagnose_recordings(
 
 def sweeps(model: Model) -> list[Design]:
     """Experiments that ``equimus-ctrl run chirp`` can make with a robot; none where its commands are no pressures."""
+    # Only where effects are not distinguishable does a diagnosis need what runs scenarios.
+    from equimus_ctrl.workflow.runs import load_scenario
+
     designs: list[Design] = []
     if not model.robot.traits.commands_are_pressures:
         return designs
