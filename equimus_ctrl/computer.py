@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -185,6 +185,11 @@ def _how(code: int) -> str | None:
 def threads(count: int) -> ThreadPoolExecutor:
     """So many threads, which stay: a search simulates thousands of times. Work given to them gives them none itself."""
     return ThreadPoolExecutor(count, "simulate")
+
+
+def in_threads(count: int, work: Callable[..., T], *given: Iterable[Any]) -> list[T]:
+    """What work comes to for each of what is given, as of ``map``, shared out among threads; of one, in this."""
+    return list(map(work, *given) if count <= 1 else threads(count).map(work, *given))
 
 
 @contextmanager

@@ -186,9 +186,9 @@ def _evaluated(responses: _Responses) -> dict[Candidate, list[_Guess]]:
         ) -> _FirstOrderGains:
             return _gains(whitened_fit, columns[:, rows], np.array(kept))
 
-        threads = computer.threads(responses.whitened_fits[WHITE].threads)
-        by_whitening = list(
-            threads.map(of_rows, responses.whitened_fits, responses.columns, [rows, rows], [kept, kept])
+        threads = responses.whitened_fits[WHITE].threads
+        by_whitening = computer.in_threads(
+            threads, of_rows, responses.whitened_fits, responses.columns, [rows, rows], [kept, kept]
         )
         for place, k in enumerate(rows):
             theta = np.array(fitted.fit.theta)[list(kept)]

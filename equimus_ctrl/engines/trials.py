@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -64,7 +65,7 @@ class Trial:
     factors: Mapping[str, float] = field(default_factory=dict)
     activation: Array | None = None
 
-    @property
+    @cached_property
     def condition(self) -> Condition:
         """Key that differs between trials in which a model has other parameter values."""
         return tuple(sorted(self.settings.items())), tuple(sorted(self.factors.items()))

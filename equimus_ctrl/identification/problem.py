@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
-from equimus_ctrl.identification.residuals import FARTHEST, all_residuals_of, difference
+from equimus_ctrl.identification.residuals import FARTHEST, difference, stacked_residuals
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.types import Array
@@ -112,6 +113,10 @@ class Problem:
         self.noise = noise
         self.evaluations = 0
         self._start_weights = [self._weights_of(segment) for segment in self.segments]
+        shapes: dict[tuple[int, ...], list[int]] = {}
+        for k, segment in enumerate(self.segments):
+            shapes.setdefault(segment.measured.shape, []).append(k)
+        self._shapes = list(shapes.values())
 
     def whitened(self, segment: Segment, values: Array) -> Array:
         """Residuals or derivatives (m, nj, ...) of a segment as they count."""
@@ -133,19 +138,43 @@ class Problem:
         choices_of = [slice(end - len(choices), end) for end, choices in zip(ends, starts, strict=True)]
         taken: list[list[tuple[Array, Array, Array]]] = [[] for _ in thetas]
         costs = np.zeros(len(thetas))
-        for segment, weights, row, predicted in zip(self.segments, self._start_weights, rows, found, strict=True):
-            residuals = all_residuals_of(segment, predicted)  # (m, nj, k)
-            squares = (self.whitened(segment, residuals) ** 2).sum(axis=(0, 1))
-            squares += ((weights * (segment.start[: len(weights)] - row[:, : len(weights)])) ** 2).sum(axis=1)
-            for i, own in enumerate(choices_of):
-                best = own.start + int(np.argmin(squares[own]))
-                costs[i] += squares[best]
+        squares, residuals = self._squares(found)
+        for k, (segment, weights, row) in enumerate(zip(self.segments, self._start_weights, rows, strict=True)):
+            own = squares[k] + ((weights * (segment.start[: len(weights)] - row[:, : len(weights)])) ** 2).sum(axis=1)
+            for i, choices_i in enumerate(choices_of):
+                best = choices_i.start + int(np.argmin(own[choices_i]))
+                costs[i] += own[best]
                 # A view would keep all others alive.
-                taken[i].append((row[best], residuals[:, :, best].copy(), predicted.position[best].copy()))
+                taken[i].append((row[best], residuals[k][best].copy(), found[k].position[best].copy()))
         return [
             Point(theta, [start for start, *_ in own], [r for _, r, _ in own], float(cost), [q for *_, q in own])
             for theta, own, cost in zip(thetas, taken, costs, strict=True)
         ]
+
+    def _squares(self, found: Sequence[Predicted]) -> tuple[list[Array], list[Array]]:
+        """For each segment (k,) sums of squares of its k predictions as they count, and (k, m, nj) their residuals.
+
+        Segments of one shape are worked out together, for shooting intervals are many and short.
+        """
+        squares: list[Array] = [np.empty(0)] * len(found)
+        residuals: list[Array] = [np.empty(0)] * len(found)
+        for members in self._shapes:
+            whole = stacked_residuals([self.segments[k] for k in members], [found[k] for k in members])
+            if self.noise is None:
+                counted = whole
+            elif all(joint.coloured == 0.0 for joint in self.noise):
+                counted = whole / np.array([joint.white for joint in self.noise])
+            else:
+                times = [self.segments[k].trial.sample_times for k in members]
+                counted = np.stack(
+                    [
+                        np.moveaxis(whiten(self.noise, time, np.moveaxis(own, 0, -1)), -1, 0)
+                        for time, own in zip(times, whole, strict=True)
+                    ]
+                )
+            for k, square, own in zip(members, (counted**2).sum(axis=(2, 3)), whole, strict=True):
+                squares[k], residuals[k] = square, own
+        return squares, residuals
 
     def slopes(self, point: Point, known: Derivatives | None = None) -> Slopes:
         """Forward differences about a point, or what is known of them."""

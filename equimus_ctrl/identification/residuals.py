@@ -44,16 +44,17 @@ def difference(model: Model, simulator: Simulator) -> float:
 def residual_of(segment: Segment, found: Predicted, index: int) -> Array:
     """(m, nj) of one of a segment's predictions; DIVERGED from where it diverged on."""
     one = Predicted(found.position[index : index + 1], found.reached[index : index + 1])
-    return np.asarray(all_residuals_of(segment, one)[:, :, 0])
+    return np.asarray(stacked_residuals([segment], [one])[0, 0])
 
 
-def all_residuals_of(segment: Segment, found: Predicted) -> Array:
-    """(m, nj, k) of all of a segment's predictions, see ``residual_of``."""
-    position = np.moveaxis(found.position, 0, -1)
-    lost = np.arange(len(position))[:, None] >= found.reached  # (m, k)
+def stacked_residuals(segments: Sequence[Segment], found: Sequence[Predicted]) -> Array:
+    """(w, k, m, nj) of all predictions of w segments of one shape, see ``residual_of``."""
+    position = np.stack([own.position for own in found])
+    measured = np.stack([segment.measured for segment in segments])
+    reached = np.stack([own.reached for own in found])
     with np.errstate(invalid="ignore", over="ignore"):  # numbers after a divergence mean nothing
-        residual = np.clip(segment.measured[:, :, None] - position, -FARTHEST, FARTHEST)
-    residual[np.broadcast_to(lost[:, None], residual.shape)] = DIVERGED
+        residual = np.clip(measured[:, None] - position, -FARTHEST, FARTHEST)
+    residual[np.arange(position.shape[2]) >= reached[:, :, None]] = DIVERGED
     return np.asarray(residual)
 
 

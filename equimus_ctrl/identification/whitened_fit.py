@@ -41,7 +41,7 @@ class WhitenedFit:
 
         if len(times) != len(changes):
             raise ConfigError(f"changes are of {len(changes)} segments, expected {len(times)}")
-        return np.concatenate(list(computer.threads(self.threads).map(rows, times, changes, self.starts)))
+        return np.concatenate(computer.in_threads(self.threads, rows, times, changes, self.starts))
 
 
 def whiten_fit(times: Sequence[Array], fit: Fit, noise: Noise) -> WhitenedFit:
@@ -55,6 +55,6 @@ def whiten_fit(times: Sequence[Array], fit: Fit, noise: Noise) -> WhitenedFit:
 
     threads = computer.worker_count(fit.problem.simulator.threads, len(times))
     rows = (times, fit.residuals, fit.jacobians, fit.start_jacobians)
-    starts, both = zip(*computer.threads(threads).map(parts, *rows), strict=True)
+    starts, both = zip(*computer.in_threads(threads, parts, *rows), strict=True)
     residual, slopes = (np.concatenate(own) for own in ([b[:, 0] for b in both], [b[:, 1:] for b in both]))
     return WhitenedFit(noise, residual, slopes, list(starts), threads)
