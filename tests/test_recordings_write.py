@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import time
 from pathlib import Path
 
 import numpy as np
@@ -131,16 +130,3 @@ def test_writing_fails_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_writing_needs_a_folder(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="the file cannot be written .No such file or directory."):
         write(tmp_path / "nowhere" / "trial.csv", simple())
-
-
-@pytest.mark.real_time
-def test_reading_is_fast(tmp_path: Path) -> None:
-    n = 1440
-    moving = simple(time=np.arange(n) / 120, command=np.full((n, 2), 1e4 / 3), position=np.full((n, 2), 1 / 3))
-    write(tmp_path / "trial.csv", moving)
-    durations = []
-    for _ in range(5):
-        start = time.perf_counter()
-        read(tmp_path / "trial.csv")
-        durations.append(time.perf_counter() - start)
-    assert min(durations) < 0.010
