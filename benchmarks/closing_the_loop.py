@@ -28,9 +28,9 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from equimus_ctrl import presets
 from equimus_ctrl.controllers.pid import PidController, PidSettings
-from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.results import STATES
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import EquimusError, SimulationDiverged

@@ -22,9 +22,9 @@ from unittest.mock import patch
 
 from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis import fitting, hypothesis_moves, search
-from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import Split, split
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.errors import EquimusError
 from equimus_ctrl.models.model import Model, nominal_model

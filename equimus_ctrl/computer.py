@@ -188,8 +188,15 @@ def threads(count: int) -> ThreadPoolExecutor:
 
 
 def in_threads(count: int, work: Callable[..., T], *given: Iterable[Any]) -> list[T]:
-    """What work comes to for each of what is given, as of ``map``, shared out among threads; of one, in this."""
-    return list(map(work, *given) if count <= 1 else threads(count).map(work, *given))
+    """What work comes to for each of what is given, shared out among threads; of one, in this.
+
+    Raises:
+        ValueError: where there is more of some of it than of others.
+    """
+    rows = list(zip(*given, strict=True))
+    if count <= 1:
+        return [work(*row) for row in rows]
+    return list(threads(count).map(lambda row: work(*row), rows))
 
 
 @contextmanager

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from effect_cases import PLAUSIBLE
 
-from equimus_ctrl.diagnosis.candidates import Candidate, Part
 from equimus_ctrl.diagnosis.coordinates import Coordinate, read
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.results import (
     Detectable,

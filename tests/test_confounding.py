@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis.candidates import Part, candidates, default_free_parameters
+from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory
 from equimus_ctrl.diagnosis.residual_force import discard_unstable
 from equimus_ctrl.diagnosis.search import Search

@@ -13,18 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis.candidates import (
-    Part,
-    candidates,
-    default_free_parameters,
-    model_of,
-    parameters_of,
-    with_part,
-)
+from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.experiment import Design, _pair
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout, split
+from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters, model_of, parameters_of, with_part
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.localization import localise
 from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis, Equivalent, Named

@@ -13,9 +13,9 @@ from pendulum_runs import MOTOR, PENDULUM, recorded
 
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis import stages
-from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import Split, split
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.stages import STAGES

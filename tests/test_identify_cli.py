@@ -258,7 +258,7 @@ CASES: list[tuple[Sequence[object], str]] = [
     (("identify", "other.csv", "--heldout", "other.csv"), "every trial held out takes part in the fit too"),
     (("identify", "other.csv", "--engine", "mujoko"), "there is no engine 'mujoko'; did you mean 'mujoco'?"),
     (("identify", "other.csv", "--window", "9", "10"), "has 0 samples between 9 and 10 s, too few to identify from"),
-    (("identify", "other.csv", "--shoot", "0.1"), "no shooting window of 0.1 s holds 10 samples"),
+    (("identify", "other.csv", "--shoot", "0.1"), "no shooting interval of 0.1 s holds 10 samples"),
     (("identify", "other.csv", "--model", "nowhere.toml"), "nowhere.toml: there is no such file"),
     (("identify", "other.csv", "--output", "plain_file"), "plain_file: is no folder and cannot become one"),
     (("identify", "other.csv", "--write-model", "plain_file/m.toml"), "plain_file: is no folder and cannot become one"),

@@ -11,7 +11,7 @@ from effect_cases import CASES
 from mjcf_models import DT, RIG, M, Ran, cart, run, swinging
 from scipy.integrate import solve_ivp
 
-from equimus_ctrl.diagnosis.candidates import Candidate, Part
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.results import Estimate, Evidence, Finding
 from equimus_ctrl.effects import REGISTRY, Effect, ForceEffect, ShapingEffect, catalogue, parameter, register
 from equimus_ctrl.engines.mjcf import simulate_mjcf

@@ -14,12 +14,13 @@ from pendulum_runs import CARRIAGE, MOTOR, NOISE, PENDULUM, SERVO, recorded
 from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis import holdout
 from equimus_ctrl.diagnosis.alternatives import in_place, indistinguishable
-from equimus_ctrl.diagnosis.candidates import Candidate, Part, candidates, default_free_parameters
+from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import _another
 from equimus_ctrl.diagnosis.confounding import restates
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group
 from equimus_ctrl.diagnosis.holdout import longest_interval, split
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import SearchPolicy, SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis

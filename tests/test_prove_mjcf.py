@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.cli.main import main
-from equimus_ctrl.diagnosis.candidates import excitation_of
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.effects import GravityTilt
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.engines.mjcf import simulate_mjcf

@@ -168,6 +168,21 @@ def test_a_rejected_effect_does_not_come_back_with_an_mjcf_robot(monkeypatch: py
     assert confirmation.confirmed(search, alone, split).best.labels == {RUB, OFF}
 
 
+def test_what_is_said_of_an_effect_is_what_was_said_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = Known(
+        {(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (DEAD,): 4000.0, (RUB, OFF): 1000.0, (RUB, DEAD): 1100.0}
+    )
+    rejects = [(frozenset({OFF}), frozenset({RUB, OFF})), (frozenset({RUB}), frozenset({RUB, OFF}))]
+    split = held_out_rejects(monkeypatch, rejects)
+    search = OnPaper(known, SearchSettings(many_minima=True))
+    begun = ended(known, RUB, OFF)
+    begun = replace(begun, tried=begun.tried.having(*known.fits.values()))
+    said: dict[str, confirmation.Confirmation] = {}
+    end = confirmation.confirmed(search, begun, split, said.__setitem__)
+    assert end.best.labels == {RUB, DEAD}
+    assert {label: one.ratio for label, one in said.items()} == {RUB: 1.0, DEAD: 1.0}
+
+
 def test_a_rejected_effect_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
     search = OnPaper(known, SearchSettings(many_minima=True))

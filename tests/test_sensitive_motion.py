@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.engines.choice import MujocoEngine, engine_for
 from equimus_ctrl.engines.mjcf import simulate_mjcf

@@ -7,15 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.hypothesis import Candidate as Candidate
-from equimus_ctrl.diagnosis.hypothesis import Hypothesis as Hypothesis
-from equimus_ctrl.diagnosis.hypothesis import Part as Part
-from equimus_ctrl.diagnosis.hypothesis import default_free_parameters as default_free_parameters
-from equimus_ctrl.diagnosis.hypothesis import model_of as model_of
-from equimus_ctrl.diagnosis.hypothesis import parameters_of as parameters_of
-from equimus_ctrl.diagnosis.hypothesis import refined as refined
-from equimus_ctrl.diagnosis.hypothesis import with_part as with_part
-from equimus_ctrl.diagnosis.place_excitation import excitation_of as excitation_of
+from equimus_ctrl.diagnosis.hypothesis import Candidate
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment

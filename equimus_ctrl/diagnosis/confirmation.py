@@ -86,28 +86,36 @@ def confirmed(
         if search.settings.many_minima:
             state, confirms = _another(search, state, place, split)
             if confirms:
+                for part, confirmation in zip(state.best.hypothesis, confirms, strict=True):
+                    tell(part.candidate.label, confirmation)
                 return state
         if len(state.best.hypothesis) == 1:
             state = listed(search, state)
             if (other := _confirmed_alternative(search, holdout, state)) is not None:
-                return other
+                tell(other[0].best.hypothesis[-1].candidate.label, other[1])
+                return other[0]
         state = search.moved(state, state.without[place])
     return state
 
 
-def _confirmed_alternative(search: Search, holdout: HoldoutResiduals, state: SearchState) -> SearchState | None:
+def _confirmed_alternative(
+    search: Search, holdout: HoldoutResiduals, state: SearchState
+) -> tuple[SearchState, Confirmation] | None:
     """The end with another part in the only one's place, that fits as well and that held-out trials confirm."""
     score = search.score(state.best)
     as_good = (a for a in state.alternatives[0] if indistinguishable(search, a, score))
     for alternative in sorted(as_good, key=search.score):
-        if _confirms(search, _carried_over(search, holdout, state.without[0], alternative).ratio):
+        confirmation = _carried_over(search, holdout, state.without[0], alternative)
+        if _confirms(search, confirmation.ratio):
             others = (state.best, *(a for a in state.alternatives[0] if a is not alternative))
-            return replace(state, best=alternative, alternatives=(others,))
+            return replace(state, best=alternative, alternatives=(others,)), confirmation
     return None
 
 
-def _another(search: Search, state: SearchState, place: int, split: Split) -> tuple[SearchState, bool]:
-    """The best hypothesis that fits better than the one less a part, all of whose parts are confirmed; whether one is.
+def _another(
+    search: Search, state: SearchState, place: int, split: Split
+) -> tuple[SearchState, tuple[Confirmation, ...]]:
+    """The best hypothesis that fits better than the one less a part, all of whose parts are confirmed, and by what.
 
     Validation trials may reject one part too many of a kind alone: an asymmetric friction that took an
     offset's place, say.
@@ -125,13 +133,16 @@ def _another(search: Search, state: SearchState, place: int, split: Split) -> tu
         moved = search.moved(state, search.data.converge(fitted))
         state = replace(state, tried=moved.tried)
         holdout = HoldoutResiduals(search.data, split, moved)
-        if all(
-            search.accepts(without, moved.best)
-            and _confirms(search, _carried_over(search, holdout, without, moved.best).ratio)
-            for without in moved.without
-        ):
-            return moved, True
-    return state, False
+        confirmations: list[Confirmation] = []
+        for without in moved.without:
+            if not search.accepts(without, moved.best):
+                break
+            confirmations.append(_carried_over(search, holdout, without, moved.best))
+            if not _confirms(search, confirmations[-1].ratio):
+                break
+        else:
+            return moved, tuple(confirmations)
+    return state, ()
 
 
 def _carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:

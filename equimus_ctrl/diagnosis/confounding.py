@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Hypothesis, Part
 from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import Group
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import LinearisedFit, judged
 from equimus_ctrl.identification.projection import Nuisance

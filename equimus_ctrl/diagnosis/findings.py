@@ -10,10 +10,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
-from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import (
@@ -121,7 +121,10 @@ def _log_p_value(gain: float, count: int) -> float:
 
 
 def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
-    """The parameters of a part of the hypothesis with 95 % intervals, which end at the parameters' bounds."""
+    """The parameters of a part of the hypothesis with 95 % intervals.
+
+    They are clipped at the parameters' bounds, and ±inf where there is no end.
+    """
     first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
     estimates = {}
     for i, key in enumerate(best.hypothesis[k].values):

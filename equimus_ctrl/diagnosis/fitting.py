@@ -282,7 +282,7 @@ class Data:
         return Fitted(refined(hypothesis, after.theta[len(self.free.free) :]), after, noise, deviance)
 
     def _correlated(self, gain: float) -> bool:
-        return self.thresholds.decides(lambda t: gain >= t.colour)
+        return not self.thresholds.decides(lambda t: gain < t.colour)
 
     def base(self) -> Fitted:
         """The model without any hypothesis, refitted.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import excitation_of
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
@@ -46,7 +46,7 @@ class Split:
         test: not seen by any fit or choice, for the error that is reported; empty where there are too few trials.
         short_segments: the fitted trials in intervals so short that errors do not grow in them; none if alike.
         other: the same trials with others of them held out, for where those show what the rest does not; None where
-            somebody said which judge, or there are too few.
+            somebody said which are for validation, or there are too few.
     """
 
     train: tuple[Segment, ...]

@@ -180,8 +180,8 @@ class HypothesisMoves:
             thresholds: those of the data by default.
         """
         t = thresholds or self.data.thresholds
-        by_chance = float(chdtri(parameters, t.significance / max(len(self.pool), 1)))
-        return max(by_chance, t.simulation_error * self.data.n) + self.scatter(t)
+        quantile = float(chdtri(parameters, t.significance / max(len(self.pool), 1)))
+        return max(quantile, t.simulation_error * self.data.n) + self.scatter(t)
 
     def scatter(self, thresholds: Thresholds) -> float:
         """By how much deviances scatter with the local minimum that a fit ends in; 0 where there is one minimum."""

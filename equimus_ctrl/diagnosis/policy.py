@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.identification.noise import COLOUR
 from equimus_ctrl.robots.base import RobotTraits
 
 Basis = Literal["theory", "convention", "calibration"]
@@ -77,7 +78,7 @@ class Thresholds:
         PROOFS,
     )
     colour: float = _decides(
-        12.0,
+        COLOUR,
         DEVIANCE,
         "a joint's noise is taken to be correlated over time from this gain over white noise on",
         "theory",

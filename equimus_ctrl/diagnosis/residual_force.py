@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.diagnosis.explained_variance import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group, groups, harmonics, responses
 from equimus_ctrl.diagnosis.force_response import STEP, force_response
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.engines.motion import Motion
 from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.errors import SimulationDiverged
@@ -26,7 +26,8 @@ SLOWEST, FASTEST = 0.2, 4.0
 FOLDS = 3
 """Of the cross-validation."""
 PRICE = 3.0
-"""Of each parameter of a residual force, in units of χ², where there is no cross-validation; on noise it gains 1."""
+"""Of each parameter of a residual force, in units of χ², where there is no cross-validation: on noise a parameter gains
+1 on what is fitted and costs as much on what is not (Akaike, 1974), and one more is for the choice among forces."""
 BOUND = 1e9
 """Responses [rad] above this, to a force of size 1, are those of an instability."""
 

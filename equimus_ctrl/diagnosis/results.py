@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Part
 from equimus_ctrl.diagnosis.coordinates import Coordinate, written
 from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model

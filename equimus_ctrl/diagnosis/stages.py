@@ -186,7 +186,8 @@ def confirm(state: State) -> State:
     for label in sorted(before - end.best.labels):
         after = after.decided("confirmation", f"{label} rejected", str(said.get(label, "not needed beside the others")))
     for label in sorted(end.best.labels - before):
-        after = after.decided("confirmation", f"{label} accepted", "fits in its place, and held-out trials confirm it")
+        reason = f"fits in its place, and {said[label]}" if label in said else "fits in its place"
+        after = after.decided("confirmation", f"{label} accepted", reason)
     for label in sorted((end.best.labels & before) & said.keys()):
         after = after.decided("confirmation", f"{label} confirmed", str(said[label]))
     return after
@@ -233,7 +234,7 @@ def _explained(state: State, before: Fitted, reasons: Mapping[str, str]) -> Stat
     for residual in state.analysis.unexplained:
         over = f" over {residual.depends_on}" if residual.depends_on else ""
         reason = f"{_size(residual):.4g}, at least {residual.threshold:.4g}"
-        state = state.decided("unexplained", f"something left at {residual.location}{over}", reason)
+        state = state.decided("unexplained", f"unexplained at {residual.location}{over}", reason)
     return state
 
 

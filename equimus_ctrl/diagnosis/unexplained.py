@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.diagnosis.confounding import confounded, restates
 from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
 from equimus_ctrl.diagnosis.localization import excess_variances
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import ForceCandidate, LinearisedFit, force_candidates, judged, linearise_fit
 from equimus_ctrl.diagnosis.results import ResidualAboveNoise, ResidualForce, Unexplained

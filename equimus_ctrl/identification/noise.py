@@ -132,7 +132,7 @@ def estimate_noise(
     times: Sequence[Array],
     residuals: Sequence[Array],
     longest: float = LONGEST,
-    correlated: Callable[[float], bool] = lambda gain: gain >= COLOUR,
+    correlated: Callable[[float], bool] = lambda gain: not gain < COLOUR,
 ) -> Noise:
     """The noise that makes residual series (m, nj) most likely, joint by joint.
 

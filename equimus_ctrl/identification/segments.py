@@ -93,7 +93,7 @@ def cut(
     """
     at_rest = model.robot.traits.starts_at_rest
     if shoot is not None and not (0.05 <= shoot < math.inf or (shoot == math.inf and not at_rest)):
-        raise ConfigError(f"shooting windows of {shoot:g} s are too short, expected at least 0.05 s")
+        raise ConfigError(f"shooting intervals of {shoot:g} s are too short, expected at least 0.05 s")
     segments = []
     for index, recording in enumerate(recordings):
         check_columns(model, recording)
@@ -156,7 +156,7 @@ def _shooting_intervals(
         segments.append(Segment(trial, measured, index, recording.name, start, free, span, trust))
     if not segments:
         raise ConfigError(
-            f"{recording.name}: no shooting window of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "
+            f"{recording.name}: no shooting interval of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "
             f"{2 * LEAST_SAMPLES * np.median(np.diff(time)):.2g} s"
         )
     return segments

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from equimus_ctrl import computer
-from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.fit import Fit
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.projection import Nuisance
@@ -39,8 +39,6 @@ class WhitenedFit:
         def rows(time: Array, change: Array, start: Nuisance) -> Array:
             return start.project_out(whiten(self.noise, time, change).reshape(len(start.basis), -1))
 
-        if len(times) != len(changes):
-            raise ConfigError(f"changes are of {len(changes)} segments, expected {len(times)}")
         return np.concatenate(computer.in_threads(self.threads, rows, times, changes, self.starts))
 
 
@@ -55,6 +53,7 @@ def whiten_fit(times: Sequence[Array], fit: Fit, noise: Noise) -> WhitenedFit:
 
     threads = computer.worker_count(fit.problem.simulator.threads, len(times))
     rows = (times, fit.residuals, fit.jacobians, fit.start_jacobians)
-    starts, both = zip(*computer.in_threads(threads, parts, *rows), strict=True)
+    with threadpool_limits(limits=1, user_api="blas"):  # threads of their own would only fight with these
+        starts, both = zip(*computer.in_threads(threads, parts, *rows), strict=True)
     residual, slopes = (np.concatenate(own) for own in ([b[:, 0] for b in both], [b[:, 1:] for b in both]))
     return WhitenedFit(noise, residual, slopes, list(starts), threads)

@@ -12,8 +12,9 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import default_free_parameters, excitation_of
 from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.segments import Segment

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.choice import engine_for

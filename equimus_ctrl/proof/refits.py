@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Candidate, Hypothesis
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import Candidate
+from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, Robots
 from equimus_ctrl.effects.excitation import Excitation
-from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sizes import Size
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
@@ -41,7 +40,7 @@ def mjcf_table(model: Model, excitation: Mapping[str, Excitation]) -> dict[str, 
     """
     found = {}
     for name, cls in known().items():
-        where = model.robot.force_places() if issubclass(cls, ForceEffect) else model.robot.places()
+        where = cls.places_on(model.robot)
         info = cls.parameter_info()
         found[name] = tuple(
             share.size(info[share.parameter]["unit"], excitation[place], place)

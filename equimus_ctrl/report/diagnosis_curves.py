@@ -14,6 +14,7 @@ from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.results import Finding, ResidualForce, Unexplained
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
+from equimus_ctrl.effects.description import CURVE_MARGIN
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import SensorEffect
@@ -21,7 +22,6 @@ from equimus_ctrl.identification.parameters import place_unit, unit_of
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_panels import (
-    BEYOND,
     Line,
     Panel,
     Scene,
@@ -192,7 +192,7 @@ class _Place:
     @property
     def range(self) -> Array:
         """(POINTS,) coordinates, somewhat beyond what is covered."""
-        beyond = BEYOND * self.covered.span
+        beyond = CURVE_MARGIN * self.covered.span
         return np.linspace(self.covered.low - beyond, self.covered.high + beyond, POINTS)
 
     @property

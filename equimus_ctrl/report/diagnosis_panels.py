@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.candidates import excitation_of
 from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.localization import commands, speeds
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.results import Diagnosis, Finding
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.excitation import Excitation
@@ -20,8 +20,6 @@ from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-BEYOND = 0.12
-"""So much of the span that recordings cover is drawn beyond it on either side."""
 ROUNDING = 1e-9
 """Differences up to this are of arithmetic."""
 LEAST_BAND = 5e-3

@@ -154,7 +154,8 @@ def _unexplained(residual: Unexplained, model: Model) -> str:
         size = f", up to {estimate_text(Estimate(largest, largest - half, largest + half, residual.unit))}"
     return (
         f"At the {residual.location}: a residual force{at} that depends on "
-        f"{coordinates_text(residual.coordinates, model)}{size}; {percent(residual.share)} of the remaining excess; "
+        f"{coordinates_text(residual.coordinates, model)}{size}; {percent(residual.share)} of the remaining "
+        "excess residual variance; "
         f"χ² falls by {number(residual.gain)} (threshold {number(residual.threshold)})"
     )
 

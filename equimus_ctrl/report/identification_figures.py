@@ -28,7 +28,7 @@ LEFT_AXES = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """One trial as it is drawn; nan between shooting windows.
+    """One trial as it is drawn; nan between shooting intervals.
 
     Attributes:
         name: of the trial.

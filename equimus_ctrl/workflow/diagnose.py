@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from equimus_ctrl.diagnosis.budget import Asked, never
-from equimus_ctrl.diagnosis.candidates import default_free_parameters
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
 from equimus_ctrl.diagnosis.holdout import check_settings, split
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
 from equimus_ctrl.errors import ConfigError, EquimusError

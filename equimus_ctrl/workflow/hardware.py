@@ -17,7 +17,7 @@ from equimus_ctrl.effects import FirstOrderLag, TransportDelay
 from equimus_ctrl.errors import ConfigError, NotAvailable, RecordingError
 from equimus_ctrl.identification.results import Identified
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.plants.hardware.guard import Excitation
+from equimus_ctrl.plants.hardware.guard import Measurements
 from equimus_ctrl.plants.hardware.plant import HardwarePlant
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.hardware.transport import Sample, Transport
@@ -142,7 +142,7 @@ def _listened(host: Transport, patience: float, seconds: float) -> list[Sample]:
 
 def _judged(samples: list[Sample], plant: HardwarePlant) -> str:
     """What a run would refuse of measurements."""
-    seen: Excitation | str = plant.guard.first(samples[0])
+    seen: Measurements | str = plant.guard.first(samples[0])
     for sample in samples[1:]:
         if isinstance(seen, str):
             break

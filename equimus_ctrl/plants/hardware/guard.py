@@ -13,7 +13,7 @@ from equimus_ctrl.types import Array, PlantSpec
 
 
 @dataclass(frozen=True, eq=False)
-class Excitation:
+class Measurements:
     """What the measurements say so far.
 
     Attributes:
@@ -64,16 +64,16 @@ class Guard:
             found.append(own.scale * (sample.position[place] - own.zero))
         return np.array(found)
 
-    def first(self, sample: Sample) -> Excitation | str:
+    def first(self, sample: Sample) -> Measurements | str:
         """What a first sample says, or what is wrong with it."""
         angles = self.angles(sample)
         if isinstance(angles, str):
             return angles
         clock = ClockMap.of(sample.stamp, sample.received)
-        seen = Excitation(clock, angles, clock.local(sample.stamp), sample.stamp, sample.source)
+        seen = Measurements(clock, angles, clock.local(sample.stamp), sample.stamp, sample.source)
         return self._wrong(angles) or seen
 
-    def next(self, seen: Excitation, sample: Sample) -> Excitation | str:
+    def next(self, seen: Measurements, sample: Sample) -> Measurements | str:
         """What is known with one more sample, or the fault that it shows."""
         if sample.source != seen.source:
             return "measurements come from another publisher than before, expected one alone"
@@ -99,11 +99,11 @@ class Guard:
                     f"{self.safety.speed:g} rad/s"
                 )
         clock = seen.clock.seen(sample.stamp, sample.received)
-        return Excitation(
+        return Measurements(
             clock, angles, clock.local(sample.stamp), sample.stamp, sample.source, seen.samples + 1, seen.ignored
         )  # fmt: skip
 
-    def stale(self, seen: Excitation, now: float) -> str:
+    def stale(self, seen: Measurements, now: float) -> str:
         """That nothing was measured for too long, in words; empty where it was."""
         age = now - seen.stamp
         if age <= self.safety.stale:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable, RecordingError
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.plants.hardware.guard import Excitation, Guard
+from equimus_ctrl.plants.hardware.guard import Guard, Measurements
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.hardware.transport import Transport
 from equimus_ctrl.plants.hardware.transports import transport_entry
@@ -114,7 +114,7 @@ class HardwarePlant:
         self.guard = Guard(self._spec, s.safety, calibrations)
         self._wire = transport or transport_entry(s.wire.transport).host(s.wire)
         self.counts = LoopCounts()
-        self._seen: Excitation | None = None
+        self._seen: Measurements | None = None
         self._stream: RecordingStream | None = None
         self._pending: deque[tuple[float, Array]] = deque()
         self._last: tuple[float, Array] | None = None
@@ -253,7 +253,7 @@ class HardwarePlant:
         while self._seen is None:
             for sample in self._wire.take():
                 found = self.guard.first(sample) if self._seen is None else self.guard.next(self._seen, sample)
-                if isinstance(found, Excitation):
+                if isinstance(found, Measurements):
                     self._seen = found
                 else:
                     wrong = found
@@ -330,7 +330,7 @@ class HardwarePlant:
             self._seen, self._resync = found, False
         return ""
 
-    def _write(self, seen: Excitation) -> None:
+    def _write(self, seen: Measurements) -> None:
         """Rows of the instants that lie between the measurement before and this one."""
         if not self._begun or self._last is None:
             return
