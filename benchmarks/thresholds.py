@@ -1,12 +1,14 @@
 """How the answers of a proof move when each number that decides is halved and doubled: ``diagnosis/policy.py``.
 
-python benchmarks/thresholds.py PROOF [--model robot.xml] [--cases 200] [--output FILE] [--budget SECONDS]
+python benchmarks/thresholds.py PROOF [--model robot.xml] [--first 0] [--cases 200] [--output FILE] [--budget SECONDS]
 
 PROOF is a folder that ``equimus-ctrl prove`` made; its recordings are diagnosed again. While one is diagnosed, every
 decision is asked once more with each number halved and doubled. Where all fall alike, the answer with that number is
 known to be the same; only where one falls otherwise is the case diagnosed with it, fits and screenings that were done
 for the case before taken over. What is done is kept in the output (a line of JSON a case), and the same command goes on
 from there. At the end: a table in Markdown, the numbers that move most first.
+
+python benchmarks/thresholds.py --sum TABLE.json ... adds tables that ``--table FILE`` wrote, of proofs of other robots.
 """
 
 from __future__ import annotations
@@ -177,6 +179,19 @@ def counts(found: Score) -> dict[str, str]:
     }
 
 
+def added(tables: Sequence[Sequence[Mapping[str, Any]]]) -> list[dict[str, Any]]:
+    """One table of several proofs."""
+
+    def share(texts: Sequence[str]) -> str:
+        return "/".join(str(sum(int(text.split("/")[k]) for text in texts)) for k in (0, 1))
+
+    lines = []
+    for same in zip(*tables, strict=True):
+        whole = {key: sum(line[key] for line in same) for key in ("decided", "changed")}
+        lines.append({**same[0], **whole, **{key: share([line[key] for line in same]) for key in SHOWN}})
+    return lines
+
+
 def told(lines: list[dict[str, Any]]) -> str:
     """The lines as a table, the numbers that change most answers first."""
     moved = {line["name"]: 0 for line in lines}
@@ -195,19 +210,27 @@ def told(lines: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("proof", type=Path)
+    parser.add_argument("proof", type=Path, nargs="?")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="case to begin with, to share the work among processes")
     parser.add_argument("--output", type=Path, default=Path("thresholds.jsonl"))
     parser.add_argument("--budget", type=float, help="no case is begun after this time [s]")
+    parser.add_argument("--table", type=Path, help="write the table as JSON here, for --sum")
+    parser.add_argument("--sum", type=Path, nargs="+", help="add these tables; nothing is diagnosed")
     given = parser.parse_args()
+    if given.sum:
+        print(told(added([json.loads(file.read_text(encoding="utf-8")) for file in given.sum])))
+        return
+    if given.proof is None:
+        parser.error("expected a proof's folder, or --sum")
     model = nominal_model() if given.model is None else workflow.load_model(given.model)
     known = {}
     if given.output.exists():
         known = {row["case"]: row for row in map(json.loads, given.output.read_text(encoding="utf-8").splitlines())}
     begun = time.monotonic()
     with given.output.open("a", encoding="utf-8") as file:
-        for case in range(given.cases):
+        for case in range(given.first, given.cases):
             if case in known:
                 continue
             if given.budget is not None and time.monotonic() - begun > given.budget:
@@ -226,7 +249,10 @@ def main() -> None:
         name = f"case_{row['case']:04d}"
         line, seal = (given.proof / "truth" / f"{name}.json"), (given.proof / "seals" / f"{name}.txt")
         truths.append(opened(line.read_text().strip(), seal.read_text().strip(), str(line)))
-    print(told(table(rows, truths, model)))
+    lines = table(rows, truths, model)
+    if given.table:
+        given.table.write_text(json.dumps(lines), encoding="utf-8")
+    print(told(lines))
 
 
 if __name__ == "__main__":

@@ -398,7 +398,7 @@ def test_of_one_trial_the_force_that_explains_most_for_its_parameters_is_the_bes
     columns = [c[:, 1:2], cause, np.column_stack([cause, c[:, 2:]])]
     forces = [Group(name, ("hip",), "time", None, (), {}) for name in ("other", "cause", "too many")]
     whitened_fit: Any = SimpleNamespace(residual=r + 30 * cause[:, 0], slopes=q)
-    at = LinearisedFit(None, whitened_fit, forces, columns, nothing, (), [])  # type: ignore[arg-type]
+    at = LinearisedFit(None, whitened_fit, forces, columns, nothing, (), [], 3.0)  # type: ignore[arg-type]
     ranked = force_candidates(at)
     assert [f.group.location for f in ranked] == ["cause", "too many", "other"]
     assert ranked[0].found.gain < ranked[1].found.gain and judged(ranked[0].found, at) > judged(ranked[1].found, at)

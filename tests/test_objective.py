@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import equimus_ctrl as eq
-from equimus_ctrl.effects.valves import POWER
+from equimus_ctrl.effects.command import POWER
 from equimus_ctrl.robots.elastic.morphology import pack
 from equimus_ctrl.tuning.ensemble import make_ensemble
 from equimus_ctrl.tuning.objective import BAND, TERMS, Evaluation, LegOutcome, Outcome, Problem, make_task

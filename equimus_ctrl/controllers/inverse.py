@@ -15,9 +15,10 @@ import numpy as np
 
 from equimus_ctrl.controllers.pid_kernel import blend
 from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.command import DELAY, FILL, VENT
 from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, behind, follow, sensor_settings, shown
-from equimus_ctrl.effects.valves import DELAY, FILL, VENT, command_for, shaped_commands, useful_commands, valve_settings
+from equimus_ctrl.effects.valves import command_for, shaped_commands, useful_commands, valve_settings
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.inverse import inverse_dynamics

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
-from equimus_ctrl.effects.valves import DELAY, shaped_commands, valve_settings
+from equimus_ctrl.effects.command import DELAY
+from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState
 from equimus_ctrl.models.linear import linearise, valve_lag

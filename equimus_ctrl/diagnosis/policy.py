@@ -156,6 +156,14 @@ class Thresholds:
         "theory",
         "Akaike (1974)",
     )
+    residual_price_alone: float = _decides(
+        3.0,
+        "χ² a coefficient",
+        "the same of residual forces among each other, where one trial alone allows no cross-validation",
+        "theory",
+        "on noise a coefficient gains 1 on what is fitted and costs 1 on what is not (Akaike, 1974); one more is for "
+        "the choice among forces",
+    )
     trace: float = _decides(
         0.01,
         "",

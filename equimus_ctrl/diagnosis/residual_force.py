@@ -25,9 +25,6 @@ SLOWEST, FASTEST = 0.2, 4.0
 """Frequencies of a disturbance in time that are looked for [Hz]."""
 FOLDS = 3
 """Of the cross-validation."""
-PRICE = 3.0
-"""Of each parameter of a residual force, in units of χ², where there is no cross-validation: on noise a parameter gains
-1 on what is fitted and costs as much on what is not (Akaike, 1974), and one more is for the choice among forces."""
 BOUND = 1e9
 """Responses [rad] above this, to a force of size 1, are those of an instability."""
 
@@ -58,6 +55,7 @@ class LinearisedFit:
             these are not cut; none where there is one alone.
         noise: by which they are whitened.
         motions: of the fitted model, trial by trial.
+        price: of each coefficient of a residual force, in units of χ², where there are no folds.
     """
 
     fitted: Fitted
@@ -67,6 +65,7 @@ class LinearisedFit:
     folds: list[list[slice]]
     noise: Noise
     motions: list[Motion]
+    price: float
 
 
 def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) -> LinearisedFit | None:
@@ -95,7 +94,10 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
     edges = np.cumsum([0, *[s.measured.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
-    return LinearisedFit(fitted, whitened_fit, forces, columns, folds if len(slices) > 1 else [], noise, motions)
+    if len(slices) == 1:
+        folds = []
+    price = data.thresholds.residual_price_alone
+    return LinearisedFit(fitted, whitened_fit, forces, columns, folds, noise, motions, price)
 
 
 def discard_unstable(answers: Sequence[Array]) -> list[Array]:
@@ -122,4 +124,4 @@ def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[Forc
 
 def judged(explanation: Explained, at: LinearisedFit) -> float:
     """Fall of χ² in cross-validation; without folds that on what was fitted, less a price of each parameter."""
-    return explanation.held_out if at.folds else explanation.gain - PRICE * explanation.rank
+    return explanation.held_out if at.folds else explanation.gain - at.price * explanation.rank

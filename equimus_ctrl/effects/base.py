@@ -374,9 +374,9 @@ def check_robots(effects: Sequence[Effect], kind: Robots, where: str) -> None:
             )
 
 
-def require_kinds(effects: Sequence[Effect], kinds: tuple[type[Effect], ...], who: str) -> None:
-    """Raise ConfigError where an effect is of none of the kinds that ``who`` simulates."""
+def require_simulated(effects: Sequence[Effect], who: str) -> None:
+    """Raise ConfigError where there is an effect of which no engine has the law, see ``Effect.simulated``."""
     for effect in effects:
-        if not isinstance(effect, kinds):
-            names = ", ".join(name for name, cls in sorted(REGISTRY.items()) if issubclass(cls, kinds))
+        if not effect.simulated:
+            names = ", ".join(name for name, cls in sorted(REGISTRY.items()) if cls.simulated)
             raise ConfigError(f"{who} does not simulate effect {effect.name} at {effect.location!r} (it does: {names})")

@@ -19,16 +19,16 @@ from equimus_ctrl.effects.command import (
     COUPLING,
     CUTOFF,
     DEAD_ZONE,
+    DELAY,
+    FILL,
+    FLOW,
+    POWER,
+    RATE,
     REFERENCE,
     SATURATION,
+    VENT,
     shape_column,
 )
-from equimus_ctrl.effects.command import DELAY as DELAY
-from equimus_ctrl.effects.command import FILL as FILL
-from equimus_ctrl.effects.command import FLOW as FLOW
-from equimus_ctrl.effects.command import POWER as POWER
-from equimus_ctrl.effects.command import RATE as RATE
-from equimus_ctrl.effects.command import VENT as VENT
 from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.sizes import Share, Size

@@ -9,32 +9,20 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.base import require_kinds
-from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
-from equimus_ctrl.effects.command import FOLLOW_KIND
-from equimus_ctrl.effects.force import ForceEffect, force_laws
-from equimus_ctrl.effects.sensors import SensorEffect, sensor_settings
-from equimus_ctrl.effects.valves import (
-    DELAY,
-    FILL,
-    FLOW,
-    RATE,
-    VENT,
-    ShapingEffect,
-    ValveEffect,
-    valve_settings,
-)
+from equimus_ctrl.effects.base import require_simulated
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.command import DELAY, DIRECT, FILL, FILTERED, FLOW, FOLLOW_KIND, RATE, SLEWED, VENT
+from equimus_ctrl.effects.force import force_laws
+from equimus_ctrl.effects.sensors import sensor_settings
+from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.augmented import law_parameters, rubbing_places, slots_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.robots.mechanics import DIRECT, FILTERED, SLEWED, Mechanics, Structure
+from equimus_ctrl.robots.mechanics import Mechanics, Structure
 from equimus_ctrl.robots.mjcf.form import FAR
 from equimus_ctrl.types import Array
-
-KNOWN_KINDS = (BodyEffect, ForceEffect, SensorEffect, ShapingEffect, ValveEffect)
-"""What effects have to derive from to be simulated; each says so itself (``Effect.simulated``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +87,7 @@ def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
             raise ConfigError(
                 f"{model.name} and {first.name} differ in structure or phase, so they cannot run together"
             )
-        require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the reduced engine")
+        require_simulated(model.effects, f"{model.name}: the reduced engine")
         for effect in model.effects:
             if effect.rubs or effect.loads:
                 in_use |= {

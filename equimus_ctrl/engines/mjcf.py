@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import pressure_history
+from equimus_ctrl.effects.command import DELAY, FILL, VENT, pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_effects, force_laws
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, sample, sensor_settings
-from equimus_ctrl.effects.valves import DELAY, FILL, VENT, shaped_commands, valve_settings
+from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.trials import Condition, Predicted, Trial

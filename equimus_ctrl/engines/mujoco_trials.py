@@ -8,12 +8,12 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from equimus_ctrl.effects.base import require_kinds
-from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
+from equimus_ctrl.effects.base import require_simulated
+from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
-from equimus_ctrl.effects.force import ForceEffect, force_effects
-from equimus_ctrl.effects.sensors import SensorEffect, sample, sensor_settings
-from equimus_ctrl.effects.valves import ShapingEffect, ValveEffect, shaped_commands, valve_settings
+from equimus_ctrl.effects.force import force_effects
+from equimus_ctrl.effects.sensors import sample, sensor_settings
+from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS, MujocoBatch, near_stop, stop_divisor
 from equimus_ctrl.engines.mujoco_forces import ForceStepper
@@ -26,9 +26,6 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import step_quietly
 from equimus_ctrl.robots.elastic.morphology import Morphology
 from equimus_ctrl.types import Array
-
-MUJOCO_KINDS = (BodyEffect, ForceEffect, SensorEffect, ShapingEffect, ValveEffect)
-"""Effects that MuJoCo plants and engines simulate."""
 
 
 def simulate_mujoco(
@@ -44,7 +41,7 @@ def simulate_mujoco(
     Runs that come near a joint's stop are simulated anew with steps short enough for its force, as in ``MujocoBatch``.
 
     Args:
-        models: of one structure and phase; they may differ in all parameters and in effects of ``MUJOCO_KINDS``.
+        models: of one structure and phase; they may differ in all parameters and in effects.
         trials: what is predicted.
         starts: for each trial (k, nj) angles at the start, or (k, 2 nj) angles and velocities, one row a model [rad,
             rad/s]; the trial's own by default.
@@ -62,7 +59,7 @@ def simulate_mujoco(
     if not models:
         raise ConfigError("no model was given to simulate")
     for model in models:
-        require_kinds(model.effects, MUJOCO_KINDS, f"{model.name}: MuJoCo")
+        require_simulated(model.effects, f"{model.name}: MuJoCo")
         if model.phase != models[0].phase:
             raise ConfigError(f"{model.name} and {models[0].name} differ in phase, so they cannot run together")
     m = models[0].morphology

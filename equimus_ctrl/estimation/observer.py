@@ -16,8 +16,9 @@ from typing import Literal
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, behind
-from equimus_ctrl.effects.valves import DELAY, shaped_commands
+from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.models.buffered import Buffered

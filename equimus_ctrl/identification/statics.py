@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
 
-from equimus_ctrl.effects.base import require_kinds
+from equimus_ctrl.effects.base import require_simulated
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands
-from equimus_ctrl.engines.encoding import KNOWN_KINDS, encode
+from equimus_ctrl.engines.encoding import encode
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.uncertainty import Uncertainty, uncertainty
@@ -97,7 +97,7 @@ def rest_poses(model: Model, pressure: Array, guess: Array) -> RestPoses:
         pressure: (n, na) commanded [Pa].
         guess: (n, nj) angles to look from [rad].
     """
-    require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: statics")
+    require_simulated(model.effects, f"{model.name}: statics")
     m = model.morphology
     laws = force_laws()
     parameters = encode([model]).parameters[0]

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.command import FILL, VENT
 from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings
-from equimus_ctrl.effects.valves import FILL, VENT, valve_settings
+from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, slots_of
 from equimus_ctrl.models.elastic_equations import joint_stops, stops_in_mode
 from equimus_ctrl.models.inverse import holding_pressure

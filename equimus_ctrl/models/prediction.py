@@ -16,10 +16,10 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import REFERENCE
+from equimus_ctrl.effects.command import FILL, FLOW, POWER, RATE, REFERENCE, VENT
 from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import sensor_settings
-from equimus_ctrl.effects.valves import FILL, FLOW, POWER, RATE, VENT, valve_settings
+from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build

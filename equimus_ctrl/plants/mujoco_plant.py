@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from equimus_ctrl.effects.base import require_kinds
+from equimus_ctrl.effects.base import require_simulated
 from equimus_ctrl.effects.bodies import PayloadMass, changed_bodies
 from equimus_ctrl.effects.command import advance_pressure
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, follow, recall, sensor_settings, shown
@@ -18,7 +18,6 @@ from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_forces import ForceStepper
-from equimus_ctrl.engines.mujoco_trials import MUJOCO_KINDS
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
@@ -124,7 +123,7 @@ class MujocoPlant:
         self.rates = rates or PlantRates()
         if not 0 <= noise < float("inf"):
             raise ConfigError(f"noise is {noise:g} rad, expected 0 or more")
-        require_kinds(model.effects, MUJOCO_KINDS, f"{model.name}: the MuJoCo plant")
+        require_simulated(model.effects, f"{model.name}: the MuJoCo plant")
         self.model = model
         self.noise = noise
         robot = changed_bodies(model.effects, model.morphology)

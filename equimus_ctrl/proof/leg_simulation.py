@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from mujoco import batch as mjbatch
 
-from equimus_ctrl.effects.base import require_kinds
+from equimus_ctrl.effects.base import require_simulated
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import pressure_history
 from equimus_ctrl.effects.force import ForceEffect
@@ -23,7 +23,6 @@ from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
 from equimus_ctrl.engines.mujoco_forces import STICKING
-from equimus_ctrl.engines.mujoco_trials import MUJOCO_KINDS
 from equimus_ctrl.engines.rest import settle
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
@@ -138,7 +137,7 @@ def simulate(ground_truth: GroundTruth, rate: float = RATE) -> list[Array]:
         SimulationDiverged: where the leg's state is not finite.
     """
     model, dt = ground_truth.model, 1.0 / rate
-    require_kinds(model.effects, MUJOCO_KINDS, f"case {ground_truth.case}")
+    require_simulated(model.effects, f"case {ground_truth.case}")
     names = ground_truth.leg.actuator_names
     robot = changed_bodies(model.effects, ground_truth.leg)
     steps = max(int(np.ceil(trial.time[-1] * rate - 1e-9)) for trial in ground_truth.trials)

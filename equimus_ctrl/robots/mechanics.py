@@ -8,10 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import DIRECT as DIRECT
-from equimus_ctrl.effects.command import FILTERED as FILTERED
-from equimus_ctrl.effects.command import INTEGRATED as INTEGRATED
-from equimus_ctrl.effects.command import SLEWED as SLEWED
+from equimus_ctrl.effects.command import DIRECT
 from equimus_ctrl.robots.elastic.form import ElasticForm
 from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
 from equimus_ctrl.types import Array

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.effects.base import Effect, require_kinds
+from equimus_ctrl.effects.base import Effect, require_simulated
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
-from equimus_ctrl.effects.valves import POWER, ValveEffect, valve_settings
-from equimus_ctrl.engines.encoding import KNOWN_KINDS
+from equimus_ctrl.effects.command import POWER
+from equimus_ctrl.effects.valves import ValveEffect, valve_settings
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.spread import OF_ACTUATORS, groups, latin_hypercube, perturbed
@@ -59,7 +59,7 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     Raises:
         ConfigError: where an effect is of no kind known here.
     """
-    require_kinds(model.effects, KNOWN_KINDS, f"{model.name}: the tuning loop")
+    require_simulated(model.effects, f"{model.name}: the tuning loop")
     m = changed_bodies(model.effects, model.morphology)
     spreads = groups(m, {key: getattr(settings, key) for key in (*OF_ACTUATORS, "mass")})
     na = len(m.actuators)

@@ -13,9 +13,10 @@ from scipy.linalg import expm
 from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP
 from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, hermite, sensor_settings
-from equimus_ctrl.effects.valves import DELAY, ShapingEffect, command_for, shaped_commands
+from equimus_ctrl.effects.valves import ShapingEffect, command_for, shaped_commands
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.linear import state_matrices, valve_lag, with_valves

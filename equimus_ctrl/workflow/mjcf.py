@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from equimus_ctrl import presets
-from equimus_ctrl.effects.valves import DELAY, TransportDelay
+from equimus_ctrl.effects.command import DELAY
+from equimus_ctrl.effects.valves import TransportDelay
 from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
