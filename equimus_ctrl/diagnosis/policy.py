@@ -46,7 +46,7 @@ class Threshold:
     origin: Origin
 
 
-PROOFS = "rates of `prove` over it: benchmarks/thresholds.py"
+PROOFS = "rates of `prove` over it: benchmarks/thresholds.py, docs/proof.md"
 """Of what is calibrated: how the proof's answers move when the number is halved and doubled."""
 DEVIANCE = "−2Δln L"
 
