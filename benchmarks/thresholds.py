@@ -220,10 +220,18 @@ def main() -> None:
     parser.add_argument("--sum", type=Path, nargs="+", help="add these tables; nothing is diagnosed")
     given = parser.parse_args()
     if given.sum:
-        print(told(added([json.loads(file.read_text(encoding="utf-8")) for file in given.sum])))
+        if missing := [file for file in given.sum if not file.is_file()]:
+            parser.error(f"{missing[0]}: there is no such file, expected one that --table wrote")
+        tables = [json.loads(file.read_text(encoding="utf-8")) for file in given.sum]
+        numbers = [[(line["name"], line["factor"]) for line in table] for table in tables]
+        if odd := [file for file, own in zip(given.sum, numbers, strict=True) if own != numbers[0]]:
+            parser.error(f"{odd[0]}: its numbers are not those of {given.sum[0]}, expected tables of one version")
+        print(told(added(tables)))
         return
     if given.proof is None:
         parser.error("expected a proof's folder, or --sum")
+    if not (given.proof / "recordings").is_dir():
+        parser.error(f"{given.proof}: holds no recordings, expected a folder that `equimus-ctrl prove` made")
     model = nominal_model() if given.model is None else workflow.load_model(given.model)
     known = {}
     if given.output.exists():
