@@ -1,12 +1,14 @@
 """How the answers of a proof move when each number that decides is halved and doubled: ``diagnosis/policy.py``.
 
 python benchmarks/thresholds.py PROOF [--model robot.xml] [--first 0] [--cases 200] [--output FILE] [--budget SECONDS]
+    [--also name=value,... ...]
 
 PROOF is a folder that ``equimus-ctrl prove`` made; its recordings are diagnosed again. While one is diagnosed, every
 decision is asked once more with each number halved and doubled. Where all fall alike, the answer with that number is
 known to be the same; only where one falls otherwise is the case diagnosed with it, fits and screenings that were done
 for the case before taken over. What is done is kept in the output (a line of JSON a case), and the same command goes on
-from there. At the end: a table in Markdown, the numbers that move most first.
+from there. At the end: a table in Markdown, the numbers that move most first. ``--also`` tries other values, several at
+once too.
 
 python benchmarks/thresholds.py --sum TABLE.json ... adds tables that ``--table FILE`` wrote, of proofs of other robots.
 """
@@ -18,12 +20,15 @@ import json
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
+
 from equimus_ctrl import workflow
-from equimus_ctrl.diagnosis import fitting, hypothesis_moves, search
+from equimus_ctrl.diagnosis import fitting, screening
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
@@ -37,16 +42,38 @@ from equimus_ctrl.proof.store import recorded
 FACTORS = (0.5, 2.0)
 SHOWN = ("false_alarms", "single", "single_group", "pair", "outside")
 """Goals of a proof whose counts are told."""
-Variant = tuple[str, float]
+
+
+def varied(also: Sequence[str]) -> dict[str, Thresholds]:
+    """Each number halved and doubled, and what else is asked for, as ``name=value,...``.
+
+    Raises:
+        ValueError: of a threshold that there is not, or no number.
+    """
+    own = Thresholds()
+    variants = {f"{t.name} {f:g}": own.scaled(t.name, f) for t in Thresholds.listed() for f in FACTORS}
+    known = {t.name for t in Thresholds.listed()}
+    for text in also:
+        values = dict(pair.split("=", 1) if "=" in pair else (pair, "") for pair in text.split(","))
+        if odd := sorted(set(values) - known):
+            raise ValueError(f"--also {text}: there is no threshold {odd[0]}, expected of {', '.join(sorted(known))}")
+        try:
+            variants[text] = replace(own, **{name: float(value) for name, value in values.items()})
+        except ValueError:
+            raise ValueError(f"--also {text}: expected name=value, the value a number") from None
+    return variants
 
 
 class Flips:
-    """Which numbers, halved or doubled, would have let a decision fall otherwise."""
+    """Which other thresholds would have let a decision fall otherwise.
 
-    def __init__(self) -> None:
-        self.found: set[Variant] = set()
-        own = Thresholds()
-        self._variants = {(t.name, f): own.scaled(t.name, f) for t in Thresholds.listed() for f in FACTORS}
+    Args:
+        variants: the thresholds, by name.
+    """
+
+    def __init__(self, variants: Mapping[str, Thresholds]) -> None:
+        self.found: set[str] = set()
+        self._variants = variants
 
     def __call__(self, condition: Callable[[Thresholds], bool], holds: bool) -> None:
         """Take note of a decision."""
@@ -64,7 +91,7 @@ class Memory:
     @contextmanager
     def used(self) -> Iterator[None]:
         """Diagnoses meanwhile take over what is known."""
-        fit, screen = fitting.fit, search.screen
+        fit, changed = fitting.fit, screening._changes
 
         def fitted(parameters: Any, segments: Any, **given: Any) -> Any:
             begin = tuple((theta.tobytes(), _bytes(starts)) for theta, starts in given["begin"])
@@ -76,17 +103,22 @@ class Memory:
             )  # fmt: skip
             return self._of(key, lambda: fit(parameters, segments, **given))
 
-        def screened(data: Any, at: Any, pool: Any) -> Any:
-            own = (_free(at.fit.parameters), at.fit.theta.tobytes(), _bytes(at.fit.starts), at.noise)
-            engine, labels = _engine(data.coarse or data.simulator), tuple(c.label for c in pool)
-            key = ("screen", own, _segments(data.segments), engine, labels, data.thresholds.absorbed)
-            return self._of(key, lambda: screen(data, at, pool))
+        def changes(data: Any, at: Any, guesses: Any, thetas: Any = None) -> list[Any]:
+            own = (_free(at.fit.parameters), at.fit.theta.tobytes(), _bytes(at.fit.starts))
+            own = (*own, _segments(data.segments), _engine(data.coarse or data.simulator))
+            moved = thetas or [None] * len(guesses)
+            keys = [
+                ("change", own, _hypothesis(guess), None if theta is None else theta.tobytes())
+                for guess, theta in zip(guesses, moved, strict=True)
+            ]
+            if new := [k for k, key in enumerate(keys) if key not in self._known]:
+                found = changed(data, at, [guesses[k] for k in new], thetas and [thetas[k] for k in new])
+                for place, k in enumerate(new):
+                    self._known[keys[k]] = [segment[:, :, place] for segment in found]
+            known = [self._known[key] for key in keys]
+            return [np.stack(of_segment, axis=2) for of_segment in zip(*known, strict=True)]
 
-        with (
-            patch.object(fitting, "fit", fitted),
-            patch.object(search, "screen", screened),
-            patch.object(hypothesis_moves, "screen", screened),
-        ):
+        with patch.object(fitting, "fit", fitted), patch.object(screening, "_changes", changes):
             yield
 
     def _of(self, key: Hashable, work: Callable[[], Any]) -> Any:
@@ -102,6 +134,10 @@ def _engine(simulator: Any) -> Hashable:
 
 def _free(parameters: Any) -> Hashable:
     return parameters.free, parameters.model.effects
+
+
+def _hypothesis(parts: Any) -> Hashable:
+    return tuple((part.candidate.label, tuple(part.values.items())) for part in parts)
 
 
 def _bytes(arrays: Sequence[Any]) -> Hashable:
@@ -131,15 +167,14 @@ def answered(model: Model, parts: Split, thresholds: Thresholds) -> dict[str, An
     return {**{key: said[key] for key in kept if key in said}, "proof": spent}
 
 
-def case_row(model: Model, root: Path, case: int) -> dict[str, Any]:
-    """A case's answer, and those that differ by a number."""
-    folder, flips = root / "recordings" / f"case_{case:04d}", Flips()
-    parts, varied = split(model, recorded(folder, model)), {}
+def case_row(model: Model, root: Path, case: int, variants: Mapping[str, Thresholds]) -> dict[str, Any]:
+    """A case's answer, and those that differ by other thresholds."""
+    folder, flips = root / "recordings" / f"case_{case:04d}", Flips(variants)
+    parts = split(model, recorded(folder, model))
     with Memory().used():
         base = answered(model, parts, Thresholds(watch=flips))
-        for name, factor in sorted(flips.found):
-            varied[f"{name} {factor:g}"] = answered(model, parts, Thresholds().scaled(name, factor))
-    return {"case": case, "base": base, "varied": varied}
+        others = {name: answered(model, parts, variants[name]) for name in sorted(flips.found)}
+    return {"case": case, "base": base, "varied": others}
 
 
 def same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -153,7 +188,9 @@ def said(answer: Mapping[str, Any]) -> tuple[str, list[tuple[str, list[str]]]]:
     return answer.get("verdict", "failed"), sorted(named)
 
 
-def table(rows: list[dict[str, Any]], truths: list[Mapping[str, Any]], model: Model) -> list[dict[str, Any]]:
+def table(
+    rows: list[dict[str, Any]], truths: list[Mapping[str, Any]], model: Model, variants: Sequence[str]
+) -> list[dict[str, Any]]:
     """For the numbers as they are and for each varied: how many answers changed, and what the proof comes to."""
 
     def scored(answers: list[dict[str, Any]]) -> Score:
@@ -161,14 +198,13 @@ def table(rows: list[dict[str, Any]], truths: list[Mapping[str, Any]], model: Mo
 
     base = [row["base"] for row in rows]
     lines = [{"name": "as they are", "factor": 1.0, "decided": 0, "changed": 0, **counts(scored(base))}]
-    for one in Thresholds.listed():
-        for factor in FACTORS:
-            key = f"{one.name} {factor:g}"
-            answers = [row["varied"].get(key, row["base"]) for row in rows]
-            changed = sum(not same(a, b) for a, b in zip(answers, base, strict=True))
-            decided = sum(key in row["varied"] for row in rows)
-            line = {"name": one.name, "factor": factor, "decided": decided, "changed": changed}
-            lines.append({**line, **(counts(scored(answers)) if changed else {k: lines[0][k] for k in SHOWN})})
+    for key in variants:
+        name, _, factor = key.partition(" ")
+        answers = [row["varied"].get(key, row["base"]) for row in rows]
+        changed = sum(not same(a, b) for a, b in zip(answers, base, strict=True))
+        decided = sum(key in row["varied"] for row in rows)
+        line = {"name": name, "factor": float(factor or 0), "decided": decided, "changed": changed}
+        lines.append({**line, **(counts(scored(answers)) if changed else {k: lines[0][k] for k in SHOWN})})
     return lines
 
 
@@ -203,7 +239,13 @@ def told(lines: list[dict[str, Any]]) -> str:
     head = ("number", "times", "asked otherwise", "answers changed", *(name.replace("_", " ") for name in SHOWN))
     text = [f"| {' | '.join(head)} |", f"| {' | '.join('---' for _ in head)} |"]
     for line in ordered:
-        cells = (line["name"], f"{line['factor']:g}", line["decided"], line["changed"], *(line[k] for k in SHOWN))
+        cells = (
+            line["name"],
+            f"{line['factor']:g}" if line["factor"] else "",
+            line["decided"],
+            line["changed"],
+            *(line[k] for k in SHOWN),
+        )
         text.append(f"| {' | '.join(str(cell) for cell in cells)} |")
     return "\n".join(text)
 
@@ -216,6 +258,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="case to begin with, to share the work among processes")
     parser.add_argument("--output", type=Path, default=Path("thresholds.jsonl"))
     parser.add_argument("--budget", type=float, help="no case is begun after this time [s]")
+    parser.add_argument("--also", nargs="*", default=[], metavar="NAME=VALUE,...", help="other values to try")
     parser.add_argument("--table", type=Path, help="write the table as JSON here, for --sum")
     parser.add_argument("--sum", type=Path, nargs="+", help="add these tables; nothing is diagnosed")
     given = parser.parse_args()
@@ -232,6 +275,10 @@ def main() -> None:
         parser.error("expected a proof's folder, or --sum")
     if not (given.proof / "recordings").is_dir():
         parser.error(f"{given.proof}: holds no recordings, expected a folder that `equimus-ctrl prove` made")
+    try:
+        variants = varied(given.also)
+    except ValueError as error:
+        parser.error(str(error))
     model = nominal_model() if given.model is None else workflow.load_model(given.model)
     known = {}
     if given.output.exists():
@@ -243,7 +290,7 @@ def main() -> None:
                 continue
             if given.budget is not None and time.monotonic() - begun > given.budget:
                 break
-            known[case] = case_row(model, given.proof, case)
+            known[case] = case_row(model, given.proof, case, variants)
             file.write(json.dumps(known[case]) + "\n")
             file.flush()
             asked = len(known[case]["varied"])
@@ -257,7 +304,7 @@ def main() -> None:
         name = f"case_{row['case']:04d}"
         line, seal = (given.proof / "truth" / f"{name}.json"), (given.proof / "seals" / f"{name}.txt")
         truths.append(opened(line.read_text().strip(), seal.read_text().strip(), str(line)))
-    lines = table(rows, truths, model)
+    lines = table(rows, truths, model, list(variants))
     if given.table:
         given.table.write_text(json.dumps(lines), encoding="utf-8")
     print(told(lines))
