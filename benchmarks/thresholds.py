@@ -5,7 +5,7 @@ python benchmarks/thresholds.py PROOF [--model robot.xml] [--first 0] [--cases 2
 
 PROOF is a folder that ``equimus-ctrl prove`` made; its recordings are diagnosed again. While one is diagnosed, every
 decision is asked once more with each number halved and doubled. Where all fall alike, the answer with that number is
-known to be the same; only where one falls otherwise is the case diagnosed with it, fits and screenings that were done
+known to be the same; only where one falls otherwise is the case diagnosed with it, fits and simulations that were done
 for the case before taken over. What is done is kept in the output (a line of JSON a case), and the same command goes on
 from there. At the end: a table in Markdown, the numbers that move most first. ``--also`` tries other values, several at
 once too.
@@ -174,7 +174,7 @@ def case_row(model: Model, root: Path, case: int, variants: Mapping[str, Thresho
     with Memory().used():
         base = answered(model, parts, Thresholds(watch=flips))
         others = {name: answered(model, parts, variants[name]) for name in sorted(flips.found)}
-    return {"case": case, "base": base, "varied": others}
+    return {"case": case, "asked": list(variants), "base": base, "varied": others}
 
 
 def same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -282,7 +282,9 @@ def main() -> None:
     model = nominal_model() if given.model is None else workflow.load_model(given.model)
     known = {}
     if given.output.exists():
-        known = {row["case"]: row for row in map(json.loads, given.output.read_text(encoding="utf-8").splitlines())}
+        rows = map(json.loads, given.output.read_text(encoding="utf-8").splitlines())
+        # A case that was not asked with all of these is diagnosed again.
+        known = {row["case"]: row for row in rows if set(variants) <= set(row.get("asked", ()))}
     begun = time.monotonic()
     with given.output.open("a", encoding="utf-8") as file:
         for case in range(given.first, given.cases):
