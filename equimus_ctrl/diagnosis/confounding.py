@@ -184,17 +184,12 @@ class _Removal:
         if not self.thresholds.decides(partial(_replaces_effect, more, force.rank, judged(force, self.at), self.least)):
             return np.inf
         beside = explained(self.at.whitened_fit.residual, self.beside_all, columns).gain - more
-        return float(beside) if self.thresholds.decides(partial(_adds_little, beside, rise)) else np.inf
+        return float(beside) if self.thresholds.decides(lambda t: beside < t.residual_gain) else np.inf
 
 
 def _replaces_effect(more: float, rank: int, fall: float, least: Callable[[Thresholds], float], t: Thresholds) -> bool:
     """Whether a residual force explains so much more than an effect that it may replace it."""
     return more > t.residual_gain + t.residual_price * rank and fall >= least(t)
-
-
-def _adds_little(beside: float, rise: float, t: Thresholds) -> bool:
-    """Whether an effect is hardly needed beside a residual force."""
-    return beside < min(t.residual_gain, t.confounded_keeps * rise)
 
 
 def _quantities(group: Group) -> set[str]:

@@ -72,7 +72,7 @@ class Thresholds:
     simulation_error: float = _decides(
         1.5e-3,
         "noise variances",
-        "least share of the noise's variance that an effect has to explain, for as many "
+        "least share of the noise's variance that an effect or a residual force has to explain, for as many "
         "samples as there are: two simulators of one robot differ by some of that",
         "calibration",
         PROOFS,
@@ -138,16 +138,9 @@ class Thresholds:
     residual_gain: float = _decides(
         40.0,
         "χ²",
-        "least fall of χ² in cross-validation for a residual force",
+        "least fall of χ² in cross-validation for a residual force; what an effect beside one has to explain",
         "theory",
         "with 8 spline coefficients and some 40 forces, χ² exceeds 37 on noise with probability 1e-3 (Bonferroni)",
-    )
-    residual_share: float = _decides(
-        2.5e-3,
-        "noise variances",
-        "the same as a share of the noise's variance, for as many samples as there are",
-        "calibration",
-        PROOFS,
     )
     residual_price: float = _decides(
         2.0,
@@ -189,13 +182,6 @@ class Thresholds:
         0.97,
         "",
         "one residual force stands in for several effects from this share of what they explain on",
-        "calibration",
-        PROOFS,
-    )
-    confounded_keeps: float = _decides(
-        0.5,
-        "",
-        "an effect beside a residual force is needed from this share of what it explains on",
         "calibration",
         PROOFS,
     )

@@ -155,7 +155,7 @@ def redundant_parts(
 
 def _least(n: int, t: Thresholds) -> float:
     """The least fall of χ² for which a residual force is reported, of so many measurements."""
-    return max(t.residual_gain, t.residual_share * n)
+    return max(t.residual_gain, t.simulation_error * n)
 
 
 def _but_a_trace(fall: float, gain: float, whole: float, n: int, t: Thresholds) -> bool:
