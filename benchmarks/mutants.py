@@ -187,17 +187,22 @@ class Importers:
         modules = (folder / PACKAGE).rglob("*.py")
         self.modules = {p.relative_to(folder / PACKAGE).as_posix(): self._of(p) for p in modules}
 
-    def files(self, module: str) -> list[str]:
-        """The test files of a module, the most specific first; of what imports it where it has none of its own."""
-        near, known = {module}, {module}
+    def files(self, module: str, most: int) -> list[str]:
+        """So many test files of a module: of those that import it the most specific, then of what imports it.
+
+        A third of them are of the latter at least, where there are such: they see what the module is for.
+        """
+        rings, near, known = list[list[str]](), {module}, {module}
+        folder, own, taken = Path(module).parent.name.rstrip("s"), Path(module).stem, set[str]()
         while near:
-            found = [name for name, imported in self.tests.items() if imported & near]
-            if found:
-                own = Path(module).stem
-                return sorted(found, key=lambda name: (own not in name, len(self.tests[name]), name))
+            found = {name for name, imported in self.tests.items() if imported & near} - taken
+            told = own if not rings else folder
+            rings.append(sorted(found, key=lambda name: (told not in name, len(self.tests[name]), name)))
+            taken |= found
             near = {name for name, imported in self.modules.items() if imported & near} - known
             known |= near
-        return []
+        farther = [name for ring in rings[1:] for name in ring]
+        return [*rings[0][: most - min(len(farther), most // 3)], *farther][:most]
 
     def _of(self, path: Path) -> frozenset[str]:
         return self._imported(path, path.parent == self.folder / "tests")
@@ -299,7 +304,7 @@ def tried(mutants: list[Mutant], folder: Path, work: Path, limit: float, most: i
         source = path.read_text("utf-8")
         key = mutant.key(source)
         if key not in known:
-            files = [name for name in importers.files(mutant.module)[:most] if trial.passes(name)]
+            files = [name for name in importers.files(mutant.module, most) if trial.passes(name)]
             begun = time.monotonic()
             try:
                 path.write_text(mutant.applied(source), encoding="utf-8")
