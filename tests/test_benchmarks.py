@@ -53,3 +53,11 @@ def test_every_mutant_is_a_program_that_says_something_else() -> None:
             k for k, (a, b) in enumerate(zip(source.splitlines(), changed.splitlines(), strict=False), 1) if a != b
         ]
         assert lines[0] >= mutant.line
+
+
+def test_mutants_are_given_to_tests_of_their_module_and_of_what_it_is_for() -> None:
+    importers = runpy.run_path(str(ROOT / "benchmarks" / "mutants.py"))["Importers"](ROOT)
+    files = importers.files("diagnosis/fitting.py", 6)
+    assert files[0] == "test_diagnosis_fitting.py" and "test_diagnosis_budget.py" in files
+    assert len(files) == len(set(files)) == 6
+    assert importers.files("effects/command.py", 3)[0] == "test_command_laws.py"
