@@ -4,9 +4,9 @@ python benchmarks/mutants.py [--count 100] [--seed 0] [--only effects/force.py .
 
 A mutant is one comparison, boundary, sign, operator, number or line of the effects, the engines, the identification or
 the diagnosis changed, drawn by the seed (DeMillo, Lipton & Sayward, 1978). Each is made in a copy of the tree in a
-temporary folder, never in the checkout, and given to the fast tests that import its module, the most specific files
-first, until one fails. What no test notices is printed as a diff: it is either equivalent or a gap in the tests. What
-was tried is kept in ``--work`` and not tried again.
+temporary folder, never in the checkout, and given to fast tests until one fails: of those that import its module the
+most specific files, and some of what uses it. What no test notices is printed as a diff: it is either equivalent or a
+gap in the tests. What was tried is kept in ``--work`` and not tried again.
 """
 
 from __future__ import annotations
