@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
@@ -199,6 +202,8 @@ def _in_fewer_places(search: HypothesisMoves, state: SearchState, score: float) 
             (*hypothesis[:k], Part(smaller, part.values), *hypothesis[k + 1 :])
             for smaller in search.allowed_candidates(state.tried)
             if smaller.effect is part.candidate.effect
+            and not smaller.each
+            and not part.candidate.each
             and len(smaller.locations) == len(part.candidate.locations) - 1
             and set(smaller.locations) < set(part.candidate.locations)
         ]
@@ -230,7 +235,7 @@ def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
         rich = part.candidate
         for other in search.allowed_candidates(state.tried):
             same = other.effect.exclusive == rich.effect.exclusive is not None and other.locations == rich.locations
-            if not same or other.n_parameters >= rich.n_parameters:
+            if not same or other.each is not rich.each or other.n_parameters >= rich.n_parameters:
                 continue
             guess = dict(other.guesses[len(other.guesses) // 2])
             shared = {key: part.values[key] for key in other.guesses[0] if key in part.values}
@@ -240,6 +245,54 @@ def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
             if not search.accepts(simple, state.best):
                 return simplified(search, search.moved(state, simple))
     return state
+
+
+def pruned(search: HypothesisMoves, state: SearchState) -> SearchState:
+    """Laws with their own parameters at each place, at those places alone that need them.
+
+    A place is needed where its parameters differ from those of no effect by more than the acceptance threshold, by
+    Wald's statistic δᵀC⁻¹δ, which the gain −2Δln L without them is to second order. What is left has to fit as well.
+    """
+    for k, part in enumerate(state.best.hypothesis):
+        needed = _needed_places(search, state.best, k)
+        if not needed or len(needed) == len(part.candidate.locations):
+            continue
+        hypothesis = state.best.hypothesis
+        fewer = (*hypothesis[:k], part.narrowed(needed), *hypothesis[k + 1 :])
+        simple, tried = search.refit(state.tried, state.best, fewer)
+        state = replace(state, tried=tried)
+        if not search.accepts(simple, state.best):
+            return pruned(search, search.moved(state, simple))
+    return state
+
+
+def _needed_places(search: HypothesisMoves, fitted: Fitted, k: int) -> tuple[str, ...]:
+    """Of the k-th part those places whose own parameters are needed; all where a part has the same at each."""
+    part = fitted.hypothesis[k]
+    end = part.candidate.fades_to()
+    if not part.candidate.each or not end:
+        return part.candidate.locations
+    first = fitted.fit.parameters.free[: len(search.data.free.free)]
+    start = len(first) + sum(p.candidate.n_parameters for p in fitted.hypothesis[:k])
+    error, correlation = fitted.fit.uncertainty.standard_error, fitted.fit.uncertainty.correlation
+    needed = []
+    for place in part.candidate.locations:
+        own = [i for i, p in enumerate(part.candidate.parameters) if p.places == (place,) and p.name in end]
+        rows = [start + i for i in own]
+        away = np.array([part.values[part.candidate.parameters[i].name] for i in own])
+        away -= np.array([end[part.candidate.parameters[i].name] for i in own])
+        if not np.all(np.isfinite(error[rows])) or not np.any(away):
+            continue
+        scaled = away / np.maximum(error[rows], 1e-300)
+        statistic = float(scaled @ np.linalg.lstsq(correlation[np.ix_(rows, rows)], scaled, rcond=None)[0])
+        count = len(part.candidate.effect.parameter_info())
+        if search.data.thresholds.decides(partial(_exceeds, search, statistic, count)):
+            needed.append(place)
+    return tuple(needed)
+
+
+def _exceeds(search: HypothesisMoves, statistic: float, count: int, thresholds: Thresholds) -> bool:
+    return statistic > search.threshold(count, thresholds)
 
 
 def without_parts(search: HypothesisMoves, state: SearchState, places: Sequence[int]) -> SearchState:

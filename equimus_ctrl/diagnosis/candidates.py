@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.hypothesis import Candidate
+from equimus_ctrl.diagnosis.hypothesis import Candidate, OwnParameter
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.effects.base import REGISTRY, Effect
 from equimus_ctrl.errors import ConfigError
@@ -15,24 +16,62 @@ from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
 
+DELAY_SHARE = 0.2
+"""Longest delay or lag that is looked for, as a share of the longest shooting interval."""
+
 
 def candidates(
     model: Model, segments: Sequence[Segment], registry: Mapping[str, type[Effect]] = REGISTRY
 ) -> list[Candidate]:
-    """All effects at all places of a robot that recordings could show."""
+    """All effects at all places of a robot that recordings could show.
+
+    A law of all joints comes twice: with the same parameters at each, and, of a robot with motors, with its own at
+    each: what is built alike ails alike, and what is not may still ail of the same.
+    """
     robot, excitation = model.robot, excitation_of(model, segments)
-    found: dict[tuple[str, tuple[str, ...]], Candidate] = {}
+    most_time = _longest_delay(model, segments)
+    found: dict[str, Candidate] = {}
     for name in sorted(registry):
         cls = registry[name]
         if not cls.simulated or robot.traits.catalogue not in cls.robots:
             continue
+        most = {key: most_time for key, info in cls.parameter_info().items() if cls.delays and info["unit"] == "s"}
         for group in location_groups(cls, robot):
-            tried = (_within(cls, g) for site in group for g in cls.guesses(excitation[site]))
-            guesses = {tuple(g.items()): g for g in tried}
-            usable = [g for g in guesses.values() if _attaches(model, cls, group, g)]
-            if usable:
-                found.setdefault((name, group), Candidate(cls, group, tuple(usable)))
+            of_places = [[_within(cls, guess, most) for guess in cls.guesses(excitation[site])] for site in group]
+            for each in (False, True) if len(group) > 1 and not robot.traits.held_in_place else (False,):
+                candidate = Candidate(cls, group, (), each, most)
+                tried = _own_of_each(candidate, of_places) if each else [g for own in of_places for g in own]
+                guesses = {tuple(guess.items()): guess for guess in tried}
+                usable = tuple(guess for guess in guesses.values() if _attaches(model, candidate, guess))
+                if usable:
+                    found.setdefault(candidate.label, replace(candidate, guesses=usable))
     return list(found.values())
+
+
+def _longest_delay(model: Model, segments: Sequence[Segment]) -> float:
+    """What delays and lags can last where trials are cut into shooting intervals [s]: a share of these.
+
+    A delay as long as an interval takes all that the interval shows from before its start, where there is nothing.
+    """
+    if model.robot.traits.held_in_place:
+        return math.inf
+    longest = max(float(s.trial.sample_times[-1] - s.trial.start) for s in segments)
+    return DELAY_SHARE * longest
+
+
+def _own_of_each(candidate: Candidate, guesses: Sequence[Sequence[Mapping[str, float]]]) -> list[dict[str, float]]:
+    """Guesses of a law with its own parameters at each place: the same choice of each place's own guesses."""
+    return [
+        {own.name: of_place[own.key] for own, of_place in _by_parameter(candidate, row)}
+        for row in zip(*guesses, strict=False)
+    ]
+
+
+def _by_parameter(
+    candidate: Candidate, row: Sequence[Mapping[str, float]]
+) -> list[tuple[OwnParameter, Mapping[str, float]]]:
+    place = dict(zip(candidate.locations, row, strict=True))
+    return [(own, place[own.places[0]]) for own in candidate.parameters]
 
 
 def location_groups(cls: type[Effect], robot: Robot) -> list[tuple[str, ...]]:
@@ -48,15 +87,18 @@ def location_groups(cls: type[Effect], robot: Robot) -> list[tuple[str, ...]]:
     return found
 
 
-def _within(cls: type[Effect], values: Mapping[str, float]) -> Mapping[str, float]:
+def _within(cls: type[Effect], values: Mapping[str, float], most: Mapping[str, float]) -> Mapping[str, float]:
     """Values within the effect's bounds: sizes that follow from hardly any motion may lie beyond."""
     info = cls.parameter_info()
-    return {key: float(np.clip(v, info[key]["low"], info[key]["high"])) for key, v in values.items()}
+    return {
+        key: float(np.clip(v, info[key]["low"], min(info[key]["high"], most.get(key, math.inf))))
+        for key, v in values.items()
+    }
 
 
-def _attaches(model: Model, cls: type[Effect], locations: tuple[str, ...], values: Mapping[str, float]) -> bool:
+def _attaches(model: Model, candidate: Candidate, values: Mapping[str, float]) -> bool:
     try:
-        replace(model, effects=tuple(cls(location, **values) for location in locations))
+        replace(model, effects=candidate.attached(values))
     except ConfigError:
         return False
     return True

@@ -137,7 +137,7 @@ class _Removal:
         columns: list[range] = []
         changes: list[Array | None] = []
         for part in fitted.hypothesis:
-            end = part.candidate.effect.fades_to()
+            end = part.candidate.fades_to()
             steps = [end.get(key, value) - value for key, value in part.values.items()]
             columns.append(range(first, first + len(steps)))
             changes.append(slopes[:, columns[-1]] @ (steps / scale[columns[-1]]) if end else None)

@@ -13,7 +13,7 @@ from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis import Part
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import (
@@ -28,32 +28,39 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import Model
+
+COVERED = 0.9
+"""An interval over this share of a parameter's bounds says nothing of it."""
 
 Finely = Callable[[Fitted], Fitted]
 """Fits with a smaller discretisation error, from where a fit ended."""
 
 
-def verdict(findings: Sequence[Finding], analysis: ResidualAnalysis, settled: bool) -> Verdict:
+def verdict(findings: Sequence[Finding], unexplained: bool, settled: bool) -> Verdict:
     """In one word.
 
     Args:
         findings: effects named.
-        analysis: of what they leave.
+        unexplained: whether something is missing beside them that has no name.
         settled: whether all stages that findings and unexplained residuals depend on were carried out.
     """
     if not settled:
         return "unfinished"
-    if analysis.unexplained:
+    if unexplained:
         return "partly_explained" if findings else "unexplained"
     return "explained" if findings else "consistent"
 
 
 def named_part(part: Part) -> Named:
     """The effect of a part and its places."""
-    return Named(part.candidate.effect.name, part.candidate.locations)
+    return named_candidate(part.candidate)
+
+
+def named_candidate(candidate: Candidate) -> Named:
+    """The effect of a candidate and its places."""
+    return Named(candidate.effect.name, candidate.locations, candidate.each)
 
 
 def equivalents(
@@ -86,16 +93,47 @@ def findings(
         holdout: residuals on held-out trials.
         equivalent: see ``equivalents``; empty where nobody looked.
     """
-    unsorted = [
-        Finding(
-            part=part,
-            parameters=_estimates(search.data, end.best, k),
-            evidence=_evidence(search, end, holdout, k),
-            equivalent=tuple(other.named for other in equivalent[k]) if equivalent else (),
+    found = []
+    for k, part in enumerate(end.best.hypothesis):
+        estimates, evidence = _estimates(search.data, end.best, k), _evidence(search, end, holdout, k)
+        others = tuple(other.named for other in equivalent[k]) if equivalent else ()
+        candidate = part.candidate
+        for places in [(place,) for place in candidate.locations] if candidate.each else [candidate.locations]:
+            own = {p.key: estimates[p.name] for p in candidate.parameters if set(p.places) & set(places)}
+            also_at = tuple(place for place in candidate.locations if place not in places)
+            alone = part.narrowed(places) if candidate.each else part
+            found.append(
+                Finding(alone, own, evidence, others, also_at, _undetermined(search.data, end.best, k, places))
+            )
+    return tuple(sorted(found, key=lambda f: -f.evidence.gain))
+
+
+def _undetermined(data: Data, best: Fitted, k: int, places: Sequence[str]) -> str:
+    """Why the parameters of a part at some of its places are not identifiable; "" where they are.
+
+    A parameter at a bound where the effect does not vanish says that the law is strained, or another one. An interval
+    that covers most of what the parameter can be says nothing of it.
+    """
+    candidate = best.hypothesis[k].candidate
+    first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
+    info = candidate.effect.parameter_info()
+    for i, own in enumerate(candidate.parameters):
+        if not set(own.places) & set(places):
+            continue
+        free, side = best.fit.parameters.free[first + i], int(best.fit.at_bound[first + i])
+        value = float(best.fit.theta[first + i])
+        if side and not (side < 0 and info[own.key]["low"] == 0.0):
+            return f"{own.key} is at its bound of {value:.4g} {free.unit}".rstrip(" 1")
+        if first + i in data.discontinuous(best.hypothesis):
+            continue
+        covered = (
+            min(value + width, free.high) - max(value - width, free.low)
+            if (width := float(best.fit.uncertainty.half_width[first + i]))
+            else 0.0
         )
-        for k, part in enumerate(end.best.hypothesis)
-    ]
-    return tuple(sorted(unsorted, key=lambda f: -f.evidence.gain))
+        if covered > COVERED * (free.high - free.low):
+            return f"the interval of {own.key} covers all that it can be, {free.low:.4g} to {free.high:.4g} {free.unit}"
+    return ""
 
 
 def _evidence(search: Search, end: SearchState, holdout: HoldoutResiduals, k: int) -> Evidence:
@@ -127,7 +165,7 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
     """
     first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
     estimates = {}
-    for i, key in enumerate(best.hypothesis[k].values):
+    for i, own in enumerate(best.hypothesis[k].candidate.parameters):
         free = best.fit.parameters.free[first + i]
         value, width = float(best.fit.theta[first + i]), float(best.fit.uncertainty.half_width[first + i])
         low, high = value - width, value + width
@@ -135,7 +173,7 @@ def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
             low, high = data.span(best, first + i)
         low = max(low, free.low) if math.isfinite(low) else -math.inf
         high = min(high, free.high) if math.isfinite(high) else math.inf
-        estimates[key] = Estimate(value, low, high, free.unit)
+        estimates[own.name] = Estimate(value, low, high, free.unit)
     return estimates
 
 
@@ -188,7 +226,7 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
             alone[label] = max(alone.get(label, -math.inf), end.base.deviance - fitted.deviance)
     ranked = [
         Ranked(
-            Named(s.candidate.effect.name, s.candidate.locations),
+            named_candidate(s.candidate),
             max(s.gains[1], 0.0),
             alone.get(s.candidate.label),
             search.threshold(s.candidate.n_parameters),
@@ -202,11 +240,13 @@ def detectable(search: Search, end: SearchState) -> tuple[Detectable, ...]:
     """The smallest size of each effect that would have been accepted."""
     smallest = []
     for s in end.tried.first:
+        if s.candidate.each:  # of which each place is a candidate by itself
+            continue
         size = _smallest(s, search.threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))
         unit = s.candidate.effect.parameter_info()[key]["unit"]
         unit_there = place_unit(search.data.free.model, unit, s.candidate.locations[0])
-        named = Named(s.candidate.effect.name, s.candidate.locations)
+        named = named_candidate(s.candidate)
         smallest.append(Detectable(named, key, size, unit_there))
     return tuple(smallest)
 

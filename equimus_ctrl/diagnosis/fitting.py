@@ -218,8 +218,8 @@ class Data:
 
     def discontinuous(self, hypothesis: Hypothesis) -> list[int]:
         """Indices in θ of the discontinuous parameters, see ``Effect.discontinuous``."""
-        keys = [(part.candidate.effect.discontinuous, key) for part in hypothesis for key in part.values]
-        return [len(self.free.free) + k for k, (discontinuous, key) in enumerate(keys) if key in discontinuous]
+        added = [(part.candidate.effect, own.key) for part in hypothesis for own in part.candidate.parameters]
+        return [len(self.free.free) + k for k, (effect, key) in enumerate(added) if key in effect.discontinuous]
 
     def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
         """95 % profile-likelihood interval of a discontinuous parameter; ±inf at a side where it has no end.

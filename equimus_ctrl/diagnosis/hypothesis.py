@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,33 +21,88 @@ from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array
 
 
+@dataclass(frozen=True)
+class OwnParameter:
+    """A parameter that a candidate adds.
+
+    Attributes:
+        name: the effect's own name of it; where each place has its own, the place's before that, as ``elbow.damping``.
+        key: the effect's own name of it.
+        places: where it acts.
+    """
+
+    name: str
+    key: str
+    places: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One effect at one place, or with the same parameters at several.
+    """One effect at one place, or one law at several: with the same parameters, or with its own at each.
 
     Attributes:
         effect: its class.
         locations: where.
-        guesses: parameter sets to begin from.
+        guesses: parameter sets to begin from, by the names of ``parameters``.
+        each: whether each place has parameters of its own, as friction in all joints of an arm has.
+        most: upper bounds of parameters that recordings set, beside the effect's own, by key: a delay near the length
+            of a shooting interval would stand for anything.
     """
 
     effect: type[Effect]
     locations: tuple[str, ...]
     guesses: tuple[Mapping[str, float], ...]
+    each: bool = False
+    most: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def parameters(self) -> tuple[OwnParameter, ...]:
+        """What it adds, in order."""
+        keys = self.effect.parameter_info()
+        if not self.each:
+            return tuple(OwnParameter(key, key, self.locations) for key in keys)
+        return tuple(OwnParameter(f"{place}.{key}", key, (place,)) for place in self.locations for key in keys)
 
     @property
     def label(self) -> str:
-        """Such as ``dead_zone:baa``."""
-        return f"{self.effect.name}:{'+'.join(self.locations)}"
+        """Such as ``dead_zone:baa``; ``a+b`` with the same parameters, ``a,b`` with its own at each."""
+        return f"{self.effect.name}:{(',' if self.each else '+').join(self.locations)}"
 
     @property
     def n_parameters(self) -> int:
         """How many parameters it adds."""
-        return len(self.effect.parameter_info())
+        return len(self.parameters)
+
+    def at(self, values: Mapping[str, float], location: str) -> dict[str, float]:
+        """The effect's own parameters at one of its places."""
+        return {own.key: values[own.name] for own in self.parameters if location in own.places}
 
     def attached(self, values: Mapping[str, float]) -> tuple[Effect, ...]:
         """The effects with these values."""
-        return tuple(self.effect(location, **values) for location in self.locations)
+        return tuple(self.effect(location, **self.at(values, location)) for location in self.locations)
+
+    def grows_from(self) -> dict[str, float]:
+        """The value at which it does nothing of each parameter that scales it; empty where there is none."""
+        nothing, first = self.effect.grows_from(), next(iter(self.effect.parameter_info()))
+        return {} if nothing is None else {own.name: nothing for own in self.parameters if own.key == first}
+
+    def fades_to(self) -> dict[str, float]:
+        """``Effect.fades_to`` of all its parameters."""
+        end = self.effect.fades_to()
+        return {own.name: end[own.key] for own in self.parameters if own.key in end}
+
+    def alone(self, location: str) -> Candidate:
+        """The same effect at one of its places."""
+        guesses = tuple(self.at(guess, location) for guess in self.guesses)
+        return Candidate(self.effect, (location,), guesses, most=self.most)
+
+    def narrowed(self, locations: tuple[str, ...]) -> Candidate:
+        """The same law at fewer of the places that have parameters of their own."""
+        if len(locations) == 1:
+            return self.alone(locations[0])
+        kept = [own.name for own in self.parameters if set(own.places) & set(locations)]
+        guesses = tuple({name: guess[name] for name in kept} for guess in self.guesses)
+        return Candidate(self.effect, locations, guesses, self.each, self.most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +122,12 @@ class Part:
         """To be attached to a model."""
         return self.candidate.attached(self.values)
 
+    def narrowed(self, locations: tuple[str, ...]) -> Part:
+        """The same at fewer of the places that have parameters of their own."""
+        smaller = self.candidate.narrowed(locations)
+        own = self.candidate.at(self.values, locations[0])
+        return Part(smaller, own if len(locations) == 1 else {o.name: self.values[o.name] for o in smaller.parameters})
+
 
 Hypothesis = tuple[Part, ...]
 """All that is taken to be missing from a model."""
@@ -80,32 +142,40 @@ def model_of(model: Model, hypothesis: Sequence[Part]) -> Model:
     return replace(model, effects=(*model.effects, *(e for part in hypothesis for e in part.effects)))
 
 
-def excluded_by(robot: Robot, part: Part, hypothesis: Hypothesis) -> Hypothesis:
-    """The parts of a hypothesis that cannot stay beside another: those with an effect in one of its exclusive slots.
+def beside(robot: Robot, part: Part, hypothesis: Hypothesis) -> Hypothesis:
+    """What of a hypothesis can stay beside another part: what has no effect in one of its exclusive slots.
+
+    Of a law with its own parameters at each place those places stay at which it is not excluded.
 
     Args:
         robot: as it is modelled.
         part: that comes.
         hypothesis: that it comes to.
     """
-    taken = _slots(robot, part)
-    return tuple(old for old in hypothesis if taken & _slots(robot, old))
+    taken = _slots(robot, part.effects)
+    kept: list[Part] = []
+    for old in hypothesis:
+        free = tuple(e.location for e in old.effects if not taken & _slots(robot, [e]))
+        if len(free) == len(old.candidate.locations):
+            kept.append(old)
+        elif free and old.candidate.each:
+            kept.append(old.narrowed(free))
+    return tuple(kept)
 
 
-def _slots(robot: Robot, part: Part) -> set[tuple[str, str]]:
-    return {slot for effect in part.effects if (slot := effect.exclusive_slot(robot)) is not None}
+def _slots(robot: Robot, effects: Iterable[Effect]) -> set[tuple[str, str]]:
+    return {slot for effect in effects if (slot := effect.exclusive_slot(robot)) is not None}
 
 
 def with_part(model: Model, hypothesis: Hypothesis, part: Part) -> Hypothesis:
-    """The hypothesis with one more part, without those that it excludes.
+    """The hypothesis with one more part, without what that excludes, see ``beside``.
 
     Raises:
         ConfigError: where an effect of the model itself excludes it.
     """
-    excluded = excluded_by(model.robot, part, hypothesis)
-    kept = (*(old for old in hypothesis if old not in excluded), part)
-    model_of(model, kept)  # raises where they do not go together
-    return kept
+    whole = (*beside(model.robot, part, hypothesis), part)
+    model_of(model, whole)  # raises where they do not go together
+    return whole
 
 
 def refined(hypothesis: Hypothesis, values: Array) -> Hypothesis:
@@ -152,10 +222,13 @@ def parameters_of(free: FreeParameters, hypothesis: Hypothesis) -> FreeParameter
     found = list(free.free)
     for part in hypothesis:
         own, prefixes = prefixes[: len(part.effects)], prefixes[len(part.effects) :]
-        for key, value in part.values.items():
-            names = [prefix + key for prefix in own]
+        prefix_of = dict(zip(part.candidate.locations, own, strict=True))
+        for p in part.candidate.parameters:
+            value = part.values[p.name]
+            names = [prefix_of[place] + p.key for place in p.places]
             bounds = [default_bounds(whole, name) for name in names]
             low, high = max(b[0] for b in bounds), min(b[1] for b in bounds)
+            high = min(high, max(part.candidate.most.get(p.key, high), value))
             size = abs(value) or None
             start = float(np.clip(value, low, high))
             found.append(FreeParameter(names[0], start, low, high, unit_of(whole, names[0]), tuple(names[1:]), size))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,9 +15,10 @@ from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
+from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain, worth_simulating
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
-from equimus_ctrl.identification.noise import Noise, white_noise
+from equimus_ctrl.identification.noise import white_noise
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
@@ -44,10 +46,12 @@ class Extended:
     Attributes:
         base: the fit that was extended.
         options: hypotheses with one more part, fitted.
+        rival: deviance of what they had to come near to; inf where they had not.
     """
 
     base: Fitted
     options: tuple[Fitted, ...]
+    rival: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +113,12 @@ class Proposal:
     Attributes:
         hypothesis: with initial values.
         begins: (θ, initial states) of which its fit takes the best.
+        hope: fall of the deviance to expect to first order; inf where nothing is known of it.
     """
 
     hypothesis: Hypothesis
     begins: tuple[Begin, ...]
+    hope: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +194,7 @@ class HypothesisMoves:
         return thresholds.minima_scatter if self.settings.many_minima else 0.0
 
     def challenge(
-        self, tried: SearchHistory, fitted: Fitted, replacing: str = ""
+        self, tried: SearchHistory, fitted: Fitted, replacing: str = "", rival: Fitted | None = None
     ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part, the most promising ones fitted until converged.
 
@@ -198,17 +204,24 @@ class HypothesisMoves:
             tried: the history so far.
             fitted: what they add to.
             replacing: label of a candidate that is not tried, to find others in its place.
+            rival: the hypothesis with that candidate: what stays far behind it need not be fitted whole.
         """
+        least = math.inf if rival is None or self.settings.many_minima else rival.deviance
         for replaced in ("", replacing):
             known = tried.extended.get((fitted.labels, replaced))
-            if known and known.base.deviance <= fitted.deviance + CONVERGED_GAIN:
+            if known and known.base.deviance <= fitted.deviance + CONVERGED_GAIN and known.rival >= least:
                 return [o for o in known.options if replacing not in o.labels and tried.allows(o.labels)], tried
-        options, tried = self.extensions(tried, fitted, replacing)
-        entry = {(fitted.labels, replacing): Extended(fitted, tuple(options))}
+        options, tried = self.extensions(tried, fitted, replacing, rival=least)
+        entry = {(fitted.labels, replacing): Extended(fitted, tuple(options), least)}
         return options, replace(tried, extended={**tried.extended, **entry})
 
     def extensions(
-        self, tried: SearchHistory, fitted: Fitted, replaced: str = "", known: Sequence[str] | None = None
+        self,
+        tried: SearchHistory,
+        fitted: Fitted,
+        replaced: str = "",
+        known: Sequence[str] | None = None,
+        rival: float = math.inf,
     ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part: the promising ones, or with some that are known all others.
 
@@ -217,15 +230,18 @@ class HypothesisMoves:
             fitted: what they add to.
             replaced: label of a candidate that is not tried.
             known: labels of those that are known; None where only promising ones are to be fitted.
+            rival: deviance that they have to come near to.
         """
         pool = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
         most = min(self.settings.tried, self.settings.tried_in_place) if replaced else self.settings.tried
+        if (torques := self.torques) is not None:
+            pool = worth_simulating(self.data, torques, fitted, pool)
         choice = Choice(pool, most if known is None else len(pool), known is not None)
         screened = screen(self.data, fitted, pool)
         if not fitted.hypothesis and not tried.first:
             tried = replace(tried, first=tuple(screened))
         proposals = [*self._promising(fitted, screened, choice), *self._splits(tried, fitted)]
-        options = self._best_converged(fitted, self._coarse_fits(proposals, white_noise(fitted.fit.residuals)))
+        options = self._best_converged(fitted, self._coarse_fits(fitted, proposals, rival), rival)
         return options, tried.having(*options)
 
     def _promising(self, fitted: Fitted, screened: Sequence[Screened], choice: Choice) -> list[Proposal]:
@@ -239,11 +255,14 @@ class HypothesisMoves:
             # The missing physics may have biased the refitted model far.
             rankings.append(sorted(screen(self.data, self.nominal, choice.pool), key=_by_gain(WHITE)))
         chosen: dict[str, Proposal] = {}
+        hopes = {s.candidate.label: s.gains for s in screened}
 
         def add(hypothesis: Hypothesis, *begins: Begin) -> None:
             label = hypothesis[-1].candidate.label
             earlier = chosen[label].begins if label in chosen else ()
-            chosen[label] = Proposal(hypothesis, (*begins, *earlier))
+            known = label in hopes and fitted.hypothesis and not self.settings.many_minima
+            hope = max(hopes[label]) if known else math.inf
+            chosen[label] = Proposal(hypothesis, (*begins, *earlier), hope)
 
         for ranking in rankings:
             for s in ranking[: choice.most]:
@@ -284,12 +303,17 @@ class HypothesisMoves:
         """The nominal model, see ``Data.nominal_fit``."""
         return self.data.nominal_fit()
 
+    @cached_property
+    def torques(self) -> TorqueDomain | None:
+        """The measurements in the torque domain; None where the robot has none."""
+        return torque_domain(self.data, self.pool)
+
     def _splits(self, tried: SearchHistory, fitted: Fitted) -> list[Proposal]:
         """For each part that acts alike at several places, the same with separate parameters."""
         proposals = []
         for k, part in enumerate(fitted.hypothesis):
             sites = part.candidate.locations
-            if len(sites) < 2:
+            if len(sites) < 2 or part.candidate.each:
                 continue
             parts = tuple(Part(replace(part.candidate, locations=(site,)), part.values) for site in sites)
             if not tried.allows(p.candidate.label for p in parts):
@@ -299,18 +323,29 @@ class HypothesisMoves:
             proposals.append(Proposal(hypothesis, (begin,)))
         return proposals
 
-    def _coarse_fits(self, proposals: Sequence[Proposal], noise: Noise) -> list[Fitted]:
-        """Those that can be simulated, after a few steps, the best score first."""
-        options, steps = [], self.settings.coarse_steps
-        for proposal in proposals:
+    def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: float) -> list[Fitted]:
+        """Those that can be simulated, after a few steps, the best score first.
+
+        Not those whose hope, times ``SearchSettings.optimism``, is less than what the best one gains, or the rival.
+        """
+        options, noise = list[Fitted](), white_noise(fitted.fit.residuals)
+        most = fitted.deviance - rival
+        for proposal in sorted(proposals, key=lambda p: -p.hope):
+            if proposal.hope * self.settings.optimism < most:
+                continue
             try:
-                options.append(self.data.coarse_fit(proposal.hypothesis, proposal.begins, noise, steps))
+                option = self.data.coarse_fit(proposal.hypothesis, proposal.begins, noise, self.settings.coarse_steps)
             except SimulationDiverged:  # so it cannot be what happened
                 continue
+            options.append(option)
+            most = max(most, fitted.deviance - option.deviance)
         return sorted(options, key=self.score)
 
-    def _best_converged(self, fitted: Fitted, options: Sequence[Fitted]) -> list[Fitted]:
-        """Coarse fits, best first, of which the first few that are close to the best are fitted until converged."""
+    def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
+        """Coarse fits, best first, of which the first few that are close to the best are fitted until converged.
+
+        Not those that after some more steps lack more than a share of what the rival gains: they do not reach it.
+        """
         after, settings = [], self.settings
         for k, option in enumerate(options):
             best = options[0].deviance
@@ -318,7 +353,10 @@ class HypothesisMoves:
             if k < settings.kept and option.deviance <= close:
                 noise = white_noise(option.fit.residuals)
                 longer = self.data.coarse_fit(option.hypothesis, [option.begin], noise, settings.long_steps)
-                option = self.data.converge(min(option, longer, key=lambda f: f.deviance))
+                option = min(option, longer, key=lambda f: f.deviance)
+                lacks = option.deviance - rival
+                if lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain:
+                    option = self.data.converge(option)
             after.append(option)
         return after
 
@@ -343,7 +381,7 @@ class HypothesisMoves:
             rest, tried = self.refit(tried, best, best.hypothesis[:k] + best.hypothesis[k + 1 :])
             if not self.accepts(rest, best):
                 return replace(state, best=rest, without=(), alternatives=(), tried=tried), True
-            others, tried = self.challenge(tried, rest, part.candidate.label)
+            others, tried = self.challenge(tried, rest, part.candidate.label, best)
             without.append(rest)
             alternatives.append(tuple(others))
             no_larger = [o for o in others if len(o.hypothesis) <= len(best.hypothesis)]

@@ -54,18 +54,21 @@ class Named:
     Attributes:
         effect: its name.
         locations: the places.
+        each: whether it has its own parameters at each of several places, instead of the same.
     """
 
     effect: str
     locations: tuple[str, ...]
+    each: bool = False
 
     def __str__(self) -> str:
         """For people."""
-        return f"{self.effect} at {' and '.join(self.locations)}"
+        return f"{self.effect} at {'each of ' * self.each}{' and '.join(self.locations)}"
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
-        return {"effect": self.effect, "locations": list(self.locations)}
+        named: dict[str, Any] = {"effect": self.effect, "locations": list(self.locations)}
+        return named | ({"each": True} if self.each else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +118,16 @@ class Finding:
         parameters: with intervals.
         evidence: for it.
         equivalent: effects that these recordings do not distinguish from it.
+        also_at: further places of the same law, each with its own parameters: the evidence is of all of them together.
+        undetermined: why its parameters are not identifiable from these recordings; "" where they are.
     """
 
     part: Part
     parameters: Mapping[str, Estimate]
     evidence: Evidence
     equivalent: tuple[Named, ...] = ()
+    also_at: tuple[str, ...] = ()
+    undetermined: str = ""
 
     @property
     def named(self) -> Named:
@@ -134,6 +141,8 @@ class Finding:
             "parameters": {key: estimate.to_dict() for key, estimate in self.parameters.items()},
             "evidence": self.evidence.to_dict(),
             "equivalent": [other.to_dict() for other in self.equivalent],
+            **({"also_at": list(self.also_at)} if self.also_at else {}),
+            **({"undetermined": self.undetermined} if self.undetermined else {}),
         }
 
 
@@ -375,6 +384,7 @@ class Diagnosis:
         where: the refitted model's residuals are, largest first.
         findings: strongest first.
         unexplained: what none of them explains, strongest first.
+        undetermined: effects that fit, but whose parameters these recordings do not identify: they are not named.
         rejected: effects that fit best but no better than a residual force, see ``unexplained``.
         ranking: all candidates, alone, best first.
         detectable: smallest detectable sizes of effects; only where nothing was found.
@@ -409,6 +419,7 @@ class Diagnosis:
     seconds: float
     decisions: tuple[Decision, ...] = ()
     not_done: tuple[str, ...] = ()
+    undetermined: tuple[Finding, ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -435,6 +446,7 @@ class Diagnosis:
             "engine": self.engine.to_dict(),
             "where": [place.to_dict() for place in self.where],
             "findings": [finding.to_dict() for finding in self.findings],
+            "undetermined": [finding.to_dict() for finding in self.undetermined],
             "unexplained": [residual.to_dict() for residual in self.unexplained],
             "rejected": [named.to_dict() for named in self.rejected],
             "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.best.noise, strict=True)},

@@ -147,7 +147,10 @@ def screen(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Screen
 def _initial_guesses(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> list[Hypothesis]:
     """The hypothesis with one more part, for all initial guesses of all candidates that it can have."""
     guesses = []
+    present = set(_adds(fitted.hypothesis))
     for candidate in pool:
+        if present.issuperset(_adds([Part(candidate, {})])):
+            continue
         for values in candidate.guesses:
             try:
                 guesses.append(with_part(data.free.model, fitted.hypothesis, Part(candidate, values)))
@@ -175,11 +178,12 @@ def _evaluated(responses: _Responses) -> dict[Candidate, list[_Guess]]:
     They are evaluated in groups that keep the same parameters, for a guess may exclude parts of the hypothesis.
     """
     fitted, guesses = responses.fitted, responses.guesses
-    owners = _owners(len(responses.data.free.free), fitted.hypothesis)
+    base = len(responses.data.free.free)
+    kept_by = [_kept(base, fitted.hypothesis, guess) for guess in guesses]
     scale = fitted.fit.parameters.scale
     evaluated: dict[Candidate, list[_Guess]] = {}
-    for kept in {_kept(owners, fitted.hypothesis, guess) for guess in guesses}:
-        rows = [k for k, guess in enumerate(guesses) if _kept(owners, fitted.hypothesis, guess) == kept]
+    for kept in dict.fromkeys(kept_by):
+        rows = [k for k, own in enumerate(kept_by) if own == kept]
 
         def of_rows(
             whitened_fit: WhitenedFit, columns: Array, rows: list[int], kept: Sequence[int]
@@ -221,16 +225,14 @@ def _selected(responses: _Responses, candidate: Candidate, guesses: Sequence[_Gu
 
 
 def _rescaled(model: Model, hypothesis: Hypothesis, factor: float) -> Hypothesis | None:
-    """The hypothesis, its last part's first parameter so many times as far from the value of no effect.
+    """The hypothesis, the size of its last part so many times as far from the value of no effect.
 
-    None where there is no such value, or where the parameter cannot be that large or small.
+    None where there is no such value, or where the size cannot be that large or small.
     """
     part = hypothesis[-1]
-    if (nothing := part.candidate.effect.grows_from()) is None:
+    if not (nothing := part.candidate.grows_from()):
         return None
-    values = dict(part.values)
-    first = next(iter(values))
-    values[first] = nothing + (values[first] - nothing) * factor
+    values = {**part.values, **{name: v + (part.values[name] - v) * factor for name, v in nothing.items()}}
     scaled = (*hypothesis[:-1], Part(part.candidate, values))
     try:
         model_of(model, scaled)
@@ -377,18 +379,22 @@ def _models(data: Data, guesses: Sequence[Hypothesis], thetas: Sequence[Array]) 
     return [model_of(robots[theta.tobytes()], guess) for theta, guess in zip(thetas, guesses, strict=True)]
 
 
-def _owners(base: int, hypothesis: Hypothesis) -> list[int]:
-    """For each free parameter the part it belongs to; −1 for the model's own."""
-    owners = [-1] * base
-    for k, part in enumerate(hypothesis):
-        owners += [k] * part.candidate.n_parameters
-    return owners
+def _kept(base: int, old: Hypothesis, new: Hypothesis) -> tuple[int, ...]:
+    """Which parameters of a hypothesis stay beside one more part, as indices in its θ.
+
+    Args:
+        base: how many the model itself has.
+        old: the hypothesis.
+        new: with the part, which is the last.
+    """
+    stays = set(_adds(new[:-1]))
+    return (*range(base), *(base + i for i, own in enumerate(_adds(old)) if own in stays))
 
 
-def _kept(owners: Sequence[int], old: Hypothesis, new: Hypothesis) -> tuple[int, ...]:
-    """Which parameters of the old hypothesis are there in the new one."""
-    stays = {k for k, part in enumerate(old) if any(part is other for other in new)} | {-1}
-    return tuple(i for i, owner in enumerate(owners) if owner in stays)
+def _adds(hypothesis: Sequence[Part]) -> list[tuple[str, tuple[str, ...], str]]:
+    """The parameters that a hypothesis adds, each by its effect, where it acts and what it is."""
+    parts = (part.candidate for part in hypothesis)
+    return [(candidate.effect.name, own.places, own.key) for candidate in parts for own in candidate.parameters]
 
 
 def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> _FirstOrderGains:

@@ -11,6 +11,7 @@ The moves:
     split      a law alike at several places → one at each                 ``extensions``, of what it extends
     merge      laws at single places → one alike at several                ``extensions``: it drops what it excludes
     narrow     a law alike at several places → at one place less           ``narrowed``
+    prune      a law with its own parameters at each place → where needed  ``pruned``
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
 
 Where errors grow along a trial, fits have many local minima (``SearchSettings.many_minima``): deviances scatter, and
@@ -23,7 +24,7 @@ first-order gains predict little. What differs:
     their initial guesses               as they are                   also rescaled (``rescaled_guesses``)
     rounds outdone by a residual force  none                          one (``PATIENCE``)
     the model without effects           fitted once                   refitted from the first effect's fit
-    after each addition                 exchanged, from two parts on  the same, then simplified
+    after each addition                 exchanged, from two parts on  the same, then pruned and simplified
     at the end                          contested and narrowed        neither
     what else fits in a part's place    fitted beside the other parts also what did beside any others (``in_place``)
     what held-out trials do not confirm is dropped                    exchanged for another hypothesis fitted, if any
@@ -34,11 +35,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from equimus_ctrl.diagnosis.alternatives import contested, narrowed, simplified
+from equimus_ctrl.diagnosis.alternatives import contested, narrowed, pruned, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchState, StopReason
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.screening import screen
+from equimus_ctrl.diagnosis.torque_screening import begun, worth_simulating
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.noise import white_noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +86,31 @@ class Search(HypothesisMoves):
 
     def beginning(self, base: Fitted, start: Fitted) -> SearchState:
         """A hypothesis without the parts that are not needed, and with better fitting ones in its parts' places."""
-        first = SearchHistory(first=tuple(screen(self.data, base, self.pool)))
-        return simplified(self, self.exchanged(SearchState(base, start, tried=first)))
+        pool = self.pool if self.torques is None else worth_simulating(self.data, self.torques, base, self.pool)
+        first = SearchHistory(first=tuple(screen(self.data, base, pool)))
+        return simplified(self, pruned(self, self.exchanged(SearchState(base, start, tried=first))))
+
+    def begun_in_torques(self, state: SearchState) -> SearchState:
+        """A search that begins with the laws that measured torques ask for; as it is where they ask for none.
+
+        Of many joints that all rub, laws come together or not at all: one by one each is hidden by the others.
+        """
+        asked = None if self.torques is None else begun(self.data, self.torques, self.pool, self.settings.most_parts)
+        if asked is None:
+            return state
+        hypothesis, theta = asked
+        self.notify("what the measured torques ask for", state.best.label)
+        data, base = self.data, state.base
+        begins = [
+            (data.theta_of(theta, hypothesis), [s.start for s in data.segments]),
+            (data.theta_of(base.fit.theta, hypothesis), base.fit.starts),
+        ]
+        try:
+            noise = white_noise(base.fit.residuals)
+            start = data.converge(data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps))
+        except SimulationDiverged:  # so it cannot be what happened
+            return state
+        return self.beginning(base, start) if self.accepts(base, start) else state
 
     def go_on(self, state: SearchState, rejected: Sequence[str] = (), further: bool = True) -> SearchState:
         """Search from where one ended; see ``steps``."""
@@ -178,7 +205,7 @@ class Search(HypothesisMoves):
         state = replace(state, best=best, without=(simple,), alternatives=(others,))
         if simple.hypothesis:
             state = self.exchanged(state)
-        return simplified(self, state) if self.settings.many_minima else state
+        return simplified(self, pruned(self, state)) if self.settings.many_minima else state
 
     def _small(self, options: Sequence[Fitted]) -> list[Fitted]:
         """Options that have no more parts than are looked for."""

@@ -149,11 +149,12 @@ def _nominal(data: Data, split: Split) -> tuple[Array, ...]:
 def find_effects(state: State) -> State:
     """The hypothesis that fits best, of those whose gain exceeds the threshold.
 
-    Where residuals are large, a second search begins at the fit to short shooting intervals. Where the budget ends,
-    what the search had come to is kept.
+    A search begins with what measured torques ask for, where they say anything. Where residuals are large, a second
+    search begins at the fit to short shooting intervals. Where the budget ends, what the search had come to is kept.
     """
     search, end = state.search, state.end
     try:
+        end = search.begun_in_torques(end)
         for now in search.steps(end):
             end = now
         if state.short is not None and state.data.far_above_noise(end.best):
@@ -369,11 +370,14 @@ def report(state: State) -> Diagnosis:
     inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
     data, split, model, noise = state.data, inputs.split, inputs.data.free.model, end.best.noise
     holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
-    named = findings(search, end, holdout, equivalent)
+    told = findings(search, end, holdout, equivalent)
+    named, undetermined = ([f for f in told if bool(f.undetermined) is side] for side in (False, True))
+    for finding in undetermined:
+        state = state.decided("report", f"{finding.named} not named", finding.undetermined)
     residuals = _residuals(state, holdout)
     inputs.progress("done", 1.0, end.best.label)
     return Diagnosis(
-        verdict=verdict(named, state.analysis, not any(stage.settles for stage in skipped(state))),
+        verdict=verdict(named, bool(unexplained or undetermined), not any(stage.settles for stage in skipped(state))),
         model=model,
         refitted=end.base.fit.model,
         corrected=end.best.fit.model,
@@ -384,11 +388,12 @@ def report(state: State) -> Diagnosis:
         test=split.test,
         residuals=residuals,
         where=localise(model, split.train, end.base.fit.residuals, noise),
-        findings=named,
+        findings=tuple(named),
+        undetermined=tuple(undetermined),
         unexplained=unexplained,
         rejected=state.rejected,
         ranking=state.ranking or ranking(search, end),
-        detectable=() if named or unexplained or state.ended_in else detectable(search, end),
+        detectable=() if told or unexplained or state.ended_in else detectable(search, end),
         experiment=None if state.ended_in else separating(data, end, named, equivalent, inputs.designs),
         excess_variance={name: float(excess_variances(residuals[name].train, noise).mean()) for name in STATES},
         notes=(

@@ -271,9 +271,9 @@ def strained(data: Data, fitted: Fitted) -> bool:
     """Whether a parameter of some effect ended at a bound where the effect does not vanish."""
     first = len(data.free.free)
     for part in fitted.hypothesis:
-        for i, key in enumerate(part.values):
+        for i, own in enumerate(part.candidate.parameters):
             side = int(fitted.fit.at_bound[first + i])
-            harmless = side < 0 and part.candidate.effect.parameter_info()[key]["low"] == 0.0
+            harmless = side < 0 and part.candidate.effect.parameter_info()[own.key]["low"] == 0.0
             if side and not harmless:
                 return True
         first += part.candidate.n_parameters
@@ -286,7 +286,10 @@ def _degenerate(data: Data, best: Fitted) -> list[int]:
     return [
         k
         for k, part in enumerate(best.hypothesis)
-        if any(part.candidate.effect.degenerate(part.values, excitation[place]) for place in part.candidate.locations)
+        if any(
+            part.candidate.effect.degenerate(part.candidate.at(part.values, place), excitation[place])
+            for place in part.candidate.locations
+        )
     ]
 
 

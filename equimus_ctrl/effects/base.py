@@ -65,6 +65,11 @@ class Effect:
     """Kinds of robots that can have it: ``elastic`` (morphologies with elastic actuators), ``mjcf`` (MuJoCo's XML)."""
     mujoco_flags: ClassVar[tuple[str, ...]] = ()
     """Flags of MuJoCo's XML that must not be switched off for it to do anything."""
+    delays: ClassVar[bool] = False
+    """Whether its parameters in seconds say how late something is; a law's own times, of creep, say, do not."""
+    in_torques: ClassVar[bool] = True
+    """Whether inverse dynamics along the measured motion show it: not what moves without being measured, and not what
+    scales all forces, as masses do."""
     exclusive: ClassVar[str | None] = None
     """Of effects that share this word one place can have only one; see ``slot``."""
     leg_sizes: ClassVar[tuple[Size, ...]] = ()

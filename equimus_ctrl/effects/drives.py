@@ -200,6 +200,7 @@ class DriveCompliance(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "a drive that gives way: a belt, a flexible gear"
+    in_torques = False
     mujoco_flags = ("damper", "spring")
     nothing = None
     alike = False
@@ -248,6 +249,7 @@ class DrivePlay(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     summary = "play between drive and joint"
+    in_torques = False
     mujoco_flags = ("constraint", "limit")
     alike = False
     exclusive = "compliance"
@@ -271,6 +273,7 @@ class ActuatorGain(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("actuator",)
     summary = "the drive exerts more or less force than its command says"
+    in_torques = False  # all that is needed could be less at once, masses included: least squares would prefer it
     nothing = 1.0
     exclusive = "actuator_gain"
     mjcf_sizes = (Share("factor", 0.01, 0.3, "about one"),)

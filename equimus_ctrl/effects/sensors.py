@@ -95,6 +95,7 @@ class SensorDelay(SensorEffect):
 
     name = "sensor_delay"
     summary = "the measurement is older than its time stamp"
+    delays = True
     exclusive = "sensor_delay"
     leg_sizes = (Size("delay", 0.004, 0.1, "half a sample to a slow camera pipeline"),)
     leg_alike = True
@@ -116,6 +117,7 @@ class Backlash(SensorEffect):
 
     name = "backlash"
     summary = "play between joint and sensor"
+    in_torques = False
     exclusive = "backlash"
     leg_sizes = (Size("play", 2e-3, 0.06, "the noise to thirty times as much"),)
     leg_alike = True

@@ -93,6 +93,7 @@ class TransportDelay(ValveEffect):
     name = "transport_delay"
     robots = ("elastic", "mjcf")
     summary = "dead time between command and pressure"
+    delays = True
     leg_sizes = (Size("delay", 4e-3, 0.2, "half a sample to many; valves with long hoses"),)
     leg_alike = True
     mjcf_sizes = (Share("delay", 0.005, 0.2),)
@@ -117,6 +118,7 @@ class FirstOrderLag(ValveEffect):
     name = "first_order_lag"
     robots = ("elastic", "mjcf")
     summary = "the pressure follows the command with one time constant"
+    delays = True
     exclusive = "lag"
     leg_sizes = (Size("time_constant", 5e-3, 0.4, "less than a sample to a valve that feeds a large volume"),)
     leg_alike = True
@@ -151,6 +153,7 @@ class AsymmetricLag(ValveEffect):
 
     name = "asymmetric_lag"
     summary = "filling and venting have different time constants"
+    delays = True
     exclusive = "lag"
     leg_sizes = (
         Size("fill", 6e-3, 0.4, "as the symmetric lag"),

@@ -38,16 +38,16 @@ AT_ONCE = 1e-9
 """A step in which nothing moves [s]."""
 
 
-@lru_cache(maxsize=1)
-def _step() -> int:
-    """Address of MuJoCo's ``mj_step``."""
+@lru_cache(maxsize=8)
+def function_address(name: str) -> int:
+    """Address of one of MuJoCo's functions void(const mjModel*, mjData*)."""
     folder, version = Path(mujoco.__file__).parent, mujoco.__version__
-    for name in (f"libmujoco.so.{version}", f"libmujoco.{version}.dylib", "mujoco.dll"):
+    for file in (f"libmujoco.so.{version}", f"libmujoco.{version}.dylib", "mujoco.dll"):
         try:
-            library = ctypes.CDLL(str(folder / name))
+            library = ctypes.CDLL(str(folder / file))
         except OSError:
             continue
-        address = ctypes.cast(library.mj_step, ctypes.c_void_p).value
+        address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
         assert address is not None
         return address
     raise NotAvailable(f"MuJoCo's library is not where its package is expected to have it, in {folder}")
@@ -166,7 +166,7 @@ class _Scratch(local):
         return data
 
 
-_scratch = _Scratch()
+scratch = _Scratch()
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +247,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     """
     _, kernel = compiled.load_mjcf(_stepped())
     model, nj = own.mujoco, len(own.places)
-    data = _scratch.data(model)
+    data = scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
     data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj:]
     for q, v, joint in own.rotors:
@@ -257,9 +257,10 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     dt = float(model.opt.timestep)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     sound = kernel.run_mjcf(
-        _step(), model._address, data._address, own.places, own.laws, own.loss, np.full(nj, MAX_SPEED), ctrl,
-        np.empty((0, nj)) if force is None else force, _rests(own, start[:nj]), data.qpos, data.qvel,
-        data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt, out_q, out_v,
+        function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
+        np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force, _rests(own, start[:nj]),
+        data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
+        out_q, out_v,
     )  # fmt: skip
     return Course(trial.start, dt, out_q, out_v, ctrl, int(sound))
 
@@ -386,7 +387,7 @@ def joint_forces(own: Realised, position: Array, velocity: Array, command: Array
         velocity: (n, nj) their rates.
         command: (n, na) in force.
     """
-    model, data = own.mujoco, _scratch.data(own.mujoco)
+    model, data = own.mujoco, scratch.data(own.mujoco)
     drives, weights = np.empty((len(position), model.nu)), np.empty(position.shape)
     which = [drive.index for drive in own.robot.actuators]
     for k in range(len(position)):

@@ -32,6 +32,12 @@ def call(context: Any, address: Any, model: Any, data: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def called(address: int, model: int, data: int) -> None:
+    """Call one of MuJoCo's functions void(const mjModel*, mjData*)."""
+    call(address, model, data)  # type: ignore[call-arg]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def run_mjcf(
     step: int,
     model: int,

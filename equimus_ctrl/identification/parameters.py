@@ -196,6 +196,6 @@ def free_parameters(
         own = robot.has_parameters([name])
         if own and low < 0 and robot.positive(name):
             raise ConfigError(f"bounds of {name} are {low:g} to {high:g}, expected at least 0")
-        size = robot.size(name) if own and values[name] == 0 else None
+        size = robot.size(name) if own else None
         free.append(FreeParameter(name, values[name], float(low), float(high), unit_of(model, name), size=size))
     return FreeParameters(model, tuple(free))

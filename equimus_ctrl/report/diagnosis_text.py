@@ -50,6 +50,8 @@ def verdict(diagnosis: Diagnosis) -> str:
     n = len(diagnosis.findings)
     if diagnosis.verdict == "consistent":
         return "Consistent: refitted, the model explains the recordings down to the noise; no missing physics is seen."
+    if diagnosis.verdict == "unexplained" and diagnosis.undetermined and not diagnosis.unexplained:
+        return "Unexplained: physics is missing from the model; what fits is not identifiable from these recordings."
     if diagnosis.verdict == "unexplained":
         return "Unexplained: physics is missing from the model, and it is none of the known effects."
     what = listed([short(f.named) for f in diagnosis.findings])
@@ -59,6 +61,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         return f"Unfinished: so far {effects if n else 'no missing effect was found'}, not confirmed."
     if diagnosis.verdict == "explained":
         return f"Explained: {effects}."
+    if not diagnosis.unexplained:
+        return f"Partly explained: {effects}; what fits beside is not identifiable from these recordings."
     return f"Partly explained: {effects}; further residuals are none of the known effects."
 
 
@@ -122,7 +126,9 @@ def _fall(joint: str, before: float, after: float, unit: Reading) -> str:
 def evidence(diagnosis: Diagnosis, k: int) -> str:
     """The evidence for a finding."""
     e = diagnosis.findings[k].evidence
-    text = f"−2 log likelihood falls by {number(e.gain)} (threshold {number(e.threshold)}), p-value "
+    also = diagnosis.findings[k].also_at
+    together = f"with the same law at {listed(also)}, each with its own size, " if also else ""
+    text = f"{together}−2 log likelihood falls by {number(e.gain)} (threshold {number(e.threshold)}), p-value "
     text += power_of_ten(e.log10_p_value)
     if math.isfinite(e.validation_gain):
         text += f"; on validation trials by {number(e.validation_gain)}"
@@ -133,6 +139,7 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
 def remains(diagnosis: Diagnosis) -> list[str]:
     """What none of the findings explains, and effects that were rejected because of it."""
     lines = [_unexplained(residual, diagnosis.model) for residual in diagnosis.unexplained]
+    lines += [f"{_upper(short(f.named))} fits, but {f.undetermined}." for f in diagnosis.undetermined]
     if diagnosis.rejected:
         named = listed([short(named) for named in diagnosis.rejected])
         lines.append(f"Of the known effects, {named} fits best, but no better than an unstructured residual force.")

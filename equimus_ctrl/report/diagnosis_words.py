@@ -124,7 +124,8 @@ def listed(items: Sequence[str], last: str = "and") -> str:
 
 def short(named: Named) -> str:
     """Such as ``dead zone at baa``."""
-    return f"{named.effect.replace('_', ' ')} at {listed(named.locations)}"
+    own = ", each with its own size" if named.each else ""
+    return f"{named.effect.replace('_', ' ')} at {listed(named.locations)}{own}"
 
 
 _COORDINATES: dict[Kind, str] = {

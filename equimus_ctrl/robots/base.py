@@ -164,7 +164,7 @@ class Robot(ABC):
         """(low, high): between what a parameter can plausibly be."""
 
     def size(self, name: str) -> float | None:
-        """A change that counts of a parameter whose value is 0; None where only its bounds say."""
+        """A change that counts, where its value or its bounds do not say it; None where they do."""
         return None
 
     def positive(self, name: str) -> bool:

@@ -46,6 +46,8 @@ _FACTOR = {
 _AWAY = dict.fromkeys(SHAPE, 0.5) | {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0}
 QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
 """Upper bound of a joint's parameter that is 0 in the file: this multiple of what causes an acceleration of 1."""
+RUBS = ("damping", "quadratic_damping", "frictionloss")
+"""Kinds of a joint's parameters that a file often has for want of better ones: what it says bounds them nowhere."""
 POSITIVE = frozenset(_FACTOR) - {"gain"}
 """Kinds of parameters that are at least 0."""
 
@@ -196,19 +198,27 @@ class MjcfRobot(Robot):
     def bounds(self, name: str) -> tuple[float, float]:
         """Default bounds (lowest, highest) of a free parameter of this kind."""
         value, kind = self.parameters()[name], self.plan.parameters[name].kind
+        place = name.rpartition(".")[0]
+        if kind in RUBS and place in self.joint_names:
+            return 0.0, max(value * _FACTOR[kind], float(self.plan.weights[place]) * QUICK[kind])
         if kind in _FACTOR and (value > 0 or (value and kind not in POSITIVE)):
             ends = value / _FACTOR[kind], value * _FACTOR[kind]
             return min(ends), max(ends)
-        place = name.rpartition(".")[0]
         away = _AWAY.get(kind, max(abs(value), 1.0))
         if kind in QUICK and place in self.joint_names:
-            away = self.size(name) * QUICK[kind]
+            away = float(self.plan.weights[place]) * QUICK[kind]
         return (max(value - away, 0.0) if kind in POSITIVE else value - away), value + away
 
-    def size(self, name: str) -> float:
-        """Of a change of a joint's number that counts: what it takes for an acceleration of 1 rad/s² or m/s² there."""
-        place = name.rpartition(".")[0]
-        return float(self.plan.weights.get(place, 1.0))
+    def size(self, name: str) -> float | None:
+        """Of a change of a joint's number that counts: what it takes for an acceleration of 1 rad/s² or m/s² there.
+
+        Of others that are not 0 it is the number itself.
+        """
+        place, _, kind = name.rpartition(".")
+        value = abs(self.parameters()[name])
+        if value and (kind not in RUBS or place not in self.joint_names):
+            return None
+        return max(value, float(self.plan.weights.get(place, 1.0)))
 
     def slides(self, joint: str) -> bool:
         """Whether a joint is a slide."""

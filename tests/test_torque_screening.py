@@ -1,0 +1,225 @@
+"""Inverse dynamics along measured motions, and the laws that the missing forces ask for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mjcf_models import ARM
+from pendulum_runs import FINE, MOTOR, PENDULUM, SERVO, recorded
+
+from equimus_ctrl.diagnosis.candidates import candidates
+from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters
+from equimus_ctrl.diagnosis.torque_screening import begun, torque_domain, torque_screen, worth_simulating
+from equimus_ctrl.effects import (
+    CoulombFriction,
+    Effect,
+    FirstOrderLag,
+    ParallelSpring,
+    PayloadMass,
+    SensorDelay,
+    SensorOffset,
+    TransportDelay,
+    ViscousFriction,
+)
+from equimus_ctrl.engines.choice import engine_for
+from equimus_ctrl.engines.mjcf_inverse import MeasuredMotion, applies, inverse_dynamics, law_slopes, motions_of
+from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.types import Recording
+
+ROBOT = MjcfRobot("arm", PENDULUM.format(drive=MOTOR))
+SERVOED = MjcfRobot("arm", PENDULUM.format(drive=SERVO))
+
+
+def motion(recording: Recording, noise: float = 1e-6) -> MeasuredMotion:
+    trial = Trial.of(recording, recording.position[0])
+    return MeasuredMotion(trial, recording.time, recording.position, np.array([noise]))
+
+
+def data_of(robot: MjcfRobot, recordings: list[Recording]) -> Data:
+    model = Model(robot)
+    parts = split(model, recordings, shoot=1.0)
+    free = default_free_parameters(model)
+    return Data(free, parts.train, Simulator(engine_for(model), 1))
+
+
+@pytest.mark.parametrize(
+    ("robot", "effects"),
+    [
+        (ROBOT, ()),
+        (SERVOED, ()),
+        (ROBOT, (ViscousFriction("hinge", 0.2),)),
+        (ROBOT, (CoulombFriction("hinge", 0.1), ParallelSpring("hinge", 1.0, 0.3))),
+        (ROBOT, (TransportDelay("drive", 0.03),)),
+        (ROBOT, (FirstOrderLag("drive", 0.05),)),
+        (ROBOT, (PayloadMass("tip", 0.2), SensorOffset("hinge", 0.1))),
+        (ROBOT, (SensorDelay("hinge", 0.02),)),
+    ],
+)
+def test_a_model_lacks_no_force_along_a_motion_of_its_own(robot: MjcfRobot, effects: tuple[Effect, ...]) -> None:
+    model = Model(robot, effects)
+    one = recorded(model, count=1, seed=2, noise=0.0)[0]
+    at = inverse_dynamics(model, motion(one), 3)
+    missing, drives = (at.weighted(values)[:, 0][at.counts[:, 0]] for values in (at.missing, at.drives))
+    assert len(missing) > 50
+    # Dry friction jumps within what a test function weighs; all else is left to the smoothing alone.
+    most = 0.05 if any(e.rubs for e in effects) else 0.015
+    assert np.sqrt(np.mean(missing**2)) < most * np.sqrt(np.mean(drives**2))
+
+
+def test_what_a_model_lacks_is_the_law_that_it_lacks() -> None:
+    one = recorded(Model(ROBOT, (ViscousFriction("hinge", 0.3),)), count=1, seed=4, noise=0.0)[0]
+    at = inverse_dynamics(Model(ROBOT), motion(one), 3)
+    missing, rate = at.weighted(at.missing)[:, 0], at.weighted(at.rate)[:, 0]
+    assert np.polyfit(rate, missing, 1)[0] == pytest.approx(-0.3, rel=0.01)
+
+
+def test_noise_of_accelerations_falls_with_the_width() -> None:
+    one = recorded(Model(ROBOT), count=1, seed=5, noise=1e-3)[0]
+    sizes = []
+    for width in (2, 4, 8):
+        at = inverse_dynamics(Model(ROBOT), motion(one, 1e-3), width)
+        sizes.append(float(at.weighted(at.missing).std()))
+    assert sizes[0] / sizes[1] == pytest.approx(2**2.5, rel=0.4)
+    assert sizes[2] < sizes[1] / 1.8
+
+
+def test_slopes_of_laws_are_their_derivatives() -> None:
+    x, v, load = (np.array(values) for values in ([0.1, -0.4], [0.7, -0.2], [1.5, -0.3]))
+    slopes = law_slopes(ParallelSpring, {"stiffness": 2.0, "rest": 0.3}, x, v, load)
+    assert slopes == pytest.approx(np.column_stack([-(x - 0.3), [2.0, 2.0]]))
+    assert law_slopes(CoulombFriction, {"friction": 0.5}, x, v, load).ravel() == pytest.approx([-1.0, 1.0])
+
+
+def test_intervals_of_a_recording_are_one_motion_again() -> None:
+    recordings = recorded(Model(ROBOT), count=2, seconds=3.0)
+    parts = split(Model(ROBOT), recordings, validation=["t1"], shoot=0.5)
+    segments = parts.train
+    assert len(segments) == 6
+    (whole,) = motions_of([s.trial for s in segments], [s.measured for s in segments], np.array([1e-3]))
+    assert np.allclose(whole.time, recordings[0].time) and np.allclose(whole.position, recordings[0].position)
+
+
+def test_uneven_samples_become_even() -> None:
+    time = np.sort(np.random.default_rng(0).uniform(0, 2, 200))
+    trial = Trial("t", time, np.zeros((200, 1)), np.zeros(1), time[0], np.zeros(1), time)
+    (whole,) = motions_of([trial], [np.sin(time)[:, None]], np.array([1e-3]))
+    assert np.ptp(np.diff(whole.time)) < 1e-12
+    assert np.abs(whole.position[:, 0] - np.sin(whole.time)).max() < 2e-3
+
+
+def test_integrators_and_equalities_leave_no_torque_domain() -> None:
+    assert applies(ROBOT) and applies(SERVOED)
+    drive = '<intvelocity name="drive" joint="hinge" kp="12"/>'
+    assert not applies(MjcfRobot("arm", PENDULUM.format(drive=drive)))
+
+
+@pytest.mark.parametrize(
+    ("effect", "labels", "size"),
+    [
+        (CoulombFriction("hinge", 0.08), {"coulomb_friction:hinge"}, 0.08),
+        (ViscousFriction("hinge", 0.1), {"viscous_friction:hinge"}, 0.1),
+        # What is slow moves alike when it is late and when it lags.
+        (TransportDelay("drive", 0.05), {"transport_delay:drive", "first_order_lag:drive"}, 0.05),
+    ],
+)
+def test_a_search_begins_with_the_missing_law(effect: Effect, labels: set[str], size: float) -> None:
+    data = data_of(ROBOT, recorded(Model(ROBOT, (effect,)), seed=1, seconds=8.0))
+    pool = candidates(Model(ROBOT), data.segments)
+    domain = torque_domain(data, pool)
+    assert domain is not None
+    found = begun(data, domain, pool, 3)
+    assert found is not None
+    (part,) = found[0]
+    assert part.candidate.label in labels and next(iter(part.values.values())) == pytest.approx(size, rel=0.25)
+
+
+def test_a_search_begins_with_nothing_where_nothing_is_missing() -> None:
+    """Parameters that are off are none of the laws."""
+    off = ROBOT.with_parameters({"arm.mass": 0.66, "hinge.armature": 0.005})
+    data = data_of(ROBOT, recorded(Model(off), seed=3, seconds=8.0))
+    pool = candidates(Model(ROBOT), data.segments)
+    domain = torque_domain(data, pool)
+    assert domain is not None and begun(data, domain, pool, 3) is None
+
+
+def two_joints(damping: float = 0.0) -> MjcfRobot:
+    """The crane of other tests with a motor at each joint, and no friction of its own."""
+    xml = ARM.replace('damping="0.1"', f'damping="{damping}"').replace('frictionloss="0.05"', "").replace(
+        'frictionloss="0.4"', ""
+    )
+    head, _, _ = xml.partition("<actuator>")
+    drives = '<actuator><motor name="turn" joint="shoulder"/><motor name="push" joint="reach"/></actuator></mujoco>'
+    return MjcfRobot("crane", head + drives)
+
+
+def test_friction_of_all_joints_is_one_law_with_its_own_size_at_each() -> None:
+    robot = two_joints()
+    real = Model(robot, (CoulombFriction("shoulder", 0.4), CoulombFriction("reach", 2.0)))
+    data = data_of(robot, recorded(real, seed=6, seconds=8.0, size=6.0, noise=2e-4, dt=FINE))
+    pool = candidates(Model(robot), data.segments)
+    domain = torque_domain(data, pool)
+    assert domain is not None
+    found = begun(data, domain, pool, 1)
+    assert found is not None
+    (part,) = found[0]
+    assert part.candidate.label == "coulomb_friction:shoulder,reach"
+    assert part.values == pytest.approx({"shoulder.friction": 0.4, "reach.friction": 2.0}, rel=0.2)
+
+
+def test_what_is_far_behind_is_not_simulated() -> None:
+    """A friction that is there is kept with its size as a guess; the pool is smaller, and what cannot be seen stays."""
+    robot = two_joints()
+    data = data_of(robot, recorded(Model(robot, (CoulombFriction("reach", 2.0),)), seed=7, seconds=8.0, size=6.0))
+    pool = candidates(Model(robot), data.segments)
+    domain = torque_domain(data, pool)
+    assert domain is not None
+    base = data.nominal_fit()
+    kept = worth_simulating(data, domain, base, pool)
+    labels = {candidate.label for candidate in kept}
+    assert "coulomb_friction:reach" in labels and len(kept) < 0.7 * len(pool)
+    unseen = {c.label for c in pool if not c.effect.in_torques}
+    assert unseen and unseen <= labels
+    friction = next(c for c in kept if c.label == "coulomb_friction:reach")
+    assert friction.guesses[-1]["friction"] == pytest.approx(2.0, rel=0.25)
+
+
+def test_gains_are_those_of_least_squares() -> None:
+    """The Gram matrix gives what fitting the columns gives, beside parameters that are known within their bounds."""
+    data = data_of(ROBOT, recorded(Model(ROBOT, (ViscousFriction("hinge", 0.1),)), seed=8, seconds=6.0))
+    pool = [c for c in candidates(Model(ROBOT), data.segments) if c.label in ("viscous_friction:hinge",)]
+    domain = torque_domain(data, pool)
+    assert domain is not None
+    screen = torque_screen(data, domain, None, pool)
+    (own,) = screen.columns
+    p = len(screen.theta)
+    inverse = np.linalg.inv(screen.gram[: p + 1, : p + 1])
+    aim = screen.gram[: p + 1, -1]
+    whole = screen.gram[-1, -1] - aim @ inverse @ aim
+    assert screen.fitted([own])[0] == pytest.approx(whole, rel=1e-6)
+    assert screen.fitted([own])[1][0][0] == pytest.approx((inverse @ aim)[p], rel=1e-6)
+    assert screen.alone()[pool[0]].gain == pytest.approx(screen.missing - whole, rel=1e-6)
+    negative = replace(screen, gram=np.where(np.arange(p + 2) == p, -1.0, 1.0)[:, None] * screen.gram * np.where(
+        np.arange(p + 2) == p, -1.0, 1.0
+    ))
+    chi2, sizes = negative.fitted([own])  # its size would be below 0, which it cannot be
+    assert chi2 == pytest.approx(screen.missing) and sizes == [[0.0]]
+
+
+def test_a_part_narrows_to_places_that_need_it() -> None:
+    robot = two_joints()
+    data = data_of(robot, recorded(Model(robot), seed=9, seconds=4.0, size=6.0))
+    both = next(c for c in candidates(Model(robot), data.segments) if c.label == "viscous_friction:shoulder,reach")
+    part = Part(both, {"shoulder.damping": 0.3, "reach.damping": 4.0})
+    alone = part.narrowed(("reach",))
+    assert alone.candidate.label == "viscous_friction:reach" and alone.values == {"damping": 4.0}
+    assert [(e.location, e.parameters()) for e in part.effects] == [
+        ("shoulder", {"damping": 0.3}),
+        ("reach", {"damping": 4.0}),
+    ]
