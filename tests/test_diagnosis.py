@@ -364,7 +364,10 @@ def test_equivalents_come_with_the_experiment_that_tells_them_apart() -> None:
 def test_an_experiment_separates_a_finding_from_the_fit_of_its_equivalent() -> None:
     first, second, fits = object(), object(), [object(), object()]
     end: Any = SimpleNamespace(best=SimpleNamespace(hypothesis=(first, second)))
-    findings: Any = [SimpleNamespace(part=second, named="second"), SimpleNamespace(part=first, named="first")]
+    findings: Any = [
+        SimpleNamespace(part=second, law=None, named="second"),
+        SimpleNamespace(part=object(), law=first, named="first"),  # at one of several places
+    ]
     other: Any = [Equivalent(Named("dead_zone", ("baa",)), fit) for fit in fits]  # type: ignore[arg-type]
     assert _pair(end, findings, [(other[0],), ()]) == ("first", other[0])
     assert _pair(end, findings, [(other[0],), (other[1],)]) == ("second", other[1])

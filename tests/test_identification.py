@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -331,7 +332,9 @@ def test_progress_goes_up_through_its_stages() -> None:
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1
     assert list(dict.fromkeys(stage for stage, _, _ in told)) == ["compiling", "search", "cross-check", "done"]
     best = [b for _, _, b in told if b == b]
-    assert best == sorted(best, reverse=True)
+    assert (
+        max(after - before for before, after in pairwise(best)) < 1e-12 * best[0]
+    )  # costs never rise, but are rounded
 
 
 def test_fewer_than_two_recordings_or_folds_are_not_cross_checked() -> None:

@@ -89,7 +89,7 @@ class OnPaper(Search):
         return found, tried.having(found)
 
     def challenge(
-        self, tried: SearchHistory, fitted: Fitted, instead_of: str = ""
+        self, tried: SearchHistory, fitted: Fitted, instead_of: str = "", rival: Fitted | None = None
     ) -> tuple[list[Fitted], SearchHistory]:
         out = {instead_of, *tried.rejected}
         return [
@@ -131,7 +131,7 @@ def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none
 
     class Found(OnPaper):
         def challenge(
-            self, tried: SearchHistory, fitted: Fitted, instead_of: str = ""
+            self, tried: SearchHistory, fitted: Fitted, instead_of: str = "", rival: Fitted | None = None
         ) -> tuple[list[Fitted], SearchHistory]:
             # One more part is Stribeck's friction, which leaves no other at that joint.
             own = {(): [RUB], (RUB,): [STICK], (STICK,): []}[tuple(fitted.labels)]

@@ -151,8 +151,10 @@ def test_a_search_begins_with_nothing_where_nothing_is_missing() -> None:
 
 def two_joints(damping: float = 0.0) -> MjcfRobot:
     """The crane of other tests with a motor at each joint, and no friction of its own."""
-    xml = ARM.replace('damping="0.1"', f'damping="{damping}"').replace('frictionloss="0.05"', "").replace(
-        'frictionloss="0.4"', ""
+    xml = (
+        ARM.replace('damping="0.1"', f'damping="{damping}"')
+        .replace('frictionloss="0.05"', "")
+        .replace('frictionloss="0.4"', "")
     )
     head, _, _ = xml.partition("<actuator>")
     drives = '<actuator><motor name="turn" joint="shoulder"/><motor name="push" joint="reach"/></actuator></mujoco>'
@@ -205,9 +207,12 @@ def test_gains_are_those_of_least_squares() -> None:
     assert screen.fitted([own])[0] == pytest.approx(whole, rel=1e-6)
     assert screen.fitted([own])[1][0][0] == pytest.approx((inverse @ aim)[p], rel=1e-6)
     assert screen.alone()[pool[0]].gain == pytest.approx(screen.missing - whole, rel=1e-6)
-    negative = replace(screen, gram=np.where(np.arange(p + 2) == p, -1.0, 1.0)[:, None] * screen.gram * np.where(
-        np.arange(p + 2) == p, -1.0, 1.0
-    ))
+    negative = replace(
+        screen,
+        gram=np.where(np.arange(p + 2) == p, -1.0, 1.0)[:, None]
+        * screen.gram
+        * np.where(np.arange(p + 2) == p, -1.0, 1.0),
+    )
     chi2, sizes = negative.fitted([own])  # its size would be below 0, which it cannot be
     assert chi2 == pytest.approx(screen.missing) and sizes == [[0.0]]
 

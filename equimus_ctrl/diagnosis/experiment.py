@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.results import Equivalent, Experiment, Finding, Named
 from equimus_ctrl.engines.trials import Trial
@@ -80,16 +79,10 @@ def _pair(
 ) -> tuple[Named, Equivalent] | None:
     """The strongest finding that has an equivalent, and that."""
     for finding in findings:
-        place = next(k for k, part in enumerate(end.best.hypothesis) if _is_of(finding, part))
+        place = next(k for k, part in enumerate(end.best.hypothesis) if part in (finding.part, finding.law))
         if equivalent and equivalent[place]:
             return finding.named, equivalent[place][0]
     return None
-
-
-def _is_of(finding: Finding, part: Part) -> bool:
-    """Whether a finding is a part of a hypothesis, or one place of it."""
-    named, candidate = finding.named, part.candidate
-    return named.effect == candidate.effect.name and set(named.locations) <= set(candidate.locations)
 
 
 def _distance(data: Data, first: Fitted, second: Fitted, design: Design, sigma: Array) -> float:

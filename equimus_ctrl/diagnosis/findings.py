@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtrc
@@ -30,9 +31,6 @@ from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.models.model import Model
-
-COVERED = 0.9
-"""An interval over this share of a parameter's bounds says nothing of it."""
 
 Finely = Callable[[Fitted], Fitted]
 """Fits with a smaller discretisation error, from where a fit ended."""
@@ -100,19 +98,17 @@ def findings(
         candidate = part.candidate
         for places in [(place,) for place in candidate.locations] if candidate.each else [candidate.locations]:
             own = {p.key: estimates[p.name] for p in candidate.parameters if set(p.places) & set(places)}
-            also_at = tuple(place for place in candidate.locations if place not in places)
-            alone = part.narrowed(places) if candidate.each else part
-            found.append(
-                Finding(alone, own, evidence, others, also_at, _undetermined(search.data, end.best, k, places))
-            )
+            why = _undetermined(search.data, end.best, k, own, places)
+            alone, law = (part.narrowed(places), part) if candidate.each else (part, None)
+            found.append(Finding(alone, own, evidence, others, law, why))
     return tuple(sorted(found, key=lambda f: -f.evidence.gain))
 
 
-def _undetermined(data: Data, best: Fitted, k: int, places: Sequence[str]) -> str:
+def _undetermined(data: Data, best: Fitted, k: int, estimates: Mapping[str, Estimate], places: Sequence[str]) -> str:
     """Why the parameters of a part at some of its places are not identifiable; "" where they are.
 
     A parameter at a bound where the effect does not vanish says that the law is strained, or another one. An interval
-    that covers most of what the parameter can be says nothing of it.
+    that covers all that the parameter can be says nothing of it.
     """
     candidate = best.hypothesis[k].candidate
     first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
@@ -120,20 +116,23 @@ def _undetermined(data: Data, best: Fitted, k: int, places: Sequence[str]) -> st
     for i, own in enumerate(candidate.parameters):
         if not set(own.places) & set(places):
             continue
-        free, side = best.fit.parameters.free[first + i], int(best.fit.at_bound[first + i])
-        value = float(best.fit.theta[first + i])
-        if side and not (side < 0 and info[own.key]["low"] == 0.0):
-            return f"{own.key} is at its bound of {value:.4g} {free.unit}".rstrip(" 1")
-        if first + i in data.discontinuous(best.hypothesis):
-            continue
-        covered = (
-            min(value + width, free.high) - max(value - width, free.low)
-            if (width := float(best.fit.uncertainty.half_width[first + i]))
-            else 0.0
+        free, side, estimate = (
+            best.fit.parameters.free[first + i],
+            int(best.fit.at_bound[first + i]),
+            estimates[own.key],
         )
-        if covered > COVERED * (free.high - free.low):
-            return f"the interval of {own.key} covers all that it can be, {free.low:.4g} to {free.high:.4g} {free.unit}"
+        unit = "" if free.unit == "1" else f" {free.unit}"
+        if side and not (side < 0 and info[own.key]["low"] == 0.0):
+            return f"{own.key} is at its bound of {estimate.value:.4g}{unit}"
+        covered = estimate.high - estimate.low
+        if math.isfinite(covered) and data.thresholds.decides(partial(_covers, covered / (free.high - free.low))):
+            between = f"{free.low:.4g} to {free.high:.4g}{unit}"
+            return f"the interval of {own.key} covers what it can be, {between}"
     return ""
+
+
+def _covers(share: float, t: Thresholds) -> bool:
+    return share > t.covered
 
 
 def _evidence(search: Search, end: SearchState, holdout: HoldoutResiduals, k: int) -> Evidence:

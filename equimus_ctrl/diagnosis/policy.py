@@ -248,6 +248,13 @@ class Thresholds:
         "calibration",
         PROOFS,
     )
+    covered: float = _decides(
+        0.9,
+        "of the bounds",
+        "an effect is not named where the interval of a parameter covers so much of what the parameter can be",
+        "convention",
+        "such an interval says nothing: of an even spread over the bounds, 95 % would cover 0.95 of them",
+    )
     watch: Callable[[Callable[[Thresholds], bool], bool], None] | None = field(default=None, compare=False, repr=False)
     """Called with every decision and its outcome, to vary the thresholds."""
 

@@ -118,7 +118,7 @@ class Finding:
         parameters: with intervals.
         evidence: for it.
         equivalent: effects that these recordings do not distinguish from it.
-        also_at: further places of the same law, each with its own parameters: the evidence is of all of them together.
+        law: the part at all its places where each has its own parameters: the evidence is of all of them together.
         undetermined: why its parameters are not identifiable from these recordings; "" where they are.
     """
 
@@ -126,13 +126,19 @@ class Finding:
     parameters: Mapping[str, Estimate]
     evidence: Evidence
     equivalent: tuple[Named, ...] = ()
-    also_at: tuple[str, ...] = ()
+    law: Part | None = None
     undetermined: str = ""
 
     @property
     def named(self) -> Named:
         """The effect and its places."""
         return Named(self.part.candidate.effect.name, self.part.candidate.locations)
+
+    @property
+    def also_at(self) -> tuple[str, ...]:
+        """Further places of the same law, each with its own parameters."""
+        places = () if self.law is None else self.law.candidate.locations
+        return tuple(place for place in places if place not in self.part.candidate.locations)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
