@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from equimus_ctrl.diagnosis import preflight
 from equimus_ctrl.diagnosis.budget import Asked, never
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, Progress, diagnose
 from equimus_ctrl.diagnosis.experiment import Design
@@ -14,6 +15,7 @@ from equimus_ctrl.diagnosis.holdout import check_settings, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
@@ -54,6 +56,9 @@ def diagnose_recordings(
     if options.shoot is not None and model.robot.traits.held_in_place:
         raise ConfigError("multiple shooting is for MJCF robots; a leg's trials are fitted whole")
     trials = choose(gather(recordings, model), options.select)
+    for trial in trials:
+        check_columns(model, trial)
+    preflight.check(model, trials)
     chosen = default_free_parameters(model, options.free, options.bounds, options.fix)
     parts = split(
         model,

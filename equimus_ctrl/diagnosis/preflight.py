@@ -1,0 +1,156 @@
+"""What can be seen of recordings before any search: other units, signs, an order or a zero than the model's.
+
+Each would be taken for missing physics, and each is somebody's mistake that takes a minute to mend. Angles are compared
+with the joints' ranges; what the motion needs (``engines.mjcf_inverse``) is compared with what the drives exert by the
+model. Masses may be wrong by a factor, and physics may be missing; neither makes a force the opposite of another.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from equimus_ctrl.engines.mjcf_inverse import applies, inverse_dynamics, motions_of
+from equimus_ctrl.engines.predict import SET, TIMES, noted
+from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.noise import noise_of_differences
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.types import Array, Recording
+
+ALIKE = 0.9
+"""Correlation from which on two forces are one, but for size and sign."""
+UNLIKE = 0.5
+"""Below this a joint's own drive is not what moves it, where another one is alike."""
+UNIT = 5.0
+"""Masses are not so many times what they are taken to be: the forces have another unit."""
+WIDTHS = (4, 8, 16)
+"""Widths of test functions in samples; the one with the best correlations counts."""
+LEAST_ROWS = 30
+"""Fewer independent samples show no correlation."""
+BEYOND = 0.25
+"""Share of a joint's range by which most samples have to lie beyond its end."""
+DEGREE = math.pi / 180
+
+
+def check(model: Model, recordings: Sequence[Recording]) -> None:
+    """Raise ConfigError, a sentence that says what to do, where recordings and model cannot belong together.
+
+    Args:
+        model: of any robot; only those of MuJoCo's XML are looked at.
+        recordings: with the robot's joints and actuators, in its order.
+    """
+    robot = model.robot
+    if not isinstance(robot, MjcfRobot):
+        return
+    _check_angles(robot, recordings)
+    if applies(robot):
+        _check_forces(model, robot, recordings)
+
+
+def _check_angles(robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
+    """Raise ConfigError where angles are in degrees, or lie where a joint cannot be."""
+    positions = np.concatenate([r.position for r in recordings])
+    low, high = robot.joint_range
+    for j, name in enumerate(robot.joint_names):
+        span = float(high[j] - low[j])
+        if not math.isfinite(span) or span <= 0:
+            continue
+        column, unit = positions[:, j], "m" if robot.slides(name) else "rad"
+        between = f"{low[j]:.3g} to {high[j]:.3g} {unit}"
+        outside = float(np.mean((column < low[j] - BEYOND * span) | (column > high[j] + BEYOND * span)))
+        if outside < 0.5:
+            continue
+        seen = f"{name} goes from {column.min():.4g} to {column.max():.4g} {unit}, but the model's range is {between}"
+        covers = _inside(column * DEGREE, low[j], high[j])
+        if unit == "rad" and np.abs(column).max() > 4 * math.pi and covers:
+            raise ConfigError(f"{seen}; are the recorded angles in degrees? They are expected in rad")
+        if unit == "rad" and _inside(column, low[j] / DEGREE, high[j] / DEGREE) and span < 7 * DEGREE:
+            raise ConfigError(
+                f"{seen}; are the XML's angles in rad? MuJoCo takes them for degrees where the file does not say "
+                '<compiler angle="radian"/>'
+            )
+        raise ConfigError(
+            f"{seen}; most samples lie beyond it, so the encoder's zero or its sign is another than the model's, or the "
+            "range is wrong"
+        )
+
+
+def _inside(values: Array, low: float, high: float) -> bool:
+    """Whether most values lie about within a range."""
+    way = BEYOND * (high - low)
+    return bool(np.mean((values > low - way) & (values < high + way)) > 0.9)
+
+
+def _check_forces(model: Model, robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
+    """Raise ConfigError where what moves a joint is the opposite of its drive's force, another's, or far larger."""
+    needed, exerted = _forces(model, recordings)
+    nj = len(robot.joint_names)
+    if len(needed) < LEAST_ROWS:
+        return
+    size = np.sqrt((exerted**2).mean(axis=0))
+    driven = [j for j in range(nj) if size[j] > 0]
+    whole = np.sqrt((needed**2).mean(axis=0))
+    alike = np.zeros((nj, nj))
+    for j in driven:
+        for k in driven:
+            alike[j, k] = float((needed[:, j] * exerted[:, k]).mean() / max(whole[j] * size[k], 1e-300))
+    drive = {name: [d.name for d in robot.actuators if d.joint == name] for name in robot.joint_names}
+    for j in driven:
+        name = robot.joint_names[j]
+        if alike[j, j] < -ALIKE:
+            column = " and ".join(f"cmd.{own}" for own in drive[name])
+            raise ConfigError(
+                f"the forces of {name} look negated: what its motion needs is the opposite of what {column} exerts "
+                f"(correlation {alike[j, j]:.2f}); change the sign of the column or of the actuator's gear, or that of "
+                f"pos.{name}"
+            )
+    rows, columns = linear_sum_assignment(-alike[np.ix_(driven, driven)])
+    swapped = [(driven[a], driven[b]) for a, b in zip(rows, columns, strict=True) if a != b]
+    if swapped and all(alike[j, k] > ALIKE and alike[j, j] < UNLIKE for j, k in swapped):
+        first, second = (robot.joint_names[j] for j in swapped[0])
+        raise ConfigError(
+            f"the columns look exchanged: what the motion of {first} needs is what the drive of {second} exerts "
+            f"(correlation {alike[swapped[0]]:.2f}, with its own drive {alike[swapped[0][0], swapped[0][0]]:.2f}); are "
+            "the recorded joints or actuators in another order than their names say?"
+        )
+    # A servo's force follows from where its joint is: its unit is none of the recording's.
+    servos = {d.joint for d in robot.actuators if d.servo}
+    motors = [j for j in driven if robot.joint_names[j] not in servos]
+    factors = {j: float((needed[:, j] * exerted[:, j]).mean() / size[j] ** 2) for j in motors if alike[j, j] > ALIKE}
+    if factors and len(factors) == len(motors) and all(not 1 / UNIT < f < UNIT for f in factors.values()):
+        j = next(iter(factors))
+        raise ConfigError(
+            f"the forces look like those of another unit, such as currents: what the motion of {robot.joint_names[j]} "
+            f"needs is {factors[j]:.3g} times what its drive exerts by the model (correlation {alike[j, j]:.2f}); give "
+            "the factor as the actuator's gear or gain"
+        )
+
+
+def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array]:
+    """(m, nj) what the motion needs of the drives, and what they exert, at the width that makes them most alike."""
+    trials = [
+        Trial(
+            r.name, np.array(r.time), np.array(r.command), np.array(r.command_before), float(r.time[0]),
+            np.array(r.position[0]), np.array(r.time), settings=noted(model, r, SET), factors=noted(model, r, TIMES),
+        )
+        for r in recordings
+    ]  # fmt: skip
+    measured = [np.array(r.position) for r in recordings]
+    noise = np.array([own.sigma for own in noise_of_differences(measured)])
+    best, found = -math.inf, (np.empty((0, 0)), np.empty((0, 0)))
+    for width in WIDTHS:
+        at = [inverse_dynamics(model, m, width) for m in motions_of(trials, measured, noise) if len(m.time) > 8 * width]
+        if not at:
+            break
+        needed = np.concatenate([one.weighted(one.missing + one.drives) for one in at])
+        exerted = np.concatenate([one.weighted(one.drives) for one in at])
+        sizes = np.maximum(np.sqrt((needed**2).mean(axis=0) * (exerted**2).mean(axis=0)), 1e-300)
+        alike = float(np.median(np.abs((needed * exerted).mean(axis=0) / sizes)))
+        if alike > best:
+            best, found = alike, (needed, exerted)
+    return found

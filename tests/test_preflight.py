@@ -1,0 +1,97 @@
+"""Recordings and models that cannot belong together are told in a sentence, before any search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from mjcf_models import ARM, refusal
+from pendulum_runs import MOTOR, PENDULUM, SERVO, recorded
+
+from equimus_ctrl import workflow
+from equimus_ctrl.diagnosis import preflight
+from equimus_ctrl.effects import CoulombFriction, PayloadMass, TransportDelay
+from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.types import Recording
+
+ROBOT = MjcfRobot("arm", PENDULUM.format(drive=MOTOR))
+LIMITED = MjcfRobot("arm", PENDULUM.format(drive=MOTOR).replace('axis="0 -1 0"', 'axis="0 -1 0" range="-100 120"'))
+
+
+@lru_cache(maxsize=1)
+def runs() -> tuple[Recording, ...]:
+    return tuple(recorded(Model(ROBOT), count=2, seed=1))
+
+
+def crane() -> MjcfRobot:
+    head, _, _ = ARM.partition("<actuator>")
+    drives = '<actuator><motor name="turn" joint="shoulder"/><motor name="push" joint="reach"/></actuator></mujoco>'
+    return MjcfRobot("crane", head + drives)
+
+
+def test_what_belongs_together_passes() -> None:
+    preflight.check(Model(ROBOT), runs())
+    preflight.check(Model(LIMITED), runs())
+    preflight.check(nominal_model(), ())
+
+
+@pytest.mark.parametrize(
+    "effect", [CoulombFriction("hinge", 0.3), PayloadMass("tip", 1.2), TransportDelay("drive", 0.1)]
+)
+def test_missing_physics_is_no_mistake_of_the_recordings(
+    effect: CoulombFriction | PayloadMass | TransportDelay,
+) -> None:
+    """Even a payload of twice the arm's own mass."""
+    preflight.check(Model(ROBOT), recorded(Model(ROBOT, (effect,)), count=2, seed=3))
+
+
+def test_a_negated_torque_is_told() -> None:
+    said = refusal(lambda: preflight.check(Model(ROBOT), [replace(r, command=-r.command) for r in runs()]))
+    assert "the forces of hinge look negated" in said and "cmd.drive" in said and "change the sign" in said
+
+
+def test_currents_in_the_place_of_torques_are_told() -> None:
+    said = refusal(lambda: preflight.check(Model(ROBOT), [replace(r, command=r.command / 12) for r in runs()]))
+    assert "another unit, such as currents" in said and "gear or gain" in said
+    factor = float(said.partition("needs is ")[2].partition(" times")[0])
+    assert factor == pytest.approx(12.0, rel=0.1)
+
+
+def test_a_servo_that_asks_for_far_more_is_no_other_unit() -> None:
+    robot = MjcfRobot("arm", PENDULUM.format(drive=SERVO))
+    stiff = MjcfRobot("arm", PENDULUM.format(drive=SERVO.replace("12", "400").replace("0.4", "9")))
+    preflight.check(Model(stiff), recorded(Model(robot), count=2, seed=2))
+
+
+def test_exchanged_columns_are_told() -> None:
+    robot = crane()
+    trials = recorded(Model(robot), count=2, seed=5, size=3.0, noise=2e-4)
+    preflight.check(Model(robot), trials)
+    exchanged = [replace(r, command=r.command[:, ::-1].copy()) for r in trials]
+    said = refusal(lambda: preflight.check(Model(robot), exchanged))
+    assert "look exchanged" in said and "shoulder" in said and "reach" in said and "order" in said
+
+
+def test_angles_in_degrees_are_told() -> None:
+    turned = [replace(r, position=np.rad2deg(r.position)) for r in runs()]
+    assert "in degrees? They are expected in rad" in refusal(lambda: preflight.check(Model(LIMITED), turned))
+
+
+def test_a_model_whose_angles_are_read_in_degrees_is_told() -> None:
+    xml = PENDULUM.format(drive=MOTOR).replace('axis="0 -1 0"', 'axis="0 -1 0" range="-2 2.2"')
+    said = refusal(lambda: preflight.check(Model(MjcfRobot("arm", xml)), runs()))
+    assert '<compiler angle="radian"/>' in said and "hinge goes from" in said
+
+
+def test_a_zero_that_cannot_be_is_told() -> None:
+    moved = [replace(r, position=r.position + 4.5) for r in runs()]
+    said = refusal(lambda: preflight.check(Model(LIMITED), moved))
+    assert "encoder's zero" in said and "-1.75 to 2.09 rad" in said
+
+
+def test_a_diagnosis_looks_first() -> None:
+    said = refusal(lambda: workflow.diagnose_recordings([replace(r, command=-r.command) for r in runs()], Model(ROBOT)))
+    assert "look negated" in said
