@@ -17,19 +17,22 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import tomlkit
 
 from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, ModelError, unknown_name
 
-MJCF = (".xml", ".mjcf")
-"""What files of MuJoCo's XML end with."""
+MJCF = (".xml", ".mjcf", ".urdf")
+"""What files of robots that MuJoCo loads end with."""
 KINDS = ("controllers", "hardware", "scenarios", "tuning")
 _PACKAGE = Path(__file__).resolve().parent
 
 
 def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
-    """(name, text in one piece, files that it names) of a file of MuJoCo's XML.
+    """(name, text in one piece, files that it names) of a file of MuJoCo's XML, or of a URDF.
+
+    Of a URDF what only shows and collides is left out, with its meshes.
 
     Raises:
         ConfigError: where there is no such file.
@@ -40,12 +43,13 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file")
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compile()
         text = path.read_text(encoding="utf-8")
+        urdf = path.suffix.lower() == ".urdf"
+        spec = mujoco.MjSpec.from_string(_without_shapes(text)) if urdf else mujoco.MjSpec.from_file(str(path))
+        spec.compile()
         # MuJoCo writes numbers to six digits; what includes other files cannot stay as it is.
-        xml = spec.to_xml() if "<include" in text else text
-    except (ValueError, mujoco.FatalError) as error:
+        xml = spec.to_xml() if urdf or "<include" in text else text
+    except (ValueError, mujoco.FatalError, ElementTree.ParseError) as error:
         raise ModelError(f"{path}: MuJoCo cannot load it ({' '.join(str(error).split())})") from None
     assets = {name: data if isinstance(data, bytes) else str(data).encode() for name, data in spec.assets.items()}
     for parts, folder in ((spec.meshes, spec.meshdir), (spec.hfields, spec.meshdir), (spec.textures, spec.texturedir)):
@@ -55,6 +59,15 @@ def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
                     assets[name] = place.read_bytes()
     name = spec.modelname
     return (path.stem if name in ("", "MuJoCo Model") else name), xml, assets
+
+
+def _without_shapes(text: str) -> str:
+    """A URDF without what only shows and collides: no equation of motion needs it, and meshes may be anywhere."""
+    root = ElementTree.fromstring(text)
+    for link in root.iter("link"):
+        for part in [child for child in link if child.tag in ("visual", "collision")]:
+            link.remove(part)
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def checkout() -> Path | None:

@@ -10,10 +10,14 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
+    Ignore,
     Json,
+    Lock,
     ModelFile,
+    Motors,
     PluginFiles,
     check_model_file,
+    model_of,
     people,
     print_files,
     print_json,
@@ -27,6 +31,9 @@ from equimus_ctrl.options import DiagnoseOptions
 def diagnose(
     recordings: Annotated[list[Path], typer.Argument(help="Trials: files, or folders of them.")],
     model: ModelFile = None,
+    lock: Lock = None,
+    ignore: Ignore = None,
+    motors: Motors = False,
     write_model: Annotated[
         Path | None, typer.Option("--write-model", metavar="FILE", help="Write the corrected model, for --model.")
     ] = None,
@@ -67,7 +74,7 @@ def diagnose(
         workflow.load_plugins(plugins or ())
         found = workflow.diagnose_recordings(
             recordings,
-            workflow.load_model(model),
+            model_of(model, lock, ignore, motors),
             options,
             progress=show,
             asked=asked,

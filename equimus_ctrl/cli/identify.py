@@ -9,11 +9,15 @@ import typer
 
 from equimus_ctrl.cli.common import (
     Figures,
+    Ignore,
     Json,
+    Lock,
     ModelFile,
+    Motors,
     PluginFiles,
     check_model_file,
     light_table,
+    model_of,
     people,
     print_engine,
     print_files,
@@ -42,6 +46,9 @@ def identify(
         list[Path], typer.Argument(help="Trials (files, or folders of them), files of poses at rest, or both.")
     ],
     model: ModelFile = None,
+    lock: Lock = None,
+    ignore: Ignore = None,
+    motors: Motors = False,
     write_model: Annotated[
         Path | None, typer.Option("--write-model", metavar="FILE", help="Write the identified model, for --model.")
     ] = None,
@@ -84,7 +91,7 @@ def identify(
 
         found = workflow.identify_files(
             recordings,
-            workflow.load_model(model),
+            model_of(model, lock, ignore, motors),
             options,
             progress=notify,
         )

@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from equimus_ctrl.cli.common import Json, ModelFile, PluginFiles, people, print_engine, print_json
+from equimus_ctrl.cli.common import (
+    Ignore,
+    Json,
+    Lock,
+    ModelFile,
+    Motors,
+    PluginFiles,
+    model_of,
+    people,
+    print_engine,
+    print_json,
+)
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import share_bar
 from equimus_ctrl.options import ScoreOptions
@@ -17,6 +28,9 @@ from equimus_ctrl.options import ScoreOptions
 def score(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
     model: ModelFile = None,
+    lock: Lock = None,
+    ignore: Ignore = None,
+    motors: Motors = False,
     *,
     options: ScoreOptions,
     plugins: PluginFiles = None,
@@ -39,7 +53,7 @@ def score(
     with share_bar(console, "score") as show:
         found = workflow.score_recordings(
             recordings,
-            workflow.load_model(model),
+            model_of(model, lock, ignore, motors),
             options,
             progress=show,
         )

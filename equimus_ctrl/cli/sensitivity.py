@@ -9,10 +9,14 @@ import typer
 
 from equimus_ctrl.cli.common import (
     Figures,
+    Ignore,
     Json,
+    Lock,
     ModelFile,
+    Motors,
     PluginFiles,
     light_table,
+    model_of,
     people,
     print_engine,
     print_files,
@@ -36,6 +40,9 @@ SHOWN = 15
 def sensitivity(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
     model: ModelFile = None,
+    lock: Lock = None,
+    ignore: Ignore = None,
+    motors: Motors = False,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
@@ -66,7 +73,7 @@ def sensitivity(
         workflow.load_plugins(plugins or ())
         found = workflow.sensitivity_of(
             recordings,
-            workflow.load_model(model),
+            model_of(model, lock, ignore, motors),
             options,
             progress=lambda done: show(share=done),
         )

@@ -75,8 +75,8 @@ def _check_angles(robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
                 '<compiler angle="radian"/>'
             )
         raise ConfigError(
-            f"{seen}; most samples lie beyond it, so the encoder's zero or its sign is another than the model's, or the "
-            "range is wrong"
+            f"{seen}; most samples lie beyond it, so the encoder's zero or its sign is another than the model's, or "
+            "the range is wrong"
         )
 
 

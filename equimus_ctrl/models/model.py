@@ -28,6 +28,7 @@ from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.leg import MORPHOLOGIES, nominal_leg
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, elastic_of
+from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 FORMAT = "equimus-ctrl/model/1"
@@ -122,7 +123,7 @@ def nominal_model() -> Model:
 
 
 def model_from_dict(
-    data: Mapping[str, Any], where: str = "model", read_mjcf: Callable[[str], MjcfRobot] | None = None
+    data: Mapping[str, Any], where: str = "model", read_mjcf: Callable[[str, Edits], MjcfRobot] | None = None
 ) -> Model:
     """A model from what a model file holds.
 
@@ -145,8 +146,8 @@ def model_from_dict(
         raise type(error)(f"{where}: {error}") from None
 
 
-def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[str], MjcfRobot] | None) -> Model:
-    known = ("format", "name", "mjcf", "parameters", "effects")
+def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[str, Edits], MjcfRobot] | None) -> Model:
+    known = ("format", "name", "mjcf", "lock", "ignore", "motors", "parameters", "effects")
     for key in data:
         if key not in known:
             raise ConfigError(unknown_name("key", key, known, where))
@@ -154,11 +155,22 @@ def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[st
         raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r}")
     if not isinstance(data["mjcf"], str) or read_mjcf is None:
         raise ConfigError(f"{where}: mjcf is {data['mjcf']!r}, expected the name of an MJCF file")
-    robot = read_mjcf(data["mjcf"]).with_parameters(_numbers(data.get("parameters", {}), f"{where}: parameters"))
+    robot = read_mjcf(data["mjcf"], _edits(data, where)).with_parameters(
+        _numbers(data.get("parameters", {}), f"{where}: parameters")
+    )
     name = data.get("name", robot.name)
     if not isinstance(name, str):
         raise ConfigError(f"{where}: name is {name!r}, expected a text")
     return Model(replace(robot, name=name), tuple(_effect(e, where) for e in _tables(data.get("effects", []), where)))
+
+
+def _edits(data: Mapping[str, Any], where: str) -> Edits:
+    lock, ignore, motors = _numbers(data.get("lock", {}), f"{where}: lock"), data.get("ignore", []), data.get("motors")
+    if not isinstance(ignore, list) or not all(isinstance(name, str) for name in ignore):
+        raise ConfigError(f"{where}: ignore is {ignore!r}, expected a list of actuators' names")
+    if not isinstance(motors, bool | None):
+        raise ConfigError(f"{where}: motors is {motors!r}, expected true or false")
+    return Edits(lock, tuple(ignore), bool(motors))
 
 
 def _model_from_dict(data: Mapping[str, Any], where: str) -> Model:

@@ -36,6 +36,7 @@ class Limits:
         max_interval: largest median time between rows [s]; milliseconds in the place of seconds exceed it.
         joints: names that belong together: a file with one of them must have all of them.
         actuators: the same for actuators.
+        missing: what to do where some of them are missing, for the message.
     """
 
     command_low: float = 0.0
@@ -46,6 +47,7 @@ class Limits:
     max_interval: float = 0.5
     joints: tuple[str, ...] = ("hip", "knee")
     actuators: tuple[str, ...] = ("maa", "baa")
+    missing: str = ""
 
     def __post_init__(self) -> None:
         if not self.command_low < self.command_high:
@@ -63,10 +65,14 @@ class Limits:
         return math.isfinite(self.command_high)
 
     @classmethod
-    def of_mjcf(cls, joints: Sequence[str], actuators: Sequence[str], hinges: Sequence[str] = ()) -> Limits:
+    def of_mjcf(
+        cls, joints: Sequence[str], actuators: Sequence[str], hinges: Sequence[str] = (), missing: str = ""
+    ) -> Limits:
         """Of a robot whose commands may be anything, and whose joints, of which some are hinges, may go without end."""
         both = tuple(joints), tuple(actuators)
-        return cls(-math.inf, math.inf, math.inf, both[0], tuple(hinges), joints=both[0], actuators=both[1])
+        return cls(
+            -math.inf, math.inf, math.inf, both[0], tuple(hinges), joints=both[0], actuators=both[1], missing=missing
+        )
 
 
 LEG = Limits()

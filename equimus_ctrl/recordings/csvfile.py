@@ -112,7 +112,7 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
                 f"there is no column '{prefix}.<{PREFIXES[prefix]}>'; {what} belong in such columns"
             )
     for prefix, together in (("cmd", limits.actuators), ("pos", limits.joints)):
-        _demand_all(sheet, prefix, found[prefix], together)
+        _demand_all(sheet, prefix, found[prefix], together, limits.missing)
     for prefix, base in (("vel", "pos"), ("meas", "cmd")):
         for name in found[prefix]:
             if name not in found[base]:
@@ -120,17 +120,17 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
                     f"column '{prefix}.{name}': " + unknown_name(PREFIXES[prefix], name, found[base])
                 )
         if found[prefix]:
-            _demand_all(sheet, prefix, found[prefix], found[base])
+            _demand_all(sheet, prefix, found[prefix], found[base], "")
     return {prefix: tuple(names) for prefix, names in found.items()}
 
 
-def _demand_all(sheet: Sheet, prefix: str, found: Sequence[str], together: Sequence[str]) -> None:
+def _demand_all(sheet: Sheet, prefix: str, found: Sequence[str], together: Sequence[str], hint: str) -> None:
     missing = [name for name in together if name not in found]
     if missing and len(missing) < len(together):
         present = next(name for name in together if name in found)
         raise sheet.header_error(
             f"column '{prefix}.{missing[0]}' is missing, though '{prefix}.{present}' is there; "
-            f"{' and '.join(together)} belong together"
+            f"{' and '.join(together)} belong together" + (f"; {hint}" if hint else "")
         )
 
 

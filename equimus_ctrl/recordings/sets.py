@@ -68,9 +68,18 @@ def read_set(
         tuple(first.joints if joints is None else joints),
         tuple(first.actuators if actuators is None else actuators),
     )
+    checks.warn(_unused(first_path, first, *wanted))
     return tuple(
-        _arranged(path, trial, name, *wanted) for (path, trial), name in zip(found, _unique_names(found), strict=True)
+        _arranged(path, trial, name, *wanted, limits.missing)
+        for (path, trial), name in zip(found, _unique_names(found), strict=True)
     )
+
+
+def _unused(path: Path, trial: Recording, joints: Sequence[str], actuators: Sequence[str]) -> list[str]:
+    """A sentence on columns that nothing asks for; none where there are none."""
+    more = [f"pos.{name}" for name in trial.joints if name not in joints]
+    more += [f"cmd.{name}" for name in trial.actuators if name not in actuators]
+    return [f"{path}: {', '.join(more)} not used: the model has no such joint or actuator"] if more else []
 
 
 def list_files(paths: PathLike | Iterable[PathLike]) -> tuple[Path, ...]:
@@ -127,7 +136,7 @@ def _unique_names(found: Sequence[tuple[Path, Recording]]) -> list[str]:
 
 
 def _arranged(
-    path: Path, trial: Recording, name: str, joints: tuple[str, ...], actuators: tuple[str, ...]
+    path: Path, trial: Recording, name: str, joints: tuple[str, ...], actuators: tuple[str, ...], hint: str = ""
 ) -> Recording:
     kinds = (("joint", "pos", joints, trial.joints), ("actuator", "cmd", actuators, trial.actuators))
     for kind, prefix, wanted, there in kinds:
@@ -136,7 +145,7 @@ def _arranged(
                 column, known = f"{prefix}.{item}", [f"{prefix}.{name}" for name in there]
                 raise RecordingError(
                     f"{path}: there is no column {column!r} for {kind} {item}{nearest(item, there)} (there: "
-                    f"{', '.join(known) or 'none'})"
+                    f"{', '.join(known) or 'none'})" + (f"; {hint}" if hint else "")
                 )
     if (name, joints, actuators) == (trial.name, trial.joints, trial.actuators):
         return trial

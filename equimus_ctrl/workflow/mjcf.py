@@ -16,26 +16,32 @@ from equimus_ctrl.identification.parameters import default_bounds, default_names
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import Limits, read_set
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.editing import Edits, edited
 from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
 
 FORMAT = "equimus-ctrl/parameters/1"
+UNRECORDED = "a joint that was not measured is held by --lock, an actuator that was not recorded left out by --ignore"
 
 
-def load_mjcf(path: Path, source: str | None = None) -> MjcfRobot:
+def load_mjcf(path: Path, source: str | None = None, edits: Edits | None = None) -> MjcfRobot:
     """The MJCF robot of a file.
 
     Args:
         path: of the file.
         source: how a model file names it; by the file's name by default.
+        edits: what is made of it, see there.
 
     Raises:
         ConfigError, ModelError: where it cannot be read, or is no robot of hinges and slides.
     """
+    edits = edits or Edits()
     name, xml, assets = presets.read_mjcf(path)
+    if edits:
+        xml = edited(path.name, xml, assets, edits)
     try:
-        return MjcfRobot(name, xml, assets, source or path.name)
+        return MjcfRobot(name, xml, assets, source or path.name, edits)
     except ModelError as error:
         raise ModelError(f"{path}: {str(error).removeprefix(f'{name}: ')}") from None
 
@@ -50,7 +56,8 @@ def read_trials(files: Sequence[Path], robot: Robot) -> tuple[Recording, ...]:
         return read_set(files)
     joints, actuators = robot.joint_names, robot.actuator_names
     hinges = [name for name in joints if not robot.slides(name)]
-    return read_set(files, joints=joints, actuators=actuators, limits=Limits.of_mjcf(joints, actuators, hinges))
+    limits = Limits.of_mjcf(joints, actuators, hinges, UNRECORDED)
+    return read_set(files, joints=joints, actuators=actuators, limits=limits)
 
 
 @dataclass(frozen=True)

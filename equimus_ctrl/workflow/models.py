@@ -2,29 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from equimus_ctrl import presets
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
+from equimus_ctrl.robots.mjcf.editing import Edits
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.workflow.mjcf import load_mjcf, write_corrected
 
 
-def load_model(path: Path | str | None = None) -> Model:
-    """The model in a model file or of MuJoCo's XML; the nominal leg where ``path`` is None.
+def load_model(
+    path: Path | str | None = None,
+    *,
+    lock: Mapping[str, float] | None = None,
+    ignore: Sequence[str] = (),
+    motors: bool = False,
+) -> Model:
+    """The model in a model file, of MuJoCo's XML or of a URDF; the nominal leg where ``path`` is None.
+
+    Args:
+        path: of the file.
+        lock: joint → where it is held [rad or m], of an MJCF robot: what was not measured.
+        ignore: actuators that are left out: what was not recorded.
+        motors: whether each joint without an actuator gets a motor, see ``robots.mjcf.editing.Edits``.
 
     Raises:
         ConfigError, ModelError: where the file cannot be read or describes no model.
     """
+    edits = Edits(dict(lock or {}), tuple(ignore), motors)
     if path is None:
+        if edits:
+            raise ConfigError("joints are held and actuators left out of MJCF robots alone; name one by --model")
         return nominal_model()
     if Path(path).suffix.lower() in presets.MJCF:
-        return Model(load_mjcf(Path(path)))
+        return Model(load_mjcf(Path(path), edits=edits))
     folder, data = Path(path).parent, presets.read_toml(Path(path))
     if not data:
         raise ConfigError(f"{path}: is empty; a model file has a morphology, parameters or effects, or names an mjcf")
-    return model_from_dict(data, str(path), lambda name: load_mjcf(folder / name, name))
+
+    def read(name: str, own: Edits) -> MjcfRobot:
+        both = Edits({**own.lock, **edits.lock}, (*own.ignore, *edits.ignore), own.motors or edits.motors)
+        return load_mjcf(folder / name, name, both)
+
+    return model_from_dict(data, str(path), read)
 
 
 def load_elastic(path: Path | str | None = None) -> Model:

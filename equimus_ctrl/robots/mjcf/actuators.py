@@ -52,7 +52,7 @@ def drives_of(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]
     for i in range(base.nactuator):
         found += _commands(base, i, name, joints, moments[int(base.actuator_outadr[i])])
     if not found:
-        raise ModelError(f"{name}: has no actuator with a command")
+        raise ModelError(f"{name}: has no actuator with a command; --motors gives each joint a motor")
     return tuple(found)
 
 

@@ -22,6 +22,7 @@ from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.robots.mjcf.actuators import OWN
+from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
 from equimus_ctrl.robots.mjcf.independent import independent
 from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
@@ -96,6 +97,7 @@ class MjcfRobot(Robot):
         xml: the model, in one piece.
         assets: files that the XML names.
         source: name of the file it came from.
+        edits: what was made of that file.
         values: parameters that differ from the XML, by dotted name.
         payloads: (body or site, mass [kg]) of what it carries beside.
         compliances: drives that are not rigid.
@@ -112,6 +114,7 @@ class MjcfRobot(Robot):
     xml: str
     assets: Mapping[str, bytes] = field(default_factory=dict)
     source: str = ""
+    edits: Edits = field(default_factory=Edits)
     values: Mapping[str, float] = field(default_factory=dict)
     payloads: tuple[tuple[str, float], ...] = ()
     compliances: tuple[Compliance, ...] = ()
@@ -254,7 +257,7 @@ class MjcfRobot(Robot):
 
     def to_dict(self) -> dict[str, Any]:
         """What a model file says of it: the name of its XML, and what differs from that."""
-        return {"mjcf": self.source, "parameters": dict(self.values)}
+        return {"mjcf": self.source, **self.edits.to_dict(), "parameters": dict(self.values)}
 
     # What effects on bodies and drives need of a robot.
 

@@ -1,0 +1,145 @@
+"""An MJCF robot made of another file: joints that are held, actuators that are left out, motors where there are none.
+
+What is not measured cannot be compared, and what was not recorded commands nothing. A joint that is held, such as a
+gripper's, is part of the body before it then; an actuator that is left out exerts nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.errors import ModelError, unknown_name
+from equimus_ctrl.types import Array
+
+AT_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+@dataclass(frozen=True)
+class Edits:
+    """What is made of a file.
+
+    Attributes:
+        lock: joint → where it is held [rad or m].
+        ignore: actuators that are left out.
+        motors: whether each joint without an actuator gets a motor of its name, whose command is its force [N·m or N].
+    """
+
+    lock: Mapping[str, float] = field(default_factory=dict)
+    ignore: tuple[str, ...] = ()
+    motors: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.lock or self.ignore or self.motors)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a model file says of them."""
+        said: dict[str, Any] = {"lock": dict(self.lock), "ignore": list(self.ignore), "motors": self.motors}
+        return {key: value for key, value in said.items() if value}
+
+
+def edited(name: str, xml: str, assets: Mapping[str, bytes], edits: Edits) -> str:
+    """The XML of a robot with some edits.
+
+    Args:
+        name: of the robot, for messages.
+        xml: of it.
+        assets: files that it names.
+        edits: what is done.
+
+    Raises:
+        ModelError: for a joint or actuator that does not exist, or a joint that something else needs.
+    """
+    spec = mujoco.MjSpec.from_string(xml, assets=dict(assets))
+    name_actuators(spec)
+    for actuator in edits.ignore:
+        known = [own.name for own in spec.actuators]
+        if actuator not in known:
+            raise ModelError(unknown_name("actuator", actuator, known, f"{name}: ignore"))
+        spec.delete(spec.actuator(actuator))
+    for joint, value in edits.lock.items():
+        _lock(name, spec, joint, value)
+    if edits.motors:
+        driven = {own.target for own in spec.actuators if int(own.trntype) in AT_JOINTS}
+        for own in spec.joints:
+            if own.name not in driven and own.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                motor = spec.add_actuator(name=own.name, target=own.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+                motor.set_to_motor()
+    try:
+        spec.compile()
+        return str(spec.to_xml())
+    except (ValueError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())
+        what = ", ".join([*edits.lock, *edits.ignore]) or "motors added"
+        raise ModelError(f"{name}: MuJoCo cannot load it with {what} changed ({reason})") from None
+
+
+def name_actuators(spec: Any) -> None:
+    """Give actuators without a name that of their joint, where no other has it."""
+    taken = {own.name for own in spec.actuators}
+    for own in spec.actuators:
+        if not own.name and int(own.trntype) in AT_JOINTS and own.target not in taken:
+            own.name = own.target
+            taken.add(own.target)
+
+
+def _lock(name: str, spec: Any, joint: str, value: float) -> None:
+    """Hold a joint: its body turned or moved to where it is then, and the joint gone with its actuators."""
+    known = [own.name for own in spec.joints]
+    if joint not in known:
+        raise ModelError(unknown_name("joint", joint, known, f"{name}: lock"))
+    if not math.isfinite(value):
+        raise ModelError(f"{name}: lock: {joint} is {value:g}, expected a finite position")
+    own = spec.joint(joint)
+    if own.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+        raise ModelError(f"{name}: lock: {joint} is no hinge or slide")
+    model = spec.compile()
+    body, j = own.parent, model.joint(joint).id
+    b = int(model.jnt_bodyid[j])
+    position, turn = _moved(model, b, j, value)
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.pos, body.quat = position, turn
+    for actuator in [a for a in spec.actuators if int(a.trntype) in AT_JOINTS and a.target == joint]:
+        spec.delete(actuator)
+    for sensor in [s for s in spec.sensors if s.objname == joint]:
+        spec.delete(sensor)
+    for equality in [e for e in spec.equalities if joint in (e.name1, e.name2)]:
+        spec.delete(equality)
+    for key in list(spec.keys):
+        spec.delete(key)
+    spec.delete(own)
+
+
+def _moved(model: Any, body: int, joint: int, value: float) -> tuple[Array, Array]:
+    """(position, quaternion) of a body in its parent's frame where its joint is at a value."""
+    way = value - float(model.qpos0[model.jnt_qposadr[joint]])
+    axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
+    position, quat = np.array(model.body_pos[body]), np.array(model.body_quat[body])
+    if int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_SLIDE):
+        step = np.empty(3)
+        mujoco.mju_rotVecQuat(step, axis * way, quat)
+        return position + step, quat
+    turned, before, after, whole = np.empty(4), np.empty(3), np.empty(3), np.empty(4)
+    mujoco.mju_axisAngle2Quat(turned, axis, way)
+    mujoco.mju_mulQuat(whole, quat, turned)
+    mujoco.mju_rotVecQuat(before, anchor, quat)
+    mujoco.mju_rotVecQuat(after, anchor, whole)
+    return position + before - after, whole
+
+
+def lock_of(text: str) -> tuple[str, float]:
+    """``JOINT`` or ``JOINT=VALUE`` as a joint and where it is held; at 0 by default.
+
+    Raises:
+        ModelError: where the value is no number.
+    """
+    joint, equals, number = text.partition("=")
+    try:
+        return joint.strip(), float(number) if equals else 0.0
+    except ValueError:
+        raise ModelError(f"--lock {text!r}: expected JOINT or JOINT=POSITION, such as gripper=0.2") from None
