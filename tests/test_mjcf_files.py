@@ -34,6 +34,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.parameters import default_names, free_parameters
 from equimus_ctrl.models.model import FORMAT, Model, model_from_dict, model_to_dict
 from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
@@ -228,7 +229,8 @@ def test_a_model_is_its_dictionary() -> None:
     }
     asked: list[str] = []
 
-    def read(name: str) -> MjcfRobot:
+    def read(name: str, edits: Edits) -> MjcfRobot:
+        assert not edits
         asked.append(name)
         return CRANE
 
@@ -240,7 +242,7 @@ def test_a_model_is_its_dictionary() -> None:
 WRONG_FILES: dict[str, tuple[str, str]] = {
     'mjcf = "robto.xml"': ("there is no such file", "robto.xml"),
     "mjcf = 3": ("mjcf is 3, expected the name of an MJCF file", ""),
-    'mjcf = "robot.xml"\nmorphology = "nominal_leg"': ("there is no key 'morphology'", "known: effects, format, mjcf"),
+    'mjcf = "robot.xml"\nmorphology = "nominal_leg"': ("there is no key 'morphology'", "known: effects, format, ignore, lock, mjcf"),
     'mjcf = "robot.xml"\nphase = "stance"': ("there is no key 'phase'", ""),
     'mjcf = "robot.xml"\nformat = "x"': (f"format is 'x', expected {FORMAT!r}", ""),
     'mjcf = "robot.xml"\nname = 3': ("name is 3, expected a text", ""),

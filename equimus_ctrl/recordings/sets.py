@@ -68,11 +68,13 @@ def read_set(
         tuple(first.joints if joints is None else joints),
         tuple(first.actuators if actuators is None else actuators),
     )
-    checks.warn(_unused(first_path, first, *wanted))
-    return tuple(
+    arranged = tuple(
         _arranged(path, trial, name, *wanted, limits.missing)
         for (path, trial), name in zip(found, _unique_names(found), strict=True)
     )
+    if not limits.pressures:  # a model asks for its own; of a leg somebody picks
+        checks.warn(_unused(first_path, first, *wanted))
+    return arranged
 
 
 def _unused(path: Path, trial: Recording, joints: Sequence[str], actuators: Sequence[str]) -> list[str]:
