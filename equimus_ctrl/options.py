@@ -334,7 +334,10 @@ class ProveOptions:
     cases: int = option(100, int, "How many robots.")
     seed: int = option(0, int, "Of everything random.")
     kind: str | None = option(
-        None, str | None, "none, single, pair or outside for all; by default a mixture is drawn.", metavar="KIND"
+        None,
+        str | None,
+        "none, single, pair, outside or all_joints (friction in each) for all; by default a mixture of the first four.",
+        metavar="KIND",
     )
     trials: int | None = option(None, int | None, "Recorded of each leg; 8 by default.", shown=False)
     duration: float | None = option(
@@ -542,7 +545,7 @@ class CompareOptions:
 
 MOST_RATE = 1e5
 """Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""
-KINDS = ("none", "single", "pair", "outside")
+KINDS = ("none", "single", "pair", "outside", "all_joints")
 """Of ground truths; see ``proof.drawing.Kind``."""
 LEAST_DURATION = 2.0
 """Of a proof's trial; a shorter one does not move the leg enough [s]."""

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
 from equimus_ctrl.diagnosis.hypothesis_moves import EXCHANGE_MARGIN, HypothesisMoves, SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
 
@@ -225,20 +225,20 @@ def indistinguishable(search: HypothesisMoves, fitted: Fitted, score: float) -> 
 
 
 def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
-    """The simplest of effects that exclude each other at a place, unless a richer one is needed.
+    """The simplest of effects that exclude each other at some places, unless a richer one is needed.
 
-    Such as Coulomb friction in the place of Stribeck friction. Where the cost has many kinks, searches rank such pairs
-    at random.
+    Such as Coulomb friction in the place of Stribeck friction, or one size for all joints in the place of one each.
+    Where the cost has many kinks, searches rank such pairs at random.
     """
     hypothesis = state.best.hypothesis
     for k, part in enumerate(hypothesis):
         rich = part.candidate
         for other in search.allowed_candidates(state.tried):
             same = other.effect.exclusive == rich.effect.exclusive is not None and other.locations == rich.locations
-            if not same or other.each is not rich.each or other.n_parameters >= rich.n_parameters:
+            if not same or other.n_parameters >= rich.n_parameters:
                 continue
             guess = dict(other.guesses[len(other.guesses) // 2])
-            shared = {key: part.values[key] for key in other.guesses[0] if key in part.values}
+            shared = _shared_values(part, other)
             fit = (*hypothesis[:k], Part(other, {**guess, **shared}), *hypothesis[k + 1 :])
             simple, tried = search.refit(state.tried, state.best, fit)
             state = replace(state, tried=tried)
@@ -293,6 +293,20 @@ def _needed_places(search: HypothesisMoves, fitted: Fitted, k: int) -> tuple[str
 
 def _exceeds(search: HypothesisMoves, statistic: float, count: int, thresholds: Thresholds) -> bool:
     return statistic > search.threshold(count, thresholds)
+
+
+def _shared_values(part: Part, other: Candidate) -> dict[str, float]:
+    """Values of a part for another candidate at its places, of parameters that both have; means where it has one."""
+    shared: dict[str, float] = {}
+    for own in other.parameters:
+        values = [
+            part.values[p.name]
+            for p in part.candidate.parameters
+            if p.key == own.key and set(p.places) & set(own.places)
+        ]
+        if values:
+            shared[own.name] = float(np.mean(values))
+    return shared
 
 
 def without_parts(search: HypothesisMoves, state: SearchState, places: Sequence[int]) -> SearchState:

@@ -265,7 +265,7 @@ class HypothesisMoves:
             chosen[label] = Proposal(hypothesis, (*begins, *earlier), hope)
 
         for ranking in rankings:
-            for s in ranking[: choice.most]:
+            for s in self._different(ranking)[: choice.most]:
                 if choice.keep_all or max(s.gains) > 0:
                     thetas = [s.begin]
                     if not fitted.hypothesis:
@@ -274,6 +274,22 @@ class HypothesisMoves:
         for hypothesis, begin in self._fitted_on_short_intervals(fitted, {c.label for c in choice.pool}, choice.most):
             add(hypothesis, begin)
         return list(chosen.values())
+
+    def _different(self, ranking: Sequence[Screened]) -> Sequence[Screened]:
+        """Where laws are also tried with their own size at each joint, each effect once: where it is most promising.
+
+        That is by its gain less the information criterion's price of its parameters. Else one effect at this, that and
+        all joints would leave no other.
+        """
+        if not any(s.candidate.each for s in ranking):
+            return ranking
+        price = float(np.log(self.data.n))
+        best: dict[str, Screened] = {}
+        for s in ranking:
+            now = best.get(s.candidate.effect.name)
+            if now is None or _net(s, price) > _net(now, price):
+                best[s.candidate.effect.name] = s
+        return [s for s in ranking if best[s.candidate.effect.name] is s]
 
     def _fitted_on_short_intervals(
         self, fitted: Fitted, labels: Collection[str], most: int
@@ -436,6 +452,10 @@ class HypothesisMoves:
             after = data.coarse_fit(hypothesis, [begin], noise, self.settings.long_steps)
         after = data.converge(after)
         return after, tried.having(after)
+
+
+def _net(screened: Screened, price: float) -> float:
+    return max(screened.gains) - price * screened.candidate.n_parameters
 
 
 def _by_gain(whitening: int) -> Callable[[Screened], float]:

@@ -63,6 +63,8 @@ ROUGH = ("viscous_friction", "coulomb_friction", "constant_force", "asymmetric_f
 """Laws that together leave about the noise of joints' forces, whatever is missing."""
 START_SHARE = 0.1
 """A law that a search begins with lowers what is missing above the noise by this share at least."""
+ABOUT = 0.9
+"""A search begins with the simplest law that gains this share of what the best one does."""
 BEHIND = 0.05
 """Candidates that explain less than this share of what the best one does are not simulated,"""
 AT_LEAST = 12
@@ -501,7 +503,7 @@ def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
     while len(chosen) < most:
         options = [whole for own in screen.columns if (whole := _extended(screen.robot, chosen, own)) is not None]
         tried = [(screen.fitted(whole)[0], whole) for whole in options]
-        chi2, best = min(tried, key=lambda one: one[0] / CORRELATED + price * _count(one[1]), default=(now, chosen))
+        chi2, best = _simplest(tried, price, now) if tried else (now, chosen)
         gain, above = now - chi2, now - screen.samples * CORRELATED
         worth = max(_least_gain(data, pool), price * (_count(best) - _count(chosen)))
         if gain / CORRELATED <= worth or gain < START_SHARE * above:
@@ -514,6 +516,18 @@ def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
         if needed:
             parts.append(part if len(needed) == len(own.candidate.locations) else part.narrowed(needed))
     return (tuple(parts), screen.moved(chosen)) if parts else None
+
+
+def _simplest(tried: Sequence[tuple[float, list[_Columns]]], price: float, now: float) -> tuple[float, list[_Columns]]:
+    """Of what gains about as much as the best by the information criterion, the one with the fewest parameters."""
+
+    def score(one: tuple[float, list[_Columns]]) -> float:
+        return one[0] / CORRELATED + price * _count(one[1])
+
+    best = min(tried, key=score)
+    close = [one for one in tried if now - one[0] > ABOUT * (now - best[0])]
+    fewest = min(_count(whole) for _, whole in close)
+    return min((one for one in close if _count(one[1]) == fewest), key=score)
 
 
 def _count(chosen: Sequence[_Columns]) -> int:

@@ -127,7 +127,7 @@ class Case:
 
     @property
     def kind(self) -> str:
-        """None, single, pair or outside."""
+        """None, single, pair, outside or all_joints."""
         return str(self.truth["kind"])
 
     @property
@@ -155,9 +155,16 @@ class Case:
         """What a method said."""
         if method == OURS:
             failed = self.report["proof"].get("failed") or ""
-            return Answer(tuple(self.report.get("findings", ())), tuple(self.report.get("unexplained", ())), failed)
+            left = (*self.report.get("unexplained", ()), *map(self._nameless, self.report.get("undetermined", ())))
+            return Answer(tuple(self.report.get("findings", ())), left, failed)
         own = self.baselines[method]
         return Answer(tuple(own.get("findings", ())), failed=own.get("failed") or "")
+
+    def _nameless(self, undetermined: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What fits but is not identifiable, as something left unexplained at its joints."""
+        places = undetermined["locations"]
+        joints = sorted(self.places.joints_of(places)) or list(places)
+        return {"location": joints[0], "acts_at": list(places)}
 
     def named(self, method: Method) -> dict[str, frozenset[str]]:
         """The effects that a method named, with their places."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -24,11 +24,17 @@ from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import Morphology, elastic_of
 from equimus_ctrl.types import Array, Recording
 
-Kind = Literal["none", "single", "pair", "outside"]
-SHARES: dict[Kind, float] = {"none": 0.3, "single": 0.35, "pair": 0.2, "outside": 0.15}
+Kind = Literal["none", "single", "pair", "outside", "all_joints"]
+SHARES: dict[Kind, float] = {"none": 0.3, "single": 0.35, "pair": 0.2, "outside": 0.15, "all_joints": 0.0}
 """How often each kind is drawn where nobody asks for one."""
-EFFECTS: dict[Kind, tuple[int, int]] = {"none": (0, 0), "single": (1, 0), "pair": (2, 0), "outside": (0, 1)}
-"""How many effects of each kind are in the catalogue, and how many outside it."""
+EFFECTS: dict[Kind, tuple[int, int]] = {
+    "none": (0, 0), "single": (1, 0), "pair": (2, 0), "outside": (0, 1), "all_joints": (0, 0),
+}  # fmt: skip
+"""How many effects of each kind are in the catalogue, and how many outside it, drawn one by one."""
+RUBS = ("coulomb_friction", "viscous_friction")
+"""What is missing at every joint where all of them rub, each with its own size."""
+PLAIN = 0.1
+"""Least of these sizes, as a share of the largest: at each joint they are to be seen."""
 ALIKE_SHARE = 0.25
 """How often an effect that can acts alike in several places: what is built alike ails alike."""
 ATTEMPTS = 100
@@ -242,6 +248,8 @@ def draw_case(
     inside, beyond = EFFECTS[kind]
     effects = missing_physics(rng, draws, real, REGISTRY, inside)
     outside = missing_physics(rng, draws, real, OUTSIDE, beyond)
+    if kind == "all_joints":
+        effects = friction_of_all_joints(rng, draws, real)
     return GroundTruth(
         case, seed, kind, real.robot, effects, outside, noise, correlation, tuple(trials), rest_bias,
         tuple(draws.spread),
@@ -293,6 +301,25 @@ def missing_physics(
         if all(_plausible(effect, key, real.robot) for effect in found for key in effect.parameter_info()):
             return found
     raise ConfigError(f"{real.name}: none of {ATTEMPTS} draws gave effects that it can have")
+
+
+def friction_of_all_joints(rng: np.random.Generator, draws: Draws, real: Model) -> tuple[Effect, ...]:
+    """Dry friction at every joint, and viscous friction where the model has no damping of its own to take it up.
+
+    Raises:
+        ConfigError: for a robot of one joint, or of which a proof draws no friction at joints alone.
+    """
+    joints = real.robot.joint_names
+    if len(joints) < 2 or real.robot.traits.catalogue != "mjcf":
+        raise ConfigError(f"{real.name}: friction in all joints is drawn of MJCF robots of two joints or more")
+    damped = any(name.endswith(".damping") for name in draws.spread)
+    found = []
+    for name in RUBS[: 1 if damped else 2]:
+        for joint in joints:
+            (key,) = REGISTRY[name].parameter_info()
+            size = size_of(draws.table, name, key, "", joint)
+            found.append(REGISTRY[name](joint, **{key: replace(size, low=PLAIN * size.high).draw(rng)}))
+    return tuple(found)
 
 
 def _plausible(effect: Effect, key: str, robot: Robot) -> bool:

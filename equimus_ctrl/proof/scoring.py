@@ -24,7 +24,7 @@ from equimus_ctrl.robots.base import Robot
 
 SCHEMA = "equimus-ctrl/proof-score/1"
 MOST_FALSE_ALARMS = 0.01
-LEAST_SINGLE, LEAST_GROUP, LEAST_PAIR, LEAST_OUTSIDE = 0.95, 0.99, 0.85, 0.90
+LEAST_SINGLE, LEAST_GROUP, LEAST_PAIR, LEAST_OUTSIDE, LEAST_ALL_JOINTS = 0.95, 0.99, 0.85, 0.90, 0.95
 MOST_ERROR = 0.05
 COVERAGE = (0.90, 0.98)
 LEAST_HELD_OUT = 0.8
@@ -141,6 +141,7 @@ class Score:
             _counted("single_group", "… or not distinguishable", t.group["strong"], LEAST_GROUP),
             _counted("pair", "pairs exactly right", t.pair["strong"], LEAST_PAIR),
             _counted("outside", "outside: unexplained, placed", t.outside["strong"], LEAST_OUTSIDE),
+            *self._of_all_joints,
             _median_goal("main_error", "median error, main parameters", main, 0.0, MOST_ERROR),
             _median_goal("error", "median error, all parameters", [n.error for n in estimates], 0.0, MOST_ERROR),
             _counted("coverage", "intervals of effects hold", coverage(estimates), *COVERAGE),
@@ -148,6 +149,13 @@ class Score:
             _median_goal("heldout", "held-out error taken, median", shares, LEAST_HELD_OUT, math.inf),
             Goal("seconds", "longest diagnosis, s", max(seconds), 0.0, MOST_SECONDS, quick, (1.0, 1.0), judged=False),
         )
+
+    @property
+    def _of_all_joints(self) -> tuple[Goal, ...]:
+        """Where friction of all joints was drawn: a kind that is drawn only where it is asked for."""
+        share = self.ours.all_joints["all"]
+        title = "friction in all joints right"
+        return (_counted("all_joints", title, share, LEAST_ALL_JOINTS),) if share.of else ()
 
     @property
     def accurate(self) -> bool:

@@ -22,7 +22,7 @@ from equimus_ctrl import computer
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.designs import DURATION, TRIALS
-from equimus_ctrl.proof.drawing import ATTEMPTS, CaseSource, GroundTruth, Kind, findings
+from equimus_ctrl.proof.drawing import ATTEMPTS, CaseSource, Excess, GroundTruth, Kind, findings
 from equimus_ctrl.proof.leg_simulation import RATE
 from equimus_ctrl.proof.legs import Legs
 from equimus_ctrl.proof.mjcf import Experiment
@@ -140,10 +140,12 @@ def truth_of(source: CaseSource, ground_truth: GroundTruth, clean: list[Array]) 
     """
     nothing = not ground_truth.effects and not ground_truth.outside
     left = source.excess(ground_truth, clean, refit=not nothing)
-    found = []
+    found, alone_by = [], dict[str, Excess]()
     for name, locations, parameters in findings(ground_truth.effects):
-        others = [e for e in ground_truth.effects if e.name != name]
-        alone = source.excess(ground_truth, clean, others) if others else left
+        if name not in alone_by:
+            others = [e for e in ground_truth.effects if e.name != name]
+            alone_by[name] = source.excess(ground_truth, clean, others) if others else left
+        alone = alone_by[name]
         own = {"effect": name, "locations": locations, "parameters": parameters, "alone": alone.total}
         scales = {key: scale for (effect, key), scale in ground_truth.scales.items() if effect == name}
         found.append({**own, **({"scales": scales} if scales else {})})

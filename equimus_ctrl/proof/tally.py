@@ -37,6 +37,7 @@ class Tally:
         unexplained: of strong physics from outside, called so wherever.
         placed: of what was called so, put where it acts.
         wrong: physics from outside that was given names: all, strong, and by excess.
+        all_joints: friction of all joints named exactly right: all, strong ones, and by the weakest one's excess.
     """
 
     method: Method
@@ -53,6 +54,7 @@ class Tally:
     unexplained: Share
     placed: Share
     wrong: Table
+    all_joints: Table
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
@@ -74,7 +76,7 @@ def by_strength(cases: Sequence[Case], right: Callable[[Case], bool]) -> Table:
 
 def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
     """Count a method's answers."""
-    of = {kind: [c for c in cases if c.kind == kind] for kind in ("none", "single", "pair", "outside")}
+    of = {kind: [c for c in cases if c.kind == kind] for kind in ("none", "single", "pair", "outside", "all_joints")}
 
     def false(some: Iterable[Case]) -> Share:
         return Share.among(not c.answer(method).silent for c in some)
@@ -82,7 +84,7 @@ def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
     def exact(c: Case) -> bool:
         return c.exact(method)
 
-    none, single, pair, outside = of.values()
+    none, single, pair, outside, all_joints = of.values()
     strong = [c for c in single if c.strength >= STRONG]
     effects = {}
     for name in sorted({effect for c in strong for effect in c.wanted}):
@@ -108,6 +110,7 @@ def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
         Share.among(c.unexplained(method) for c in beyond),
         Share.among(c.placed(method) for c in called),
         by_strength(outside, lambda c: bool(c.answer(method).findings)),
+        by_strength(all_joints, exact),
     )
 
 
