@@ -232,19 +232,24 @@ def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
     """
     hypothesis = state.best.hypothesis
     for k, part in enumerate(hypothesis):
-        rich = part.candidate
-        for other in search.allowed_candidates(state.tried):
-            same = other.effect.exclusive == rich.effect.exclusive is not None and other.locations == rich.locations
-            if not same or other.n_parameters >= rich.n_parameters:
-                continue
-            guess = dict(other.guesses[len(other.guesses) // 2])
-            shared = _shared_values(part, other)
-            fit = (*hypothesis[:k], Part(other, {**guess, **shared}), *hypothesis[k + 1 :])
+        for simpler in simpler_laws(search, state, part):
+            fit = (*hypothesis[:k], simpler, *hypothesis[k + 1 :])
             simple, tried = search.refit(state.tried, state.best, fit)
             state = replace(state, tried=tried)
             if not search.accepts(simple, state.best):
                 return simplified(search, search.moved(state, simple))
     return state
+
+
+def simpler_laws(search: HypothesisMoves, state: SearchState, part: Part) -> list[Part]:
+    """What has fewer parameters at the same places and excludes a part, with its values of what both have."""
+    rich, found = part.candidate, list[Part]()
+    for other in search.allowed_candidates(state.tried):
+        same = other.effect.exclusive == rich.effect.exclusive is not None and other.locations == rich.locations
+        if same and other.n_parameters < rich.n_parameters:
+            guess = other.guesses[len(other.guesses) // 2]
+            found.append(Part(other, {**guess, **_shared_values(part, other)}))
+    return found
 
 
 def pruned(search: HypothesisMoves, state: SearchState) -> SearchState:

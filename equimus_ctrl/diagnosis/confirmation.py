@@ -5,28 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed
+from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState, extra_parameters
 from equimus_ctrl.diagnosis.localization import excess_variances
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.identification.noise import log_likelihood
+from equimus_ctrl.identification.noise import log_likelihood, whiten
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-Reason = Literal["gain", "distance", "evident", "uninformative"]
+Reason = Literal["gain", "distance", "evident", "uninformative", "worse"]
 """By what a part is confirmed, or is not:
 
 - gain: what validation trials gain by it, over what as many samples of the fitted ones gain.
 - distance: the same over χ² by which the two models differ on validation trials, all that they can show.
 - evident: they cannot show it, and the gain on the fitted trials is ``Thresholds.evident`` times the least one.
 - uninformative: they cannot show it, and that gain is not as large.
+- worse: with it half of a validation trial gets worse than without any effect, see ``Thresholds.worse``.
 """
 
 
@@ -36,11 +39,14 @@ class Confirmation:
 
     Attributes:
         reason: see ``Reason``.
-        ratio: to be at least ``Thresholds.validation_share``; inf where the part is evident.
+        ratio: to be at least ``Thresholds.validation_share``; inf where the part is evident. Of "worse" χ² there, over
+            that of the refitted model.
+        where: the trial that gets worse.
     """
 
     reason: Reason
     ratio: float
+    where: str = ""
 
     def __str__(self) -> str:
         """A clause for the report."""
@@ -50,6 +56,7 @@ class Confirmation:
             "evident": "validation trials cannot show it, and its gain on the fitted ones is far above the threshold",
             "uninformative": "validation trials cannot show it, and its gain on the fitted ones is not far above the "
             "threshold",
+            "worse": f"with it {self.where} has {self.ratio:.3g} times the squared error of the refitted model",
         }
         return said[self.reason]
 
@@ -79,6 +86,13 @@ def confirmed(
         place = int(np.argmin([c.ratio for c in confirmations]))
         parts = [part.candidate.label for part in state.best.hypothesis]
         if _confirms(search, confirmations[place].ratio):
+            if (spoils := _makes_worse(search, holdout, state)) is not None:
+                tell(parts[spoils[0]], spoils[1])
+                state = search.moved(state, state.without[spoils[0]])
+                continue
+            if (simpler := _simpler(search, holdout, state, tell)) is not None:
+                state = simpler
+                continue
             for label, confirmation in zip(parts, confirmations, strict=True):
                 tell(label, confirmation)
             return state
@@ -96,6 +110,50 @@ def confirmed(
                 return other[0]
         state = search.moved(state, state.without[place])
     return state
+
+
+def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell: Tell) -> SearchState | None:
+    """The end with a simpler law in the place of one whose further parameters held-out trials do not confirm.
+
+    Friction of two sizes in the two directions may fit better than of one and say less of other trials.
+    """
+    if not search.settings.many_minima:
+        return None
+    for k, part in enumerate(state.best.hypothesis):
+        for simpler in simpler_laws(search, state, part):
+            rest = state.best.hypothesis
+            fits, tried = search.refitted(state.tried, state.best, (*rest[:k], simpler, *rest[k + 1 :]))
+            state = replace(state, tried=tried)
+            for simple in fits:
+                confirmation = _carried_over(search, holdout, simple, state.best)
+                if not _confirms(search, confirmation.ratio):
+                    tell(part.candidate.label, confirmation)
+                    return search.moved(state, simple)
+    return None
+
+
+def _makes_worse(search: Search, holdout: HoldoutResiduals, state: SearchState) -> tuple[int, Confirmation] | None:
+    """The part by which half of a validation trial gets worse than the refitted model leaves it, if one does.
+
+    On the whole a part may gain and still extrapolate wrongly: states that drift, say, of which the fitted trials saw
+    the beginning alone.
+    """
+    names, halves = holdout.halves
+    base, best = holdout.squares(state.base.fit.model), holdout.squares(state.best.fit.model)
+    distance = holdout.squares_between(state.base.fit.model, state.best.fit.model)
+    for piece in sorted(range(len(halves)), key=lambda k: -best[k] / max(base[k], 1e-300)):
+        # By chance alone χ² differs by twice the root of the distance of the two models there.
+        if not search.data.thresholds.decides(partial(_worse, base[piece], best[piece], distance[piece])):
+            continue
+        without = [holdout.squares(fitted.fit.model)[piece] for fitted in state.without]
+        k = int(np.argmin(without))
+        if without[k] < best[piece]:
+            return k, Confirmation("worse", best[piece] / base[piece], names[piece])
+    return None
+
+
+def _worse(base: float, best: float, distance: float, t: Thresholds) -> bool:
+    return best > (1 + t.worse) * base + max(t.uninformative, 2 * 1.64 * math.sqrt(distance))
 
 
 def _confirmed_alternative(
@@ -193,6 +251,39 @@ class HoldoutResiduals:
         if model not in self._known:
             self._known[model] = residuals_of(model, self.split.validation, self.data.simulator)
         return self._known[model]
+
+    @cached_property
+    def halves(self) -> tuple[list[str], list[list[tuple[int, slice]]]]:
+        """Halves in time of each validation recording: their names, and which rows of which segments they are."""
+        by_recording: dict[int, list[int]] = {}
+        for k, segment in enumerate(self.split.validation):
+            by_recording.setdefault(segment.recording, []).append(k)
+        names, halves = list[str](), list[list[tuple[int, slice]]]()
+        for members in by_recording.values():
+            times = np.concatenate([self._times[k] for k in members])
+            middle = float(times[0] + times[-1]) / 2
+            for half in (0, 1):
+                rows = []
+                for k in members:
+                    at = int(np.searchsorted(self._times[k], middle))
+                    rows.append((k, slice(at, None) if half else slice(0, at)))
+                name = self.split.validation[members[0]].recording_name
+                names.append(f"the {('first', 'second')[half]} half of {name}")
+                halves.append(rows)
+        return names, halves
+
+    def squares(self, model: Model) -> list[float]:
+        """For each of ``halves`` χ² of a model's residuals."""
+        return self._squares(self.residuals(model))
+
+    def squares_between(self, first: Model, second: Model) -> list[float]:
+        """For each of ``halves`` χ² of what two models' predictions differ by."""
+        pairs = zip(self.residuals(first), self.residuals(second), strict=True)
+        return self._squares([a - b for a, b in pairs])
+
+    def _squares(self, values: Sequence[Array]) -> list[float]:
+        whitened = [whiten(self.noise, time, value) for time, value in zip(self._times, values, strict=True)]
+        return [float(sum((whitened[k][rows] ** 2).sum() for k, rows in half)) for half in self.halves[1]]
 
     def gain(self, simple: Fitted, rich: Fitted) -> float:
         """−2Δln L on validation trials, under one noise; nan where nothing is held out."""

@@ -255,6 +255,20 @@ class Thresholds:
         "convention",
         "such an interval says nothing: of an even spread over the bounds, 95 % would cover 0.95 of them",
     )
+    worse: float = _decides(
+        0.1,
+        "of χ²",
+        "an effect is rejected where half of a held-out trial gets worse by more than the refitted model's share of it",
+        "convention",
+        "5 % of the error: residuals of real robots differ by so much without any reason to prefer one model",
+    )
+    failed: float = _decides(
+        10.0,
+        "",
+        "a fit whose error on validation trials is so many times that on the fitted ones failed; it names nothing",
+        "convention",
+        "what was fitted says nothing of other trials then",
+    )
     watch: Callable[[Callable[[Thresholds], bool], bool], None] | None = field(default=None, compare=False, repr=False)
     """Called with every decision and its outcome, to vary the thresholds."""
 

@@ -10,10 +10,10 @@ is reported.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import (
     STATES,
     Diagnosis,
@@ -261,13 +262,33 @@ def take_off_step_error(state: State) -> State:
 
 
 def validate(state: State) -> State:
-    """Joints whose residuals on held-out trials are far above the noise, whatever the parameters of the effects."""
-    if state.analysis.unexplained:
-        return state
+    """Joints whose residuals on held-out trials are far above the noise, whatever the parameters of the effects.
+
+    A fit that is far worse there than on the fitted trials failed, see ``Thresholds.failed``.
+    """
     split, best = state.inputs.split, state.end.best
     residuals = HoldoutResiduals(state.data, split, state.end).residuals(best.fit.model)
+    if best.hypothesis and (failed := _failed(state, residuals)):
+        state = replace(state, failed=failed).decided("validation", "the fit failed", failed)
+    if state.analysis.unexplained:
+        return state
     analysis = not_confirmed(state.data, best, split.validation, residuals)
     return _far_above_noise(replace(state, analysis=analysis), "validation", "held-out error")
+
+
+def _failed(state: State, residuals: Sequence[Array]) -> str:
+    """Why a fit says nothing of validation trials; "" where it does."""
+    best = state.end.best
+    for j, joint in enumerate(state.inputs.data.free.model.robot.joint_names):
+        fitted = max(float(best.fit.rmse[j]), best.noise[j].sigma)
+        there = float(np.sqrt(np.mean(np.concatenate(residuals)[:, j] ** 2))) if residuals else 0.0
+        if state.data.thresholds.decides(partial(_far_worse, there / fitted)):
+            return f"its error on validation trials is {there / fitted:.3g} times that on the fitted ones, at {joint}"
+    return ""
+
+
+def _far_worse(times: float, t: Thresholds) -> bool:
+    return times > t.failed
 
 
 def _far_above_noise(state: State, stage: str, error: str) -> State:
@@ -371,6 +392,8 @@ def report(state: State) -> Diagnosis:
     data, split, model, noise = state.data, inputs.split, inputs.data.free.model, end.best.noise
     holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
     told = findings(search, end, holdout, equivalent)
+    if state.failed:
+        told = tuple(replace(finding, undetermined=state.failed) for finding in told)
     named, undetermined = ([f for f in told if bool(f.undetermined) is side] for side in (False, True))
     for finding in undetermined:
         state = state.decided("report", f"{finding.named} not named", finding.undetermined)

@@ -84,6 +84,7 @@ class State:
         equivalent: for each part of the hypothesis what fits as well in its place; None where nobody looked.
         notes: what else a person ought to know.
         decisions: of the stages so far.
+        failed: why the fit says nothing of other trials; "" where it does.
         ended_in: the stage in which the budget ended; "" where it did not.
     """
 
@@ -99,6 +100,7 @@ class State:
     equivalent: tuple[tuple[Equivalent, ...], ...] | None = None
     notes: tuple[str, ...] = ()
     decisions: tuple[Decision, ...] = ()
+    failed: str = ""
     ended_in: str = ""
 
     @property

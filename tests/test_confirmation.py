@@ -1,0 +1,105 @@
+"""Held-out trials: what gets worse there is rejected, and a fit that says nothing of them has failed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _makes_worse
+from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.stages import _failed
+from equimus_ctrl.identification.noise import JointNoise
+
+SIGMA = 0.01
+
+
+def segment(recording: int, start: float, count: int = 100) -> Any:
+    times = start + 0.01 * np.arange(count)
+    trial = SimpleNamespace(sample_times=times)
+    return SimpleNamespace(
+        recording=recording, recording_name=f"run_{recording}", trial=trial, measured=np.zeros((count, 1))
+    )
+
+
+class Given(HoldoutResiduals):
+    """Residuals of models that are their own names."""
+
+    def __init__(self, segments: list[Any], of: dict[str, list[np.ndarray]]) -> None:
+        state: Any = SimpleNamespace(best=SimpleNamespace(noise=(JointNoise(SIGMA),)))
+        super().__init__(SimpleNamespace(), SimpleNamespace(validation=segments), state)  # type: ignore[arg-type]
+        self._known = of  # type: ignore[assignment]
+
+
+def fit(model: str) -> Any:
+    return SimpleNamespace(fit=SimpleNamespace(model=model))
+
+
+def noisy(seed: int, count: int = 100, size: float = SIGMA) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0, size, (count, 1))
+
+
+SEARCH: Any = SimpleNamespace(data=SimpleNamespace(thresholds=Thresholds()))
+
+
+def test_halves_are_halves_of_recordings_whatever_the_intervals() -> None:
+    segments = [segment(0, 0.0), segment(0, 1.0), segment(0, 2.0), segment(3, 0.0)]
+    names, halves = Given(segments, {}).halves
+    assert names == [f"the {which} half of run_{k}" for k in (0, 3) for which in ("first", "second")]
+    counts = [sum(len(range(*rows.indices(100))) for _, rows in half) for half in halves]
+    assert counts == [150, 150, 50, 50]
+
+
+def test_a_part_that_extrapolates_wrongly_is_the_one_that_is_told() -> None:
+    """The drift explains the first half of the run and spoils the second; the friction helps in both."""
+    segments = [segment(0, 0.0), segment(0, 1.0)]
+    wrong = 0.06 * np.ones((100, 1))
+    of = {
+        "base": [noisy(1) + 0.05, noisy(2) + 0.03],
+        "both": [noisy(1), noisy(2) + wrong],
+        "friction alone": [noisy(1) + 0.02, noisy(2)],
+        "drift alone": [noisy(1) + 0.03, noisy(2) + 1.3 * wrong],
+    }
+    state: Any = SimpleNamespace(
+        base=fit("base"), best=fit("both"), without=(fit("drift alone"), fit("friction alone"))
+    )
+    found = _makes_worse(SEARCH, Given(segments, of), state)
+    assert found is not None
+    place, said = found
+    assert place == 1 and said.reason == "worse" and said.where == "the second half of run_0"
+    assert said.ratio == pytest.approx((0.06**2 + SIGMA**2) / (0.03**2 + SIGMA**2), rel=0.1)
+    assert "the second half of run_0 has" in str(said) and "the refitted model" in str(said)
+
+
+def test_what_differs_by_chance_is_no_reason() -> None:
+    segments = [segment(0, 0.0), segment(0, 1.0)]
+    of = {
+        "base": [noisy(1) + 0.05, noisy(2)],
+        "best": [noisy(1), noisy(2) + 0.002],
+        "less": [noisy(1) + 0.05, noisy(2)],
+    }
+    state: Any = SimpleNamespace(base=fit("base"), best=fit("best"), without=(fit("less"),))
+    assert _makes_worse(SEARCH, Given(segments, of), state) is None
+
+
+def test_where_no_part_is_to_blame_none_is_told() -> None:
+    """All are worse without any part: the parameters of the model are."""
+    segments = [segment(0, 0.0), segment(0, 1.0)]
+    worse = noisy(2) + 0.05
+    of = {"base": [noisy(1), noisy(2)], "best": [noisy(1), worse], "less": [noisy(1), 2 * worse]}
+    state: Any = SimpleNamespace(base=fit("base"), best=fit("best"), without=(fit("less"),))
+    assert _makes_worse(SEARCH, Given(segments, of), state) is None
+
+
+@pytest.mark.parametrize(("there", "fails"), [(0.09, False), (0.13, True)])
+def test_a_fit_that_says_nothing_of_other_trials_failed(there: float, fails: bool) -> None:
+    robot = SimpleNamespace(joint_names=("elbow",))
+    best = SimpleNamespace(fit=SimpleNamespace(rmse=np.array([0.005])), noise=(JointNoise(SIGMA),))
+    data = SimpleNamespace(thresholds=Thresholds())
+    inputs = SimpleNamespace(data=SimpleNamespace(free=SimpleNamespace(model=SimpleNamespace(robot=robot))))
+    state: Any = SimpleNamespace(end=SimpleNamespace(best=best), data=data, inputs=inputs)
+    said = _failed(state, [np.full((50, 1), there)])
+    assert bool(said) is fails and (not fails or "13 times that on the fitted ones, at elbow" in said)
+    assert not _failed(state, [])
