@@ -108,21 +108,26 @@ def _undetermined(data: Data, best: Fitted, k: int, estimates: Mapping[str, Esti
     """Why the parameters of a part at some of its places are not identifiable; "" where they are.
 
     A parameter at a bound where the effect does not vanish says that the law is strained, or another one. An interval
-    that covers all that the parameter can be says nothing of it.
+    that covers all that the parameter can be says nothing of it. Where no direction of its parameters is seen beside
+    the others, it stands for these: a gain for masses. Where some are, what it is is known, though not each number.
     """
     candidate = best.hypothesis[k].candidate
     first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
     info = candidate.effect.parameter_info()
-    for i, own in enumerate(candidate.parameters):
-        if not set(own.places) & set(places):
-            continue
+    here = [(i, own) for i, own in enumerate(candidate.parameters) if set(own.places) & set(places)]
+    names = {best.fit.parameters.free[first + i].name for i, _ in here}
+    blind = [t for t in best.fit.uncertainty.trade_offs if t.correlation is None and names & t.weights.keys()]
+    if len(blind) >= len(here):
+        return "other parameters can do the same, beyond their bounds"
+    for i, own in here:
         free, side, estimate = (
             best.fit.parameters.free[first + i],
             int(best.fit.at_bound[first + i]),
             estimates[own.key],
         )
         unit = "" if free.unit == "1" else f" {free.unit}"
-        if side and not (side < 0 and info[own.key]["low"] == 0.0):
+        seen = math.isfinite(float(best.fit.uncertainty.standard_error[first + i]))
+        if side and seen and not (side < 0 and info[own.key]["low"] == 0.0):
             return f"{own.key} is at its bound of {estimate.value:.4g}{unit}"
         covered = estimate.high - estimate.low
         if math.isfinite(covered) and data.thresholds.decides(partial(_covers, covered / (free.high - free.low))):

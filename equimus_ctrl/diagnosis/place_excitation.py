@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -127,8 +128,16 @@ def _excitation_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str
         drive.name: replace(found[drive.joint], command=float(largest[i]), drive=by_drive[drive.name])
         for i, drive in enumerate(robot.actuators)
     }
+    first = found[robot.joint_names[0]]
+    links = {name: replace(first, reach=_reach(own.mujoco, name)) for name in robot.places()["link"]}
     # A joint and its drive may have one name; sizes of both are those of the joint then.
-    return _elsewhere(robot, found[robot.joint_names[0]]) | ends | found
+    return _elsewhere(robot, first) | links | ends | found
+
+
+def _reach(model: Any, body: str) -> float:
+    """Half the length of a rod with a body's mass and largest moment of inertia [m]."""
+    b = model.body(body).id
+    return float(np.sqrt(3.0 * max(float(model.body_inertia[b].max()), 1e-12) / max(float(model.body_mass[b]), 1e-9)))
 
 
 def _elsewhere(robot: Robot, first: Excitation) -> dict[str, Excitation]:

@@ -79,6 +79,7 @@ class PayloadMass(BodyEffect):
     sits_at = ("foot", "link")
     summary = "mass that is not in the model, at a link's tip"
     alike = False
+    exclusive = "payload"
     leg_sizes = (Size("mass", 0.01, 0.3, "up to three times the calf's own; other numbers take up most of it"),)
     mjcf_sizes = (Share("mass", 0.01, 0.5),)
     mass: float = parameter("kg", 0.0, 100.0, "of the payload")
@@ -89,6 +90,42 @@ class PayloadMass(BodyEffect):
     @classmethod
     def sentence(cls, t: Description) -> str:
         return f"At {t.robot.carrying_point(t.places[0])} sits a mass of {t['mass']} that is not in the model."
+
+
+@register
+@dataclass(frozen=True)
+class PayloadOffCentre(BodyEffect):
+    """A point mass beside a link's centre of mass: what an arm carries sticks out of it.
+
+    The link's mass, centre and inertia become those of both together.
+    """
+
+    name = "payload_off_centre"
+    robots = ("mjcf",)
+    sits_at = ("link",)
+    summary = "mass that is not in the model, beside a link's centre"
+    alike = False
+    exclusive = "payload"
+    mass: float = parameter("kg", 0.0, 100.0, "of the payload")
+    x: float = parameter("m", -2.0, 2.0, "from the link's centre of mass along its body's first axis")
+    y: float = parameter("m", -2.0, 2.0, "along the second")
+    z: float = parameter("m", -2.0, 2.0, "along the third")
+
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_payload(self.location, self.mass, (self.x, self.y, self.z))
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        ways = [side * excitation.reach for side in (1.0, -1.0)]
+        places = [{**dict.fromkeys("xyz", 0.0), axis: way} for axis in "xyz" for way in ways]
+        return [{"mass": 0.1 * excitation.mass, **place} for place in places]
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return (
+            f"On {t.places[0]} sits a mass of {t['mass']} that is not in the model, {t['x']}, {t['y']} and {t['z']} "
+            "from its centre of mass along its axes."
+        )
 
 
 @register

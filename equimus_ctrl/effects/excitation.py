@@ -19,6 +19,7 @@ class Excitation:
         duration: of a trial [s].
         mass: of what moves [kg].
         drive: largest force of the actuator, or of any, according to the model [N·m or N]; 0 where unknown.
+        reach: about half the length of a link [m].
     """
 
     low: float
@@ -30,6 +31,7 @@ class Excitation:
     duration: float
     mass: float
     drive: float = 0.0
+    reach: float = 0.1
 
     @property
     def span(self) -> float:

@@ -48,14 +48,15 @@ def reshape_inertias(model: Any, shapes: Mapping[str, Sequence[float]]) -> None:
     _put(model, bodies, turn @ whole @ turn.swapaxes(1, 2))
 
 
-def add_mass(model: Any, place: str, mass: float) -> None:
-    """A point mass at a site, or at the centre of mass of a body (parallel axes)."""
+def add_mass(model: Any, place: str, mass: float, beside: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+    """A point mass at a site or at the centre of mass of a body, or so far beside it along the body's axes [m]."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, place)
     if site >= 0:
         b, at = int(model.site_bodyid[site]), np.array(model.site_pos[site])
     else:
         b = int(model.body(place).id)
         at = np.array(model.body_ipos[b])
+    at += np.array(beside)
     own, com = float(model.body_mass[b]), np.array(model.body_ipos[b])
     if mass == 0:
         return

@@ -33,6 +33,8 @@ from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
 
+Place = tuple[float, float, float]
+"""Along the axes of a body [m]."""
 BASE = "base"
 """The place of what concerns the whole robot."""
 STIFF = 0.25
@@ -99,7 +101,7 @@ class MjcfRobot(Robot):
         source: name of the file it came from.
         edits: what was made of that file.
         values: parameters that differ from the XML, by dotted name.
-        payloads: (body or site, mass [kg]) of what it carries beside.
+        payloads: (body or site, mass [kg], place beside its centre or the site [m]) of what it carries beside.
         compliances: drives that are not rigid.
         gains: (actuator, factor) on the forces of actuators.
         limits: (actuator, size) to which forces of actuators are limited [N·m or N].
@@ -116,7 +118,7 @@ class MjcfRobot(Robot):
     source: str = ""
     edits: Edits = field(default_factory=Edits)
     values: Mapping[str, float] = field(default_factory=dict)
-    payloads: tuple[tuple[str, float], ...] = ()
+    payloads: tuple[tuple[str, float, Place], ...] = ()
     compliances: tuple[Compliance, ...] = ()
     gains: tuple[tuple[str, float], ...] = ()
     limits: tuple[tuple[str, float], ...] = ()
@@ -271,9 +273,9 @@ class MjcfRobot(Robot):
         """Angle by which gravity is turned about ``tilt_axis`` [rad]."""
         return self.parameters()["tilt"]
 
-    def with_payload(self, place: str, mass: float) -> MjcfRobot:
-        """A copy that carries a mass [kg] at a site, or at the centre of mass of a body."""
-        return replace(self, payloads=(*self.payloads, (place, mass)))
+    def with_payload(self, place: str, mass: float, beside: Place = (0.0, 0.0, 0.0)) -> MjcfRobot:
+        """A copy that carries a mass [kg] at a site, or at the centre of mass of a body, or beside it [m]."""
+        return replace(self, payloads=(*self.payloads, (place, mass, beside)))
 
     def with_compliance(self, joint: str, stiffness: float, damping: float, play: float = 0.0) -> MjcfRobot:
         """A copy with a spring between a joint and its drive, see ``Compliance``.
@@ -361,8 +363,8 @@ class MjcfRobot(Robot):
         for name, value in self.values.items():
             self.plan.parameters[name].write(model, value)
         reshape_inertias(model, self._shapes())
-        for place, mass in self.payloads:
-            add_mass(model, place, mass)
+        for place, mass, beside in self.payloads:
+            add_mass(model, place, mass, beside)
         for name, factor in self.gains:
             i = model.actuator(self._actuator(name)).id
             model.actuator_gainprm[i, :3] *= factor
