@@ -29,6 +29,7 @@ from .effects import (
     NonlinearStiffness as NonlinearStiffness,
     ParallelSpring as ParallelSpring,
     PayloadMass as PayloadMass,
+    PayloadOffCentre as PayloadOffCentre,
     RateLimit as RateLimit,
     Saturation as Saturation,
     SensorDelay as SensorDelay,

@@ -209,6 +209,9 @@ CASES: dict[str, Case] = {
         said="At the foot sits a mass of 80 g (76 to 84)",
         mjcf={"mass": 0.6},
     ),
+    "payload_off_centre": Case(
+        mjcf={"mass": 0.6, "x": 0.1, "y": 0.0, "z": -0.2},
+    ),
     "gravity_tilt": Case(
         strong={"base": {"angle": 0.2}},
         acting={"angle": 0.1},

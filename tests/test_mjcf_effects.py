@@ -22,6 +22,7 @@ from equimus_ctrl.effects import (
     GravityTilt,
     ParallelSpring,
     PayloadMass,
+    PayloadOffCentre,
     QuadraticDamping,
     SensorOffset,
     TorqueSaturation,
@@ -29,6 +30,7 @@ from equimus_ctrl.effects import (
     ViscousFriction,
     catalogue,
 )
+from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.identification.parameters import free_parameters, unit_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.leg import nominal_leg
@@ -79,7 +81,7 @@ def test_effects_of_elastic_robots_are_refused_on_mjcf_robots(name: str) -> None
 
 @pytest.mark.parametrize("name", sorted(set(catalogue("mjcf")) - set(catalogue("elastic"))))
 def test_effects_of_mjcf_robots_are_refused_on_elastic_robots(name: str) -> None:
-    place = {"joint": "hip", "actuator": "maa", "base": "base"}
+    place = {"joint": "hip", "actuator": "maa", "link": "calf", "base": "base"}
     told = refusal(lambda: Model(nominal_leg(), (middle(name, place[REGISTRY[name].sits_at[0]]),)))
     assert told.startswith(f"nominal_leg: a robot with elastic actuators cannot have effect {name} (it can: ")
     assert all(other in told for other in catalogue("elastic"))
@@ -163,6 +165,19 @@ def mass_matrix(model: Any, q: Array) -> tuple[Array, Array]:
     whole = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, whole)
     return whole, np.array(data.qfrc_bias)
+
+
+def test_a_payload_beside_the_centre_is_one_at_a_site_there() -> None:
+    """The tip is 0.02, 0.01, −0.1 m from the rod's centre of mass, along the body's axes whatever its inertia's."""
+    at_tip = CRANE.with_payload("tip", 0.4).mujoco_model()
+    beside = CRANE.with_payload("rod", 0.4, (0.02, 0.01, -0.1)).mujoco_model()
+    for field in ("body_mass", "body_ipos", "body_inertia"):
+        assert getattr(beside, field) == pytest.approx(getattr(at_tip, field))
+    model = Model(CRANE, (PayloadOffCentre("rod", 0.4, 0.02, 0.01, -0.1),))
+    assert changed_bodies(model.effects, CRANE).mujoco_model().body_ipos == pytest.approx(at_tip.body_ipos)
+    assert "exclude each other" in refusal(
+        lambda: Model(CRANE, (PayloadOffCentre("rod", 0.4, 0.1, 0.0, 0.0), PayloadMass("rod", 0.1)))
+    )
 
 
 def test_payloads_weigh_as_bodies_of_their_own_would() -> None:

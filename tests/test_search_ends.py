@@ -62,6 +62,7 @@ class Known:
 
     of: Mapping[tuple[str, ...], float]
     outdone: Sequence[frozenset[str]] = ()
+    aliased: Sequence[str] = ()
 
     def __call__(self, *labels: str) -> Fitted:
         return self.fits[frozenset(labels)]
@@ -79,7 +80,7 @@ class OnPaper(Search):
         free = SimpleNamespace(free=[], model=object())
         data: Any = SimpleNamespace(
             n=1000, free=free, thresholds=Thresholds(), strong=lambda f: False, far_above_noise=lambda f: False, converge=lambda f: f,
-            base=lambda: known(),
+            base=lambda: known(), aliased=lambda f, k: f.hypothesis[k].candidate.label in known.aliased,
         )  # fmt: skip
         super().__init__(data, list(POOL.values()), settings or SearchSettings())
         object.__setattr__(self, "known", known)
@@ -312,6 +313,13 @@ def test_a_search_says_why_it_stopped(
     known = Known(deviances, outdone)
     end = OnPaper(known, settings).run(known())
     assert end.stopped == reason and end.best.labels == labels
+
+
+def test_what_stands_for_other_parameters_is_not_taken() -> None:
+    """It gains most, where bounds hold those back."""
+    known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 1000.0, (RUB, OFF): 990.0}, aliased=[OFF])
+    end = OnPaper(known).run(known())
+    assert end.best.labels == {RUB}
 
 
 def test_where_no_more_parts_are_asked_for_the_search_says_so() -> None:

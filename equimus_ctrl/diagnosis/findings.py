@@ -116,8 +116,7 @@ def _undetermined(data: Data, best: Fitted, k: int, estimates: Mapping[str, Esti
     info = candidate.effect.parameter_info()
     here = [(i, own) for i, own in enumerate(candidate.parameters) if set(own.places) & set(places)]
     names = {best.fit.parameters.free[first + i].name for i, _ in here}
-    blind = [t for t in best.fit.uncertainty.trade_offs if t.correlation is None and names & t.weights.keys()]
-    if len(blind) >= len(here):
+    if data.aliased(best, k, names):
         return "other parameters can do the same, beyond their bounds"
     for i, own in here:
         free, side, estimate = (

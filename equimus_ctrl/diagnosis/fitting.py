@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -220,6 +220,22 @@ class Data:
         """Indices in θ of the discontinuous parameters, see ``Effect.discontinuous``."""
         added = [(part.candidate.effect, own.key) for part in hypothesis for own in part.candidate.parameters]
         return [len(self.free.free) + k for k, (effect, key) in enumerate(added) if key in effect.discontinuous]
+
+    def aliased(self, fitted: Fitted, k: int, names: Collection[str] | None = None) -> bool:
+        """Whether no direction of a part's parameters is seen beside all others: then it stands for these.
+
+        Such as a gain for masses that are all free: it gains where bounds hold these back, and says nothing.
+
+        Args:
+            fitted: the hypothesis.
+            k: place of the part.
+            names: of those of its parameters that count, as free ones; all by default.
+        """
+        first = len(self.free.free) + sum(p.candidate.n_parameters for p in fitted.hypothesis[:k])
+        own = fitted.fit.parameters.free[first : first + fitted.hypothesis[k].candidate.n_parameters]
+        counted = {free.name for free in own} if names is None else set(names)
+        blind = (t for t in fitted.fit.uncertainty.trade_offs if t.correlation is None)
+        return sum(bool(counted & t.weights.keys()) for t in blind) >= len(counted)
 
     def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
         """95 % profile-likelihood interval of a discontinuous parameter; ±inf at a side where it has no end.

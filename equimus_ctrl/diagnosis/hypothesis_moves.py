@@ -376,6 +376,10 @@ class HypothesisMoves:
             after.append(option)
         return after
 
+    def aliased(self, fitted: Fitted) -> bool:
+        """Whether the last part of a hypothesis stands for other parameters, see ``Data.aliased``."""
+        return bool(fitted.hypothesis) and self.data.aliased(fitted, len(fitted.hypothesis) - 1)
+
     def exchanged(self, state: SearchState) -> SearchState:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
         for _ in range(self.settings.exchanges):
@@ -402,8 +406,8 @@ class HypothesisMoves:
             alternatives.append(tuple(others))
             no_larger = [o for o in others if len(o.hypothesis) <= len(best.hypothesis)]
             better = [o for o in no_larger if self.score(o) < self.score(best) - EXCHANGE_MARGIN]
-            if better:
-                top = min(better, key=self.score)
+            top = next((o for o in sorted(better, key=self.score) if not self.aliased(o)), None)
+            if top is not None:
                 return replace(state, best=top, without=(), alternatives=(), tried=tried), True
         return replace(state, best=best, without=tuple(without), alternatives=tuple(alternatives), tried=tried), False
 

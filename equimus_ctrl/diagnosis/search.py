@@ -192,7 +192,7 @@ class Search(HypothesisMoves):
 
     def _with_one_more(self, state: SearchState, options: Sequence[Fitted]) -> SearchState:
         """A search with the best of some larger hypotheses, its parts exchanged where others fit better."""
-        simple, best = state.best, min(options, key=self.score)
+        simple, best = state.best, next(o for o in sorted(options, key=self.score) if not self.aliased(o))
         if self.settings.many_minima and not simple.hypothesis:
             # The first fit of the model alone may have ended in a worse minimum than it has.
             plain, tried = self.refit(state.tried, best, ())
@@ -212,10 +212,13 @@ class Search(HypothesisMoves):
         return [option for option in options if len(option.hypothesis) <= self.settings.most_parts]
 
     def _top(self, best: Fitted, options: Sequence[Fitted]) -> Fitted | None:
-        """The best of some options, if it is better than what they extend."""
-        top = min(options, key=self.score, default=None)
-        better = top is not None and self.accepts(best, top) and self.score(top) < self.score(best)
-        return top if better else None
+        """The best of some options, if it is better than what they extend; none that stands for other parameters."""
+        for top in sorted(options, key=self.score):
+            if not (self.accepts(best, top) and self.score(top) < self.score(best)):
+                return None
+            if not self.aliased(top):
+                return top
+        return None
 
     def _may_try_all(self, best: Fitted) -> bool:
         """Whether first-order gains beside a hypothesis predict little, and it may have more parts."""
