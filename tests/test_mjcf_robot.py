@@ -295,7 +295,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "unnamed joint": (BODY.format("<joint/>", ""), "cart: joint 0 has no name"),
     "no joint": (BODY.format("", ""), "cart: has no joint"),
     "no actuator": (BODY.format("<joint name='j'/>", ""), "cart: has no actuator"),
-    "unnamed actuator": (slider('<motor joint="way"/>'), "cart: actuator 0 has no name"),
+    "second unnamed actuator": (slider('<motor joint="way"/><motor joint="way"/>'), "cart: actuator 1 has no name"),
     "muscle": (
         slider('<muscle name="puller" joint="way" lengthrange="0 1"/>'),
         "cart: actuator 'puller' has the gain 'muscle', which neither engine takes; expected motor, position,",

@@ -105,7 +105,7 @@ def test_a_payload_and_a_tilt_make_another_robot_of_the_same_kind(robot: Robot) 
 def test_a_model_file_gives_the_robot_back(robot: Robot) -> None:
     model = Model(robot.with_parameters({name: 1.1 * robot.parameters()[name] for name in robot.default_names()[:2]}))
     plain = replace(CRANE, name="plain") if robot is CRANE else replace(robot, name="plain")
-    again = model_from_dict(model_to_dict(model), "here", lambda name: plain)  # type: ignore[arg-type, return-value]
+    again = model_from_dict(model_to_dict(model), "here", lambda name, edits: plain)  # type: ignore[arg-type, return-value]
     assert again.name == model.name and again.parameters() == model.parameters()
     assert ("phase" in model_to_dict(model)) == robot.traits.has_stance
 
