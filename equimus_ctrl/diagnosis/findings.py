@@ -282,6 +282,11 @@ def notes(end: SearchState, split: Split, excluded: Sequence[str], not_done: Seq
         said.append(f"Ended before its end; not looked at: {', '.join(not_done)}.")
     if excluded:
         said.append(f"Not looked for, as was asked: {', '.join(excluded)}.")
+    if split.of > len(split.train):
+        said.append(
+            f"Fitted were {len(split.train)} of {split.of} shooting intervals, chosen evenly from all recordings: all "
+            "would take longer in proportion."
+        )
     if not split.validation:
         said.append("Nothing was held out, so nothing judged what was found but the trials that it was fitted to.")
     elif not split.test:

@@ -32,6 +32,9 @@ CLOSE_TO_MEASURED, MOSTLY = 0.5, 0.8
 of the intervals. Where it does not, fits end in one of many local minima."""
 LOOKED_AT = 30
 """So many intervals of a length decide."""
+MOST_TIME, ENOUGH = 600.0, 8.0
+"""Fitted are so many seconds times joints; of longer recordings intervals of the second length are chosen evenly [s].
+More takes longer in proportion, and intervals of estimates shrink by the root of it alone."""
 ONCE = 1.5
 """Length of short intervals in times that a joint takes to cross its range: errors stay linear in changes there."""
 
@@ -45,6 +48,7 @@ class Split:
         validation: not fitted; effects are confirmed or rejected by them.
         test: not seen by any fit or choice, for the error that is reported; empty where there are too few trials.
         short_segments: the fitted trials in intervals so short that errors do not grow in them; none if alike.
+        of: how many shooting intervals the fitted trials have, of which ``train`` may be some alone, see ``MOST_TIME``.
         other: the same trials with others of them held out, for where those show what the rest does not; None where
             somebody said which are for validation, or there are too few.
     """
@@ -53,6 +57,7 @@ class Split:
     validation: tuple[Segment, ...]
     test: tuple[Segment, ...] = ()
     short_segments: tuple[Segment, ...] = ()
+    of: int = 0
     other: Split | None = None
 
 
@@ -199,6 +204,8 @@ def split(
     if not model.robot.traits.held_in_place and shoot is None:
         counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
         shoot = longest_interval(model, counted, window, simulator and simulator())
+    if not model.robot.traits.held_in_place and _too_long(recordings, heldout, edge, window):
+        shoot = min(shoot or math.inf, ENOUGH)
     parts = _parted(model, recordings, heldout, edge, window, shoot)
     if until is not None and not parts.validation:
         raise ConfigError(
@@ -209,6 +216,15 @@ def split(
         return parts
     instead = Holdout(heldout.other, heldout.test)
     return replace(parts, other=_parted(model, recordings, instead, edge, window, shoot))
+
+
+def _too_long(
+    recordings: Sequence[Recording], heldout: Holdout, until: float | None, window: tuple[float, float] | None
+) -> bool:
+    """Whether what is fitted lasts longer than ``MOST_TIME``, times the joints."""
+    spans = [_span(r, window) for k, r in enumerate(recordings) if k not in heldout.validation | heldout.test]
+    whole = sum(min(high, until or math.inf) - low for low, high in spans)
+    return whole * len(recordings[0].joints) > MOST_TIME
 
 
 def _span(recording: Recording, window: tuple[float, float] | None) -> tuple[float, float]:
@@ -246,7 +262,6 @@ def _parted(
     train: list[Segment] = []
     validation: list[Segment] = []
     test: list[Segment] = []
-    fitted: list[tuple[int, tuple[float, float]]] = []
     for k, r in enumerate(recordings):
         low, high = _span(r, window)
         if k in heldout.validation or k in heldout.test:
@@ -256,16 +271,27 @@ def _parted(
         edge = high if until is None else min(until, high)
         if edge > low:
             train += _cut(model, r, k, (low, edge), shoot, fit_start=True)
-            fitted.append((k, (low, edge)))
         if edge < high and np.count_nonzero((r.time > edge) & (r.time <= high)) >= LEAST_SAMPLES:
             validation += _cut(model, r, k, (float(np.nextafter(edge, high)), high), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
     short_segments: list[Segment] = []
-    add_up = not model.robot.traits.held_in_place
-    if add_up and (short := _motion_length(model, train)) < (shoot or math.inf):
-        short_segments = [s for k, span in fitted for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
-    return Split(tuple(train), tuple(validation), tuple(test), tuple(short_segments))
+    if model.robot.traits.held_in_place:
+        return Split(tuple(train), tuple(validation), tuple(test), (), len(train))
+    chosen = _evenly(train, len(recordings[0].joints))
+    if (short := _motion_length(model, chosen)) < (shoot or math.inf):
+        spans = [(s.recording, (float(s.trial.sample_times[0]), float(s.trial.sample_times[-1]))) for s in chosen]
+        short_segments = [s for k, span in spans for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
+    return Split(tuple(chosen), tuple(validation), tuple(test), tuple(short_segments), len(train))
+
+
+def _evenly(segments: Sequence[Segment], joints: int) -> list[Segment]:
+    """Every so manieth shooting interval, counted through all recordings, so that they last ``MOST_TIME`` at most."""
+    whole = joints * sum(float(s.trial.sample_times[-1] - s.trial.sample_times[0]) for s in segments)
+    every = max(math.ceil(whole / MOST_TIME), 1)
+    by_recording = {k: [s for s in segments if s.recording == k] for k in {s.recording: None for s in segments}}
+    # Each recording begins with another one, and none is left without any.
+    return [s for n, own in enumerate(by_recording.values()) for s in own[min(n % every, len(own) - 1) :: every]]
 
 
 def check_settings(free: FreeParameters, parts: Split) -> None:
