@@ -399,7 +399,7 @@ def test_intervals_are_chosen_with_the_engine_that_was_asked_for(
     class Chosen(Exception):
         pass
 
-    def choosing(model: Model, trials: object, window: object, simulator: Simulator) -> float:
+    def choosing(model: Model, trials: object, window: object, simulator: Simulator, whole: bool = True) -> float:
         raise Chosen(simulator.engine.name, simulator.threads)
 
     monkeypatch.setattr(holdout, "longest_interval", choosing)

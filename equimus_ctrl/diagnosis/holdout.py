@@ -32,7 +32,7 @@ CLOSE_TO_MEASURED, MOSTLY = 0.5, 0.8
 of the intervals. Where it does not, fits end in one of many local minima."""
 LOOKED_AT = 30
 """So many intervals of a length decide."""
-MOST_TIME, ENOUGH = 600.0, 8.0
+MOST_TIME, ENOUGH = 400.0, 8.0
 """Fitted are so many seconds times joints; of longer recordings intervals of the second length are chosen evenly [s].
 More takes longer in proportion, and intervals of estimates shrink by the root of it alone."""
 ONCE = 1.5
@@ -201,11 +201,12 @@ def split(
     elif not validation and len(recordings) == 1:
         low, high = _span(recordings[0], window)
         edge = high - LAST * (high - low)
-    if not model.robot.traits.held_in_place and shoot is None:
-        counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
-        shoot = longest_interval(model, counted, window, simulator and simulator())
-    if not model.robot.traits.held_in_place and _too_long(recordings, heldout, edge, window):
-        shoot = min(shoot or math.inf, ENOUGH)
+    if not model.robot.traits.held_in_place:
+        long = _too_long(recordings, heldout, edge, window)
+        if shoot is None:
+            counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
+            shoot = longest_interval(model, counted, window, simulator and simulator(), whole=not long)
+        shoot = min(shoot or math.inf, ENOUGH) if long else shoot
     parts = _parted(model, recordings, heldout, edge, window, shoot)
     if until is not None and not parts.validation:
         raise ConfigError(
@@ -323,6 +324,7 @@ def longest_interval(
     recordings: Sequence[Recording],
     window: tuple[float, float] | None = None,
     simulator: Simulator | None = None,
+    whole: bool = True,
 ) -> float | None:
     """The longest shooting intervals over which the nominal model's predictions stay close to the measurements [s].
 
@@ -334,13 +336,14 @@ def longest_interval(
         recordings: what was measured.
         window: (from, to) of each trial that counts at all [s].
         simulator: that follows it.
+        whole: whether whole trials are tried too.
 
     Raises:
         SimulationDiverged: where the model diverges in all intervals, however short.
     """
     follow, sound = simulator or simulator_for(model, [r.position for r in recordings]), False
     spread = np.median([r.position.std(axis=0) for r in recordings], axis=0)
-    for length in (None, *LENGTHS):
+    for length in (None, *LENGTHS) if whole else LENGTHS:
         if length is not None and all(length > r.time[-1] - r.time[0] for r in recordings):
             continue
         for errors in _errors_over(model, recordings, window, length, follow):
