@@ -129,3 +129,18 @@ def test_names_say_that_sizes_differ() -> None:
     assert str(named) == "coulomb_friction at each of shoulder and reach"
     assert named.to_dict() == {"effect": "coulomb_friction", "locations": ["shoulder", "reach"], "each": True}
     assert "each" not in Named("coulomb_friction", ("reach",)).to_dict()
+
+
+def test_a_size_that_may_be_nothing_gains_by_bounds_alone() -> None:
+    """A gain that masses could take up has an interval about 1; friction that is there has none about 0."""
+    loud = part("actuator_gain:push", 1.1)
+    widths = np.concatenate([np.zeros(len(data().free.free)), [0.3]])
+    theta = np.concatenate([data().free.start, [1.1]])
+    fit: Any = SimpleNamespace(
+        hypothesis=(loud,), fit=SimpleNamespace(uncertainty=SimpleNamespace(half_width=widths), theta=theta)
+    )
+    assert data().may_be_nothing(fit, 0)
+    widths[-1] = 0.05
+    assert not data().may_be_nothing(fit, 0)
+    fit.hypothesis = (part("parallel_spring:reach", 1.0, 0.1),)  # which has another parameter that may be seen
+    assert not data().may_be_nothing(fit, 0)

@@ -80,7 +80,7 @@ class OnPaper(Search):
         free = SimpleNamespace(free=[], model=object())
         data: Any = SimpleNamespace(
             n=1000, free=free, thresholds=Thresholds(), strong=lambda f: False, far_above_noise=lambda f: False, converge=lambda f: f,
-            base=lambda: known(), aliased=lambda f, k: f.hypothesis[k].candidate.label in known.aliased,
+            base=lambda: known(), aliased=lambda f, k: f.hypothesis[k].candidate.label in known.aliased, may_be_nothing=lambda f, k: False,
         )  # fmt: skip
         super().__init__(data, list(POOL.values()), settings or SearchSettings())
         object.__setattr__(self, "known", known)

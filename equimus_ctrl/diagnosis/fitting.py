@@ -237,6 +237,21 @@ class Data:
         blind = (t for t in fitted.fit.uncertainty.trade_offs if t.correlation is None)
         return sum(bool(counted & t.weights.keys()) for t in blind) >= len(counted)
 
+    def may_be_nothing(self, fitted: Fitted, k: int) -> bool:
+        """Whether intervals of a part's only parameter, at all its places, hold the value at which it does nothing.
+
+        Then its gain comes of bounds that hold other parameters back, not of it: without it these would go further.
+        """
+        candidate = fitted.hypothesis[k].candidate
+        nothing = candidate.grows_from()
+        if len(candidate.effect.parameter_info()) > 1 or not nothing:
+            return False
+        first = len(self.free.free) + sum(p.candidate.n_parameters for p in fitted.hypothesis[:k])
+        widths = fitted.fit.uncertainty.half_width[first : first + candidate.n_parameters]
+        values = fitted.fit.theta[first : first + candidate.n_parameters]
+        away = np.abs(values - np.array([nothing[own.name] for own in candidate.parameters]))
+        return bool(np.all(away < widths))
+
     def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
         """95 % profile-likelihood interval of a discontinuous parameter; ±inf at a side where it has no end.
 

@@ -377,8 +377,14 @@ class HypothesisMoves:
         return after
 
     def aliased(self, fitted: Fitted) -> bool:
-        """Whether the last part of a hypothesis stands for other parameters, see ``Data.aliased``."""
-        return bool(fitted.hypothesis) and self.data.aliased(fitted, len(fitted.hypothesis) - 1)
+        """Whether the last part of a hypothesis stands for other parameters, see ``Data.aliased``.
+
+        Where bounds are wide and minima many, also where its size may be nothing, see ``Data.may_be_nothing``.
+        """
+        last = len(fitted.hypothesis) - 1
+        if last < 0:
+            return False
+        return self.data.aliased(fitted, last) or (self.settings.many_minima and self.data.may_be_nothing(fitted, last))
 
     def exchanged(self, state: SearchState) -> SearchState:
         """Parts that are not needed dropped, parts for which others fit better exchanged."""
