@@ -65,7 +65,7 @@ def data_of(robot: MjcfRobot, recordings: list[Recording]) -> Data:
 def test_a_model_lacks_no_force_along_a_motion_of_its_own(robot: MjcfRobot, effects: tuple[Effect, ...]) -> None:
     model = Model(robot, effects)
     one = recorded(model, count=1, seed=2, noise=0.0)[0]
-    at = inverse_dynamics(model, motion(one), 3)
+    at = inverse_dynamics(model, [motion(one)], 3)[0]
     missing, drives = (at.weighted(values)[:, 0][at.counts[:, 0]] for values in (at.missing, at.drives))
     assert len(missing) > 50
     # Dry friction jumps within what a test function weighs; all else is left to the smoothing alone.
@@ -75,7 +75,7 @@ def test_a_model_lacks_no_force_along_a_motion_of_its_own(robot: MjcfRobot, effe
 
 def test_what_a_model_lacks_is_the_law_that_it_lacks() -> None:
     one = recorded(Model(ROBOT, (ViscousFriction("hinge", 0.3),)), count=1, seed=4, noise=0.0)[0]
-    at = inverse_dynamics(Model(ROBOT), motion(one), 3)
+    at = inverse_dynamics(Model(ROBOT), [motion(one)], 3)[0]
     missing, rate = at.weighted(at.missing)[:, 0], at.weighted(at.rate)[:, 0]
     assert np.polyfit(rate, missing, 1)[0] == pytest.approx(-0.3, rel=0.01)
 
@@ -84,7 +84,7 @@ def test_noise_of_accelerations_falls_with_the_width() -> None:
     one = recorded(Model(ROBOT), count=1, seed=5, noise=1e-3)[0]
     sizes = []
     for width in (2, 4, 8):
-        at = inverse_dynamics(Model(ROBOT), motion(one, 1e-3), width)
+        at = inverse_dynamics(Model(ROBOT), [motion(one, 1e-3)], width)[0]
         sizes.append(float(at.weighted(at.missing).std()))
     assert sizes[0] / sizes[1] == pytest.approx(2**2.5, rel=0.4)
     assert sizes[2] < sizes[1] / 1.8

@@ -19,7 +19,8 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import noise_of_differences
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array, Recording
 
 ALIKE = 0.9
@@ -41,18 +42,16 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError, a sentence that says what to do, where recordings and model cannot belong together.
 
     Args:
-        model: of any robot; only those of MuJoCo's XML are looked at.
+        model: of any robot. Of one whose stops give way, angles may lie beyond them; they are not looked at.
         recordings: with the robot's joints and actuators, in its order.
     """
-    robot = model.robot
-    if not isinstance(robot, MjcfRobot):
-        return
-    _check_angles(robot, recordings)
-    if applies(robot):
-        _check_forces(model, robot, recordings)
+    if not model.robot.traits.held_in_place:
+        _check_angles(model.robot, recordings)
+    if applies(model.robot):
+        _check_forces(model, mjcf_of(model.robot), recordings)
 
 
-def _check_angles(robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
+def _check_angles(robot: Robot, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError where angles are in degrees, or lie where a joint cannot be."""
     positions = np.concatenate([r.position for r in recordings])
     low, high = robot.joint_range
@@ -144,9 +143,10 @@ def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array
     noise = np.array([own.sigma for own in noise_of_differences(measured)])
     best, found = -math.inf, (np.empty((0, 0)), np.empty((0, 0)))
     for width in WIDTHS:
-        at = [inverse_dynamics(model, m, width) for m in motions_of(trials, measured, noise) if len(m.time) > 8 * width]
-        if not at:
+        motions = [m for m in motions_of(trials, measured, noise) if len(m.time) > 8 * width]
+        if not motions:
             break
+        at = inverse_dynamics(model, motions, width)
         needed = np.concatenate([one.weighted(one.missing + one.drives) for one in at])
         exerted = np.concatenate([one.weighted(one.drives) for one in at])
         sizes = np.maximum(np.sqrt((needed**2).mean(axis=0) * (exerted**2).mean(axis=0)), 1e-300)

@@ -44,7 +44,6 @@ from equimus_ctrl.identification.noise import noise_of_differences
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
-from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 
 WIDTHS = (2, 4, 6, 8, 12, 16, 24, 32, 48, 64)
@@ -256,8 +255,7 @@ class TorqueDomain:
 
 def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
     """The torque domain of some recordings; None where a robot has none, or they are too short."""
-    robot = data.free.model.robot
-    if not isinstance(robot, MjcfRobot) or not applies(robot):
+    if not applies(data.free.model.robot):
         return None
     noise = np.array([own.sigma for own in noise_of_differences([s.measured for s in data.segments])])
     motions = motions_of([s.trial for s in data.segments], [s.measured for s in data.segments], noise)
@@ -280,8 +278,7 @@ def torque_screen(data: Data, domain: TorqueDomain, fitted: Fitted | None, pool:
     """
     free = data.free if fitted is None else fitted.fit.parameters
     theta = free.start if fitted is None else fitted.fit.theta
-    motions = [(motion, domain.width) for motion in domain.motions]
-    return _screen(free, theta, data.free, motions, pool, data.budget.check)
+    return _screen(free, theta, data.free, domain, pool, data.budget.check)
 
 
 def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], rough: Sequence[Candidate]) -> int:
@@ -296,7 +293,7 @@ def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion]
     usable = [w for w in WIDTHS if w <= max(CROSSES * crossing, WIDTHS[0]) and 8 * w < len(motions[0].time)]
     best, least = WIDTHS[0], math.inf
     for width in usable:
-        sigma = _columns_of(free, theta, [(m, width) for m in motions], rough, lambda: None)[3]
+        sigma = _columns_of(free, theta, motions, width, rough, lambda: None)[3]
         left = float(np.log(np.maximum(sigma, 1e-300)).sum())
         if left > least + FLAT * len(sigma):
             break
@@ -306,11 +303,11 @@ def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion]
 
 
 def _screen(
-    free: FreeParameters, theta: Array, own_free: FreeParameters, motions: Sequence[tuple[MeasuredMotion, int]],
-    pool: Sequence[Candidate], check: Callable[[], None],
+    free: FreeParameters, theta: Array, own_free: FreeParameters, domain: TorqueDomain, pool: Sequence[Candidate],
+    check: Callable[[], None],
 ) -> TorqueScreen:  # fmt: skip
     """The Gram matrix of all columns, with what is known of the model's parameters."""
-    found, columns, counts, sigma = _columns_of(free, theta, motions, pool, check)
+    found, columns, counts, sigma = _columns_of(free, theta, domain.motions, domain.width, pool, check)
     p = len(theta)
     scaled = (columns / sigma[:, None]).reshape(-1, columns.shape[2])
     gram = scaled.T @ scaled
@@ -325,12 +322,12 @@ def _screen(
 
 
 def _columns_of(
-    free: FreeParameters, theta: Array, motions: Sequence[tuple[MeasuredMotion, int]], pool: Sequence[Candidate],
+    free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], width: int, pool: Sequence[Candidate],
     check: Callable[[], None],
 ) -> tuple[list[_Columns], Array, Array, Array]:  # fmt: skip
     """Candidates, (m, nj, p + k + 1) [J, C, r], (m, nj) what counts, (nj,) standard deviations of what remains."""
     model = free.model_at(theta)
-    at = [inverse_dynamics(model, *motion) for motion in motions]
+    at = inverse_dynamics(model, motions, width)
     counts = np.concatenate([one.counts for one in at])
 
     def rows_of(values: Sequence[Array]) -> Array:
@@ -340,7 +337,8 @@ def _columns_of(
 
     def changed(other: Model) -> Array:
         """What of the missing forces another model adds."""
-        return rows_of([one.missing - inverse_dynamics(other, *m).missing for one, m in zip(at, motions, strict=True)])
+        after = inverse_dynamics(other, motions, width)
+        return rows_of([one.missing - two.missing for one, two in zip(at, after, strict=True)])
 
     slopes = []
     for i, own in enumerate(free.free):
@@ -411,7 +409,7 @@ class _Singles:
         seen = set()
         for guess in _tried(candidate):
             others = tuple(guess[own.name] for own in candidate.parameters if own.key not in scaled)
-            if issubclass(effect, ForceEffect) and others in seen:
+            if scaled and not effect.delays and others in seen:  # linear in its size
                 continue
             seen.add(others)
             by_place = {place: self._single(effect, place, candidate.at(guess, place)) for place in candidate.locations}
@@ -462,11 +460,9 @@ def _sum(columns: Iterable[Array]) -> Array:
 
 
 def _tried(candidate: Candidate) -> Sequence[Mapping[str, float]]:
-    """The guesses that are evaluated: of what is linear in its size, one is enough; a late one bends."""
+    """The guesses that are evaluated: of delays, in which forces bend, two."""
     guesses = candidate.guesses
-    if issubclass(candidate.effect, ForceEffect) or not candidate.grows_from():
-        return guesses
-    return guesses[:: max(len(guesses) // 2, 1)][:2] if candidate.effect.delays else guesses[:1]
+    return guesses[:: max(len(guesses) // 2, 1)][:2] if candidate.effect.delays else guesses
 
 
 def _remaining(columns: Array, p: int, found: Sequence[_Columns], counts: Array) -> Array:

@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.effects.command import DELAY, FILL, VENT, pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_effects
-from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, sensor_settings
+from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.mjcf import Realised, commands_on, function_address, realise, scratch
 from equimus_ctrl.engines.mjcf_kernel import called
-from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.actuators import FILTERS
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
@@ -92,26 +93,39 @@ class InverseDynamics:
         return np.asarray(self.weighted(self.moving.astype(float)) > MOVES)
 
 
-def applies(robot: MjcfRobot) -> bool:
-    """Whether forces of all drives follow from where joints are, how fast they move and what was commanded lately."""
+def applies(robot: Robot) -> bool:
+    """Whether forces of all drives follow from where joints are, how fast they move and what was commanded lately.
+
+    Of robots that MuJoCo's XML describes.
+    """
+    if not isinstance(robot, MjcfRobot):
+        return False
     base = robot.plan.base
     filters = sum(int(kind) in FILTERS for kind in base.actuator_dyntype)
     return bool(base.na == filters and not base.neq and base.nv == len(robot.joints))
 
 
-def inverse_dynamics(model: Model, motion: MeasuredMotion, width: int) -> InverseDynamics:
-    """The generalised forces that a model lacks along a measured motion, see the module's law.
+def inverse_dynamics(model: Model, motions: Sequence[MeasuredMotion], width: int) -> list[InverseDynamics]:
+    """The generalised forces that a model lacks along each measured motion, see the module's law.
 
     Effects that move without being measured, such as a drive's compliance, count as rigid (``Effect.in_torques``).
 
     Args:
-        model: of an MJCF robot to which this ``applies``.
-        motion: what was measured.
+        model: of a robot to which this ``applies``.
+        motions: what was measured.
         width: of B, in samples.
     """
     laws = force_effects(model.effects)
-    rigid = tuple(e for e in model.effects if e not in laws and (e.in_torques or e.side == "measurement"))
-    own = realise(replace(model, effects=rigid), motion.trial)
+    seen = tuple(e for e in model.effects if e not in laws and (e.in_torques or e.side == "measurement"))
+    rigid, known = replace(model, effects=seen), dict[Condition, Realised]()
+    for motion in motions:
+        if motion.trial.condition not in known:
+            known[motion.trial.condition] = realise(rigid, motion.trial)
+    return [_along_motion(known[motion.trial.condition], laws, motion, width) for motion in motions]
+
+
+def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMotion, width: int) -> InverseDynamics:
+    """The same of one of them, of a robot with its effects but the laws at joints."""
     dt, stride = motion.interval, max(width // 2, 1)
     shown = behind(own.sensor, motion.position)
     rows = np.arange(1, len(shown) - 1)
@@ -132,7 +146,7 @@ def inverse_dynamics(model: Model, motion: MeasuredMotion, width: int) -> Invers
         j = names.index(law.location)
         missing[:, j] -= law_force(type(law), law.parameters(), q[:, j], v[:, j], drives[:, j])
     # The rate's noise: of (y₊ − y₋)/2dt smoothed by a triangle of the width.
-    noise = motion.noise / sensor_settings(model.effects, names)[:, SCALE] / (dt * width**1.5)
+    noise = motion.noise / own.sensor[:, SCALE] / (dt * width**1.5)
     low, high = own.robot.joint_range
     moving = (np.abs(v) > STILL * noise) & (q > low) & (q < high)
     return InverseDynamics(q, v, drives, missing, moving, max(round(width / stride), 1))
