@@ -13,7 +13,8 @@ from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters
-from equimus_ctrl.diagnosis.torque_screening import begun, torque_domain, torque_screen, worth_simulating
+from equimus_ctrl.diagnosis.torque_screening import torque_domain, torque_screen
+from equimus_ctrl.diagnosis.torque_start import begun, worth_simulating
 from equimus_ctrl.effects import (
     CoulombFriction,
     Effect,

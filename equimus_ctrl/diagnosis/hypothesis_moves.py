@@ -15,7 +15,8 @@ from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
-from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain, worth_simulating
+from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
+from equimus_ctrl.diagnosis.torque_start import worth_simulating
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise

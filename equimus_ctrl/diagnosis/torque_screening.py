@@ -25,10 +25,9 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, beside, model_of
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.mjcf_inverse import (
@@ -60,20 +59,10 @@ WEAK = 1e-10
 """Directions of columns below this share of the strongest count as none."""
 ROUGH = ("viscous_friction", "coulomb_friction", "constant_force", "asymmetric_friction", "parallel_spring")
 """Laws that together leave about the noise of joints' forces, whatever is missing."""
-START_SHARE = 0.1
-"""A law that a search begins with lowers what is missing above the noise by this share at least."""
-ABOUT = 0.9
-"""A search begins with the simplest law that gains this share of what the best one does."""
-BEHIND = 0.05
-"""Candidates that explain less than this share of what the best one does are not simulated,"""
-AT_LEAST = 12
-"""unless they are among so many best ones."""
-SURE = 3.0
-"""Standard errors by which a law's own size at a place has to differ from nothing, for a search to begin with it."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Columns:
+class Columns:
     """What a candidate adds to the forces at one choice of the parameters that it is not linear in.
 
     Attributes:
@@ -146,7 +135,7 @@ class TorqueScreen:
 
     free: FreeParameters
     theta: Array
-    columns: tuple[_Columns, ...]
+    columns: tuple[Columns, ...]
     gram: Array
     samples: float
     robot: Robot
@@ -178,7 +167,7 @@ class TorqueScreen:
                 found[own.candidate] = TorqueFit(self.missing - chi2, own.values(sizes[0]))
         return found
 
-    def fitted(self, chosen: Sequence[_Columns]) -> tuple[float, list[list[float]]]:
+    def fitted(self, chosen: Sequence[Columns]) -> tuple[float, list[list[float]]]:
         """χ² and the sizes of some candidates together, each within its bounds, else without effect."""
         left = [(c, i) for c, own in enumerate(chosen) for i in range(len(own.place))]
         fixed = [own.place[0] for own in chosen if own.fixed]
@@ -210,14 +199,14 @@ class TorqueScreen:
         coefficients = _inverse_of(gram[np.ix_(taken, taken)]) @ aim
         return whole - float(aim @ coefficients), coefficients
 
-    def errors(self, chosen: Sequence[_Columns]) -> list[Array]:
+    def errors(self, chosen: Sequence[Columns]) -> list[Array]:
         """For each of some candidates (k,) standard errors of its sizes."""
         taken = [k for own in chosen for k in own.place]
         spread = np.sqrt(np.maximum(np.diag(_inverse_of(self.beyond[np.ix_(taken, taken)])), 0) * CORRELATED)
         units = np.array([abs(own.unit(name)) for own in chosen for name in own.scaled])
         return np.split(spread * units, np.cumsum([len(own.place) for own in chosen])[:-1])
 
-    def moved(self, chosen: Sequence[_Columns]) -> Array:
+    def moved(self, chosen: Sequence[Columns]) -> Array:
         """(p,) the parameters that go with some candidates, within bounds."""
         taken = [k for own in chosen for k in own.place]
         _, coefficients = self._least(taken, ())
@@ -324,7 +313,7 @@ def _screen(
 def _columns_of(
     free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], width: int, pool: Sequence[Candidate],
     check: Callable[[], None],
-) -> tuple[list[_Columns], Array, Array, Array]:  # fmt: skip
+) -> tuple[list[Columns], Array, Array, Array]:  # fmt: skip
     """Candidates, (m, nj, p + k + 1) [J, C, r], (m, nj) what counts, (nj,) standard deviations of what remains."""
     model = free.model_at(theta)
     at = inverse_dynamics(model, motions, width)
@@ -346,7 +335,7 @@ def _columns_of(
         step = STEP * own.scale * (1.0 if theta[i] + STEP * own.scale <= own.high else -1.0)
         slopes.append(changed(free.model_at(theta + step * np.eye(len(theta))[i])) / step)
     singles = _Singles(model, at, rows_of, changed)
-    found: list[_Columns] = []
+    found: list[Columns] = []
     forces: list[Array] = []
     present = {(type(effect), effect.location) for effect in model.effects}
     for candidate in pool:
@@ -398,7 +387,7 @@ class _Singles:
         self.model, self.at, self.rows_of, self.changed = model, at, rows_of, changed
         self._known: dict[tuple[type[Effect], str, tuple[float, ...]], Mapping[str, Array] | None] = {}
 
-    def of(self, candidate: Candidate) -> Iterator[tuple[_Columns, list[Array]]]:
+    def of(self, candidate: Candidate) -> Iterator[tuple[Columns, list[Array]]]:
         """A candidate's columns at each choice of the parameters that it is not linear in; none that is not seen."""
         effect = candidate.effect
         if not effect.in_torques or (issubclass(effect, ForceEffect) and not _is_linear(effect)):
@@ -416,14 +405,14 @@ class _Singles:
             if any(own is None for own in by_place.values()):
                 continue
             if not scaled:
-                yield _Columns(candidate, guess, ()), [_sum(one[""] for one in by_place.values() if one)]
+                yield Columns(candidate, guess, ()), [_sum(one[""] for one in by_place.values() if one)]
                 continue
             names = [own for own in candidate.parameters if own.key in scaled]
             columns = [_sum(one[own.key] for place in own.places if (one := by_place[place])) for own in names]
             base = guess
             if issubclass(effect, ForceEffect):
                 base = {own.name: effect.neutral.get(own.key, guess[own.name]) for own in candidate.parameters}
-            yield _Columns(candidate, base, tuple(own.name for own in names)), columns
+            yield Columns(candidate, base, tuple(own.name for own in names)), columns
 
     def _single(self, effect: type[Effect], place: str, values: Mapping[str, float]) -> Mapping[str, Array] | None:
         """For each parameter that scales an effect (m, nj) its column; None where the robot cannot have it."""
@@ -465,7 +454,7 @@ def _tried(candidate: Candidate) -> Sequence[Mapping[str, float]]:
     return guesses[:: max(len(guesses) // 2, 1)][:2] if candidate.effect.delays else guesses
 
 
-def _remaining(columns: Array, p: int, found: Sequence[_Columns], counts: Array) -> Array:
+def _remaining(columns: Array, p: int, found: Sequence[Columns], counts: Array) -> Array:
     """(nj,) standard deviation of each joint's forces that the parameters and the usual laws leave."""
     rough = [k for own in found if own.candidate.effect.name in ROUGH for k in own.place]
     sigma = np.sqrt(np.maximum((columns[:, :, -1] ** 2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1), 1e-300))
@@ -479,126 +468,3 @@ def _remaining(columns: Array, p: int, found: Sequence[_Columns], counts: Array)
         own = np.sqrt((left**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
         sigma = np.maximum(own, 1e-3 * sigma)
     return np.asarray(sigma)
-
-
-def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int) -> tuple[Hypothesis, Array] | None:
-    """The laws that the missing forces of the nominal model ask for, and θ of the model's parameters with them.
-
-    By forward selection: each the one with the best information criterion beside those before it, as long as it lowers
-    what is missing above the noise by ``START_SHARE``. None where no law does.
-
-    Args:
-        data: what was measured.
-        domain: the same in the torque domain.
-        pool: the candidates.
-        most: how many laws.
-    """
-    screen = torque_screen(data, domain, None, pool)
-    chosen, price = list[_Columns](), math.log(max(screen.samples, 2.0))
-    now = screen.missing
-    while len(chosen) < most:
-        options = [whole for own in screen.columns if (whole := _extended(screen.robot, chosen, own)) is not None]
-        tried = [(screen.fitted(whole)[0], whole) for whole in options]
-        chi2, best = _simplest(tried, price, now) if tried else (now, chosen)
-        gain, above = now - chi2, now - screen.samples * CORRELATED
-        worth = max(_least_gain(data, pool), price * (_count(best) - _count(chosen)))
-        if gain / CORRELATED <= worth or gain < START_SHARE * above:
-            break
-        now, chosen = chi2, best
-    _, sizes = screen.fitted(chosen)
-    parts: list[Part] = []
-    for own, values, error in zip(chosen, sizes, screen.errors(chosen) if chosen else (), strict=True):
-        part, needed = Part(own.candidate, own.values(values)), _sure(own, values, error, domain.interval)
-        if needed:
-            parts.append(part if len(needed) == len(own.candidate.locations) else part.narrowed(needed))
-    return (tuple(parts), screen.moved(chosen)) if parts else None
-
-
-def _simplest(tried: Sequence[tuple[float, list[_Columns]]], price: float, now: float) -> tuple[float, list[_Columns]]:
-    """Of what gains about as much as the best by the information criterion, the one with the fewest parameters."""
-
-    def score(one: tuple[float, list[_Columns]]) -> float:
-        return one[0] / CORRELATED + price * _count(one[1])
-
-    best = min(tried, key=score)
-    close = [one for one in tried if now - one[0] > ABOUT * (now - best[0])]
-    fewest = min(_count(whole) for _, whole in close)
-    return min((one for one in close if _count(one[1]) == fewest), key=score)
-
-
-def _count(chosen: Sequence[_Columns]) -> int:
-    return sum(own.candidate.n_parameters for own in chosen)
-
-
-def _least_gain(data: Data, pool: Sequence[Candidate]) -> float:
-    """Fall of χ² that none of the candidates has by chance."""
-    return float(chdtri(1, data.thresholds.significance / max(len(pool), 1)))
-
-
-def _sure(own: _Columns, values: Sequence[float], error: Array, interval: float) -> tuple[str, ...]:
-    """The places at which a law's sizes differ from nothing; a delay by a sample at least, for commands are held."""
-    places = {p.name: p.places for p in own.candidate.parameters}
-    least = interval if own.candidate.effect.delays else 0.0
-    differ = {
-        place
-        for name, value, spread in zip(own.scaled, values, error, strict=True)
-        if abs(value - own.nothing(name)) > max(SURE * spread, least)
-        for place in places[name]
-    }
-    return tuple(place for place in own.candidate.locations if place in differ)
-
-
-def _extended(robot: Robot, chosen: Sequence[_Columns], own: _Columns) -> list[_Columns] | None:
-    """Some chosen candidates and one more, without those that it excludes; None where it cannot be beside them.
-
-    Nor where no value of it is nothing: then least squares know no size of it.
-    """
-    if own.fixed or any(own.candidate is old.candidate for old in chosen):
-        return None
-    part = Part(own.candidate, own.base)
-    kept = []
-    for old in chosen:
-        left = beside(robot, part, (Part(old.candidate, old.base),))
-        if left and left[0].candidate is not old.candidate:
-            return None  # it would take part of a law
-        if left:
-            kept.append(old)
-    return [*kept, own]
-
-
-def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates without those that are far behind the best one in the torque domain, see ``BEHIND``.
-
-    All where none of them explains anything there. Those that cannot be seen there stay. Guesses are joined by what
-    least squares give.
-
-    Args:
-        data: what was measured.
-        domain: the same in the torque domain.
-        fitted: the hypothesis that they are to be added to.
-        pool: the candidates.
-    """
-    fits = torque_screen(data, domain, fitted, pool).alone()
-    gains = sorted((fit.gain for fit in fits.values()), reverse=True)
-    prune = len(gains) > AT_LEAST and gains[0] / CORRELATED > _least_gain(data, pool)
-    least = min(BEHIND * gains[0], gains[AT_LEAST - 1]) if prune else -math.inf
-    kept = []
-    for candidate in pool:
-        if candidate not in fits:
-            kept.append(candidate)
-        elif fits[candidate].gain >= least:
-            kept.append(_with_guess(data.free.model, candidate, fits[candidate].values))
-    return kept
-
-
-def _with_guess(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Candidate:
-    """A candidate that can also begin at some values, if these are no worse than possible."""
-    nothing = candidate.fades_to() or candidate.grows_from()
-    if nothing and all(values[name] == v for name, v in nothing.items() if name in values):
-        return candidate
-    try:
-        model_of(model, (Part(candidate, values),))
-    except (ConfigError, ModelError):
-        return candidate
-    own = {p.name: float(values[p.name]) for p in candidate.parameters}
-    return replace(candidate, guesses=(*candidate.guesses, own))

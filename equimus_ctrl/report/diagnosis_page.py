@@ -60,7 +60,7 @@ METHOD = (
     "The noise of each joint, white and coloured, is estimated from the residuals. A gain is the fall of −2 log "
     "likelihood under it.",
     "Every effect of the catalogue is screened at every place by the component of its response that is orthogonal to "
-    "the Jacobian of the parameters. The best are fitted by simulation together with all parameters, in sets, forward, "
+    "the Jacobian of the parameters, unless inverse dynamics along the measured motion leave it far behind. The best are fitted by simulation together with all parameters, in sets, forward, "
     "backward and exchanged.",
     "An effect is accepted only where its gain exceeds the threshold for the best of all candidates, where held-out "
     "trials confirm it, and where no unstructured residual force explains as much.",

@@ -1,0 +1,155 @@
+"""Where a search begins, and what it does not simulate, by what candidates explain in the torque domain.
+
+Friction in all joints hides each joint's own: one law after the other, none would be found. Least squares over all
+joints find them together, see ``torque_screening``. What is said here decides nothing: simulation has to accept it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from scipy.special import chdtri
+
+from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, beside, model_of
+from equimus_ctrl.diagnosis.torque_screening import CORRELATED, Columns, TorqueDomain, torque_screen
+from equimus_ctrl.errors import ConfigError, ModelError
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.types import Array
+
+START_SHARE = 0.1
+"""A law that a search begins with lowers what is missing above the noise by this share at least."""
+ABOUT = 0.9
+"""A search begins with the simplest law that gains this share of what the best one does."""
+BEHIND = 0.05
+"""Candidates that explain less than this share of what the best one does are not simulated,"""
+AT_LEAST = 12
+"""unless they are among so many best ones."""
+SURE = 3.0
+"""Standard errors by which a law's own size at a place has to differ from nothing, for a search to begin with it."""
+
+
+def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int) -> tuple[Hypothesis, Array] | None:
+    """The laws that the missing forces of the nominal model ask for, and θ of the model's parameters with them.
+
+    By forward selection: each the one with the best information criterion beside those before it, as long as it lowers
+    what is missing above the noise by ``START_SHARE``. None where no law does.
+
+    Args:
+        data: what was measured.
+        domain: the same in the torque domain.
+        pool: the candidates.
+        most: how many laws.
+    """
+    screen = torque_screen(data, domain, None, pool)
+    chosen, price = list[Columns](), math.log(max(screen.samples, 2.0))
+    now = screen.missing
+    while len(chosen) < most:
+        options = [whole for own in screen.columns if (whole := _extended(screen.robot, chosen, own)) is not None]
+        tried = [(screen.fitted(whole)[0], whole) for whole in options]
+        chi2, best = _simplest(tried, price, now) if tried else (now, chosen)
+        gain, above = now - chi2, now - screen.samples * CORRELATED
+        worth = max(_least_gain(data, pool), price * (_count(best) - _count(chosen)))
+        if gain / CORRELATED <= worth or gain < START_SHARE * above:
+            break
+        now, chosen = chi2, best
+    _, sizes = screen.fitted(chosen)
+    parts: list[Part] = []
+    for own, values, error in zip(chosen, sizes, screen.errors(chosen) if chosen else (), strict=True):
+        part, needed = Part(own.candidate, own.values(values)), _sure(own, values, error, domain.interval)
+        if needed:
+            parts.append(part if len(needed) == len(own.candidate.locations) else part.narrowed(needed))
+    return (tuple(parts), screen.moved(chosen)) if parts else None
+
+
+def _simplest(tried: Sequence[tuple[float, list[Columns]]], price: float, now: float) -> tuple[float, list[Columns]]:
+    """Of what gains about as much as the best by the information criterion, the one with the fewest parameters."""
+
+    def score(one: tuple[float, list[Columns]]) -> float:
+        return one[0] / CORRELATED + price * _count(one[1])
+
+    best = min(tried, key=score)
+    close = [one for one in tried if now - one[0] > ABOUT * (now - best[0])]
+    fewest = min(_count(whole) for _, whole in close)
+    return min((one for one in close if _count(one[1]) == fewest), key=score)
+
+
+def _count(chosen: Sequence[Columns]) -> int:
+    return sum(own.candidate.n_parameters for own in chosen)
+
+
+def _least_gain(data: Data, pool: Sequence[Candidate]) -> float:
+    """Fall of χ² that none of the candidates has by chance."""
+    return float(chdtri(1, data.thresholds.significance / max(len(pool), 1)))
+
+
+def _sure(own: Columns, values: Sequence[float], error: Array, interval: float) -> tuple[str, ...]:
+    """The places at which a law's sizes differ from nothing; a delay by a sample at least, for commands are held."""
+    places = {p.name: p.places for p in own.candidate.parameters}
+    least = interval if own.candidate.effect.delays else 0.0
+    differ = {
+        place
+        for name, value, spread in zip(own.scaled, values, error, strict=True)
+        if abs(value - own.nothing(name)) > max(SURE * spread, least)
+        for place in places[name]
+    }
+    return tuple(place for place in own.candidate.locations if place in differ)
+
+
+def _extended(robot: Robot, chosen: Sequence[Columns], own: Columns) -> list[Columns] | None:
+    """Some chosen candidates and one more, without those that it excludes; None where it cannot be beside them.
+
+    Nor where no value of it is nothing: then least squares know no size of it.
+    """
+    if own.fixed or any(own.candidate is old.candidate for old in chosen):
+        return None
+    part = Part(own.candidate, own.base)
+    kept = []
+    for old in chosen:
+        left = beside(robot, part, (Part(old.candidate, old.base),))
+        if left and left[0].candidate is not old.candidate:
+            return None  # it would take part of a law
+        if left:
+            kept.append(old)
+    return [*kept, own]
+
+
+def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates without those that are far behind the best one in the torque domain, see ``BEHIND``.
+
+    All where none of them explains anything there. Those that cannot be seen there stay. Guesses are joined by what
+    least squares give.
+
+    Args:
+        data: what was measured.
+        domain: the same in the torque domain.
+        fitted: the hypothesis that they are to be added to.
+        pool: the candidates.
+    """
+    fits = torque_screen(data, domain, fitted, pool).alone()
+    gains = sorted((fit.gain for fit in fits.values()), reverse=True)
+    prune = len(gains) > AT_LEAST and gains[0] / CORRELATED > _least_gain(data, pool)
+    least = min(BEHIND * gains[0], gains[AT_LEAST - 1]) if prune else -math.inf
+    kept = []
+    for candidate in pool:
+        if candidate not in fits:
+            kept.append(candidate)
+        elif fits[candidate].gain >= least:
+            kept.append(_with_guess(data.free.model, candidate, fits[candidate].values))
+    return kept
+
+
+def _with_guess(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Candidate:
+    """A candidate that can also begin at some values, if these are no worse than possible."""
+    nothing = candidate.fades_to() or candidate.grows_from()
+    if nothing and all(values[name] == v for name, v in nothing.items() if name in values):
+        return candidate
+    try:
+        model_of(model, (Part(candidate, values),))
+    except (ConfigError, ModelError):
+        return candidate
+    own = {p.name: float(values[p.name]) for p in candidate.parameters}
+    return replace(candidate, guesses=(*candidate.guesses, own))
