@@ -60,8 +60,8 @@ METHOD = (
     "The noise of each joint, white and coloured, is estimated from the residuals. A gain is the fall of −2 log "
     "likelihood under it.",
     "Every effect of the catalogue is screened at every place by the component of its response that is orthogonal to "
-    "the Jacobian of the parameters, unless inverse dynamics along the measured motion leave it far behind. The best are "
-    "fitted by simulation together with all parameters, in sets, forward, backward and exchanged.",
+    "the Jacobian of the parameters, unless inverse dynamics along the measured motion leave it far behind. The best "
+    "are fitted by simulation together with all parameters, in sets, forward, backward and exchanged.",
     "An effect is accepted only where its gain exceeds the threshold for the best of all candidates, where held-out "
     "trials confirm it, and where no unstructured residual force explains as much.",
     "The remaining residuals are searched for generalised forces that depend on angles, speeds, lengths, pressures or "
