@@ -106,6 +106,10 @@ class PayloadOffCentre(BodyEffect):
     summary = "mass that is not in the model, beside a link's centre"
     alike = False
     exclusive = "payload"
+    mjcf_sizes = (
+        Share("mass", 0.02, 0.5),
+        *(Share(axis, 0.02, 0.2, "either sign", "none") for axis in "xyz"),
+    )
     mass: float = parameter("kg", 0.0, 100.0, "of the payload")
     x: float = parameter("m", -2.0, 2.0, "from the link's centre of mass along its body's first axis")
     y: float = parameter("m", -2.0, 2.0, "along the second")
