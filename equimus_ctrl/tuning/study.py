@@ -211,11 +211,13 @@ class Study:
         return [*gains, ("derivative_time", self.search["derivative_time"])]
 
     def settings(self, values: Array, channels: tuple[str, ...]) -> PidSettings:
-        """PID settings of a candidate's vector (see ``ranges``)."""
-        gains = {
-            channel: PidGains(*(float(v) for v in values[3 * i : 3 * i + 3])) for i, channel in enumerate(channels)
-        }
-        return PidSettings(gains, self.space, derivative_time=float(values[-1]), inverse=self.inverse)
+        """PID settings of a candidate's vector (see ``ranges``), to six digits.
+
+        What is judged is what is written, and processors that round otherwise find the same.
+        """
+        rounded = [float(f"{v:.6g}") for v in values]
+        gains = {channel: PidGains(*rounded[3 * i : 3 * i + 3]) for i, channel in enumerate(channels)}
+        return PidSettings(gains, self.space, derivative_time=rounded[-1], inverse=self.inverse)
 
 
 def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study:
