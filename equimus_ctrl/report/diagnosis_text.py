@@ -126,14 +126,21 @@ def _fall(joint: str, before: float, after: float, unit: Reading) -> str:
 def evidence(diagnosis: Diagnosis, k: int) -> str:
     """The evidence for a finding."""
     e = diagnosis.findings[k].evidence
-    also = diagnosis.findings[k].also_at
-    together = f"with the same law at {listed(also)}, each with its own size, " if also else ""
+    law = diagnosis.findings[k].law
+    n = 1 if law is None else len(law.candidate.locations)
+    together = f"the law at {n} places, each with its own size: " if n > 1 else ""
     text = f"{together}−2 log likelihood falls by {number(e.gain)} (threshold {number(e.threshold)}), p-value "
     text += power_of_ten(e.log10_p_value)
     if math.isfinite(e.validation_gain):
         text += f"; on validation trials by {number(e.validation_gain)}"
     text += f"; explains {percent(e.share)} of the excess residual variance"
     return f"{text} ({percent(e.validation_share)} in validation)" if math.isfinite(e.validation_share) else text
+
+
+def first_of_law(diagnosis: Diagnosis, k: int) -> bool:
+    """Whether no finding before this one is a place of the same law, whose evidence is of all of them together."""
+    law = diagnosis.findings[k].law
+    return law is None or all(earlier.law is not law for earlier in diagnosis.findings[:k])
 
 
 def remains(diagnosis: Diagnosis) -> list[str]:
@@ -255,7 +262,8 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
         say("Missing physics", style="bold")
     for k, finding in enumerate(diagnosis.findings):
         say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
-        say(evidence(diagnosis, k), 5, "dim")
+        if first_of_law(diagnosis, k):
+            say(evidence(diagnosis, k), 5, "dim")
     listing("Unexplained residuals", remains(diagnosis))
     listing("Not distinguishable from these recordings", not_distinguishable(diagnosis))
     if diagnosis.experiment is not None:
