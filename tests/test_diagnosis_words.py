@@ -9,11 +9,12 @@ from diagnosed_leg import DRAG, finding_of, part_of, plausible
 from effect_cases import CASES, PLAUSIBLE
 
 from equimus_ctrl.diagnosis.coordinates import read
-from equimus_ctrl.diagnosis.results import Estimate
-from equimus_ctrl.effects import REGISTRY, Effect
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.results import Estimate, Evidence, Finding, Named
+from equimus_ctrl.effects import REGISTRY, CoulombFriction, Effect
 from equimus_ctrl.models.model import nominal_model
-from equimus_ctrl.report.diagnosis_text import sentence
-from equimus_ctrl.report.diagnosis_words import coordinates_text, estimate_text, number, power_of_ten
+from equimus_ctrl.report.diagnosis_text import laws, sentence
+from equimus_ctrl.report.diagnosis_words import coordinates_text, estimate_text, number, power_of_ten, short
 from equimus_ctrl.workflow import load_plugins
 
 # Numbers
@@ -102,3 +103,18 @@ def test_an_effect_of_ones_own_is_told_by_its_summary_and_numbers() -> None:
         "Drag that grows with the square of the speed, at knee: coefficient (torque at 1 rad/s) 0.0200 N·m·s²/rad² "
         "(0.0190 to 0.0210)."
     )
+
+
+def test_a_law_of_several_joints_is_named_once() -> None:
+    def found(law: Part | None, place: str) -> Finding:
+        part = Part(Candidate(CoulombFriction, (place,), ()), {"friction": 0.1})
+        return Finding(part, {}, Evidence(800.0, 25.0, -170.0, 200.0, 0.9, 0.9), (), law)
+
+    law = Part(Candidate(CoulombFriction, ("a", "b", "c"), (), each=True), {})
+    findings = [found(law, "a"), found(None, "d"), found(law, "c")]
+    assert laws(findings) == [
+        Named("coulomb_friction", ("a", "c"), each=True),
+        Named("coulomb_friction", ("d",)),
+    ]
+    assert short(laws(findings)[0]) == "coulomb friction at a and c, each with its own size"
+    assert findings[0].also_at == ("b", "c") and findings[1].also_at == ()

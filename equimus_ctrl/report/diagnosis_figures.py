@@ -288,7 +288,7 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
     text = "Refitted, the model leaves nothing but noise."
     if diagnosis.findings:
         first, *others = diagnosis.findings
-        also = f" Also: {listed([short(f.named) for f in others])}." if others else ""
+        also = f" Also: {listed([short(named) for named in diagnosis_text.laws(others)])}." if others else ""
         text = sentence(first, diagnosis.model) + also
     elif diagnosis.unexplained:
         text = f"Unexplained at {diagnosis.unexplained[0].location}: none of the known effects does this."

@@ -14,6 +14,8 @@ from equimus_ctrl.diagnosis.results import (
     Diagnosis,
     Estimate,
     Experiment,
+    Finding,
+    Named,
     ResidualAboveNoise,
     Unexplained,
 )
@@ -45,16 +47,28 @@ MOST_DETECTABLE = 24
 COUNTS = ("no", "one", "two", "three", "four", "five")
 
 
+def laws(findings: Sequence[Finding]) -> list[Named]:
+    """What was found, a law with its own size at several places as one."""
+    grouped = []
+    for finding in findings:
+        same = [other for other in findings if finding.law is not None and other.law is finding.law] or [finding]
+        if same[0] is finding:
+            places = tuple(place for other in same for place in other.named.locations)
+            grouped.append(finding.named if len(same) == 1 else Named(finding.named.effect, places, each=True))
+    return grouped
+
+
 def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in one sentence."""
-    n = len(diagnosis.findings)
+    named = laws(diagnosis.findings)
+    n = len(named)
     if diagnosis.verdict == "consistent":
         return "Consistent: refitted, the model explains the recordings down to the noise; no missing physics is seen."
     if diagnosis.verdict == "unexplained" and diagnosis.undetermined and not diagnosis.unexplained:
         return "Unexplained: physics is missing from the model; what fits is not identifiable from these recordings."
     if diagnosis.verdict == "unexplained":
         return "Unexplained: physics is missing from the model, and it is none of the known effects."
-    what = listed([short(f.named) for f in diagnosis.findings])
+    what = listed([short(each) for each in named])
     count = COUNTS[n] if n < len(COUNTS) else n
     effects = f"{count} {'effect' if n == 1 else 'effects'} missing from the model: {what}"
     if diagnosis.verdict == "unfinished":
