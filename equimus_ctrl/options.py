@@ -185,7 +185,7 @@ class DiagnoseOptions:
         until: of every trial only what comes before this time is fitted; the rest is held out [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of multiple-shooting intervals where nothing holds the robot in place [s]; see
-            ``diagnosis.holdout.longest_interval``.
+            ``diagnosis.intervals.longest_interval``.
         most: largest number of effects, 1 to 6.
         exclude: names of effects that are not tried.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.

@@ -16,11 +16,11 @@ from equimus_ctrl.identification.noise import JointNoise
 SIGMA = 0.01
 
 
-def segment(recording: int, start: float, count: int = 100) -> Any:
+def segment(recording: int, start: float, count: int = 100, kind: str = "abcd") -> Any:
     times = start + 0.01 * np.arange(count)
     trial = SimpleNamespace(sample_times=times)
     return SimpleNamespace(
-        recording=recording, recording_name=f"run_{recording}", trial=trial, measured=np.zeros((count, 1))
+        recording=recording, recording_name=f"{kind[recording]}_{recording}", trial=trial, measured=np.zeros((count, 1))
     )
 
 
@@ -47,9 +47,20 @@ SEARCH: Any = SimpleNamespace(data=SimpleNamespace(thresholds=Thresholds()))
 def test_halves_are_halves_of_recordings_whatever_the_intervals() -> None:
     segments = [segment(0, 0.0), segment(0, 1.0), segment(0, 2.0), segment(3, 0.0)]
     names, halves = Given(segments, {}).halves
-    assert names == [f"the {which} half of run_{k}" for k in (0, 3) for which in ("first", "second")]
+    assert names == [f"the {which} half of {k}" for k in ("a_0", "d_3") for which in ("first", "second")]
     counts = [sum(len(range(*rows.indices(100))) for _, rows in half) for half in halves]
     assert counts == [150, 150, 50, 50]
+
+
+def test_recordings_of_a_kind_are_judged_together() -> None:
+    """Names alike up to a digit; each is halved at its own middle."""
+    segments = [segment(k, 1.0 * k, count, "rrxx") for k, count in ((0, 100), (1, 50), (2, 80))]
+    names, halves = Given(segments, {}).halves
+    assert names == [f"the {which} half of {whose}" for whose in ("each r", "x_2") for which in ("first", "second")]
+    assert [[(k, *rows.indices(100)[:2]) for k, rows in half] for half in halves[:2]] == [
+        [(0, 0, 50), (1, 0, 25)],
+        [(0, 50, 100), (1, 25, 100)],
+    ]
 
 
 def test_a_part_that_extrapolates_wrongly_is_the_one_that_is_told() -> None:
@@ -68,9 +79,9 @@ def test_a_part_that_extrapolates_wrongly_is_the_one_that_is_told() -> None:
     found = _makes_worse(SEARCH, Given(segments, of), state)
     assert found is not None
     place, said = found
-    assert place == 1 and said.reason == "worse" and said.where == "the second half of run_0"
+    assert place == 1 and said.reason == "worse" and said.where == "the second half of a_0"
     assert said.ratio == pytest.approx((0.06**2 + SIGMA**2) / (0.03**2 + SIGMA**2), rel=0.1)
-    assert "the second half of run_0 has" in str(said) and "the refitted model" in str(said)
+    assert "the second half of a_0 has" in str(said) and "the refitted model" in str(said)
 
 
 def test_what_differs_by_chance_is_no_reason() -> None:

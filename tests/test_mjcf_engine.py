@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mjcf_models import DT, RIG, RK4, M, Ran, cart, run, swinging, trial_of
 
-from equimus_ctrl.diagnosis.holdout import longest_interval
+from equimus_ctrl.diagnosis.intervals import longest_interval
 from equimus_ctrl.effects import (
     ActuatorGain,
     AsymmetricDamping,

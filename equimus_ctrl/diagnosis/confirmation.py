@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -29,7 +30,7 @@ Reason = Literal["gain", "distance", "evident", "uninformative", "worse"]
 - distance: the same over χ² by which the two models differ on validation trials, all that they can show.
 - evident: they cannot show it, and the gain on the fitted trials is ``Thresholds.evident`` times the least one.
 - uninformative: they cannot show it, and that gain is not as large.
-- worse: with it half of a validation trial gets worse than without any effect, see ``Thresholds.worse``.
+- worse: with it half of a kind of validation trials gets worse than without any effect, see ``Thresholds.worse``.
 """
 
 
@@ -41,7 +42,7 @@ class Confirmation:
         reason: see ``Reason``.
         ratio: to be at least ``Thresholds.validation_share``; inf where the part is evident. Of "worse" χ² there, over
             that of the refitted model.
-        where: the trial that gets worse.
+        where: the trials that get worse.
     """
 
     reason: Reason
@@ -133,7 +134,7 @@ def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell
 
 
 def _makes_worse(search: Search, holdout: HoldoutResiduals, state: SearchState) -> tuple[int, Confirmation] | None:
-    """The part by which half of a validation trial gets worse than the refitted model leaves it, if one does.
+    """The part by which half of a kind of validation trials gets worse than the refitted model, if one does.
 
     On the whole a part may gain and still extrapolate wrongly: states that drift, say, of which the fitted trials saw
     the beginning alone.
@@ -228,6 +229,11 @@ def _confirms(search: Search, ratio: float) -> bool:
     return search.data.thresholds.decides(lambda t: ratio >= t.validation_share)
 
 
+def _kind(name: str) -> str:
+    """A recording's name up to its first digit."""
+    return re.split(r"\d", name, maxsplit=1)[0].rstrip("_- .")
+
+
 class HoldoutResiduals:
     """Residuals of models on held-out trials and on fitted ones, and what they gain there.
 
@@ -254,23 +260,28 @@ class HoldoutResiduals:
 
     @cached_property
     def halves(self) -> tuple[list[str], list[list[tuple[int, slice]]]]:
-        """Halves in time of each validation recording: their names, and which rows of which segments they are."""
-        by_recording: dict[int, list[int]] = {}
+        """Halves in time of each kind of validation recordings: their names, and which rows of which segments they are.
+
+        Recordings whose names are alike up to a digit are of one kind. A single recording differs from others by
+        chance, and by what no effect explains; a kind of recordings shows what an effect does in it.
+        """
+        kinds: dict[str, dict[int, list[int]]] = {}
         for k, segment in enumerate(self.split.validation):
-            by_recording.setdefault(segment.recording, []).append(k)
+            kinds.setdefault(_kind(segment.recording_name), {}).setdefault(segment.recording, []).append(k)
         names, halves = list[str](), list[list[tuple[int, slice]]]()
-        for members in by_recording.values():
-            times = np.concatenate([self._times[k] for k in members])
-            middle = float(times[0] + times[-1]) / 2
-            for half in (0, 1):
-                rows = []
-                for k in members:
-                    at = int(np.searchsorted(self._times[k], middle))
-                    rows.append((k, slice(at, None) if half else slice(0, at)))
-                name = self.split.validation[members[0]].recording_name
-                names.append(f"the {('first', 'second')[half]} half of {name}")
-                halves.append(rows)
+        for kind, recordings in kinds.items():
+            cuts = [cut for members in recordings.values() for cut in self._at_the_middle(members)]
+            only = self.split.validation[next(iter(recordings.values()))[0]].recording_name
+            for half, which in enumerate(("first", "second")):
+                whose = only if len(recordings) == 1 else f"each {kind or 'recording'}"
+                names.append(f"the {which} half of {whose}")
+                halves.append([(k, slice(at, None) if half else slice(0, at)) for k, at in cuts])
         return names, halves
+
+    def _at_the_middle(self, members: Sequence[int]) -> list[tuple[int, int]]:
+        """Segments of one recording, and the row of each at which the second half of the recording begins."""
+        middle = float(self._times[members[0]][0] + self._times[members[-1]][-1]) / 2
+        return [(k, int(np.searchsorted(self._times[k], middle))) for k in members]
 
     def squares(self, model: Model) -> list[float]:
         """For each of ``halves`` χ² of a model's residuals."""

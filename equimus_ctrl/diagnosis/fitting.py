@@ -224,7 +224,8 @@ class Data:
     def aliased(self, fitted: Fitted, k: int, names: Collection[str] | None = None) -> bool:
         """Whether no direction of a part's parameters is seen beside all others: then it stands for these.
 
-        Such as a gain for masses that are all free: it gains where bounds hold these back, and says nothing.
+        Such as a gain for masses that are all free: it gains where bounds hold these back, and says nothing. Of a
+        discontinuous parameter derivatives say nothing.
 
         Args:
             fitted: the hypothesis.
@@ -232,7 +233,10 @@ class Data:
             names: of those of its parameters that count, as free ones; all by default.
         """
         first = len(self.free.free) + sum(p.candidate.n_parameters for p in fitted.hypothesis[:k])
-        own = fitted.fit.parameters.free[first : first + fitted.hypothesis[k].candidate.n_parameters]
+        last = first + fitted.hypothesis[k].candidate.n_parameters
+        if any(first <= place < last for place in self.discontinuous(fitted.hypothesis)):
+            return False
+        own = fitted.fit.parameters.free[first:last]
         counted = {free.name for free in own} if names is None else set(names)
         blind = (t for t in fitted.fit.uncertainty.trade_offs if t.correlation is None)
         return sum(bool(counted & t.weights.keys()) for t in blind) >= len(counted)

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.place_excitation import excitation_of
+from equimus_ctrl.diagnosis.intervals import longest_interval, motion_length
 from equimus_ctrl.engines.predict import check_columns
-from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
+from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.parameters import FreeParameters, place_unit
-from equimus_ctrl.identification.residuals import DIVERGED, residuals_of
 from equimus_ctrl.identification.segments import Segment, cut
-from equimus_ctrl.identification.simulators import Simulator, simulator_for
+from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.types import Recording
 
 EVERY = 4
 """One trial in so many is held out."""
@@ -25,18 +24,9 @@ LAST = 0.25
 """Share of a single trial that is held out, its end."""
 LEAST_DURATION, LEAST_SAMPLES = 1.0, 60
 """Of a trial to be of use [s] and in samples."""
-LENGTHS = (8.0, 4.0, 2.0, 1.0, 0.5)
-"""Lengths of shooting intervals that are tried [s]."""
-CLOSE_TO_MEASURED, MOSTLY = 0.5, 0.8
-"""A model's error, in units of the usual trial's standard deviation, is to stay below the first in the second's share
-of the intervals. Where it does not, fits end in one of many local minima."""
-LOOKED_AT = 30
-"""So many intervals of a length decide."""
 MOST_TIME, ENOUGH = 400.0, 8.0
 """Fitted are so many seconds times joints; of longer recordings intervals of the second length are chosen evenly [s].
 More takes longer in proportion, and intervals of estimates shrink by the root of it alone."""
-ONCE = 1.5
-"""Length of short intervals in times that a joint takes to cross its range: errors stay linear in changes there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +172,7 @@ def split(
         until: of every trial only what comes before this time is fitted, and the rest is for validation too [s].
         window: (from, to) of each trial that counts at all [s].
         shoot: length of multiple-shooting intervals [s]; by default whole trials, or where nothing holds the
-            robot in place see ``longest_interval``.
+            robot in place see ``intervals.longest_interval``.
         simulator: makes the one that follows it there, once the recordings are checked.
 
     Raises:
@@ -280,7 +270,7 @@ def _parted(
     if model.robot.traits.held_in_place:
         return Split(tuple(train), tuple(validation), tuple(test), (), len(train))
     chosen = _evenly(train, len(recordings[0].joints))
-    if (short := _motion_length(model, chosen)) < (shoot or math.inf):
+    if (short := motion_length(model, chosen)) < (shoot or math.inf):
         spans = [(s.recording, (float(s.trial.sample_times[0]), float(s.trial.sample_times[-1]))) for s in chosen]
         short_segments = [s for k, span in spans for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
     return Split(tuple(chosen), tuple(validation), tuple(test), tuple(short_segments), len(train))
@@ -310,67 +300,3 @@ def _cut(
     model: Model, r: Recording, k: int, window: tuple[float, float], shoot: float | None, fit_start: bool = False
 ) -> list[Segment]:
     return [replace(s, recording=k) for s in cut(model, [r], window=window, shoot=shoot, fit_start=fit_start)]
-
-
-def _motion_length(model: Model, segments: Sequence[Segment]) -> float:
-    """The longest intervals in which the fastest joint crosses its range hardly more than once [s]."""
-    excitation = excitation_of(model, segments)
-    time = min(excitation[joint].span / excitation[joint].speed for joint in model.robot.joint_names)
-    return next((length for length in LENGTHS if length <= ONCE * time), LENGTHS[-1])
-
-
-def longest_interval(
-    model: Model,
-    recordings: Sequence[Recording],
-    window: tuple[float, float] | None = None,
-    simulator: Simulator | None = None,
-    whole: bool = True,
-) -> float | None:
-    """The longest shooting intervals over which the nominal model's predictions stay close to the measurements [s].
-
-    None for whole trials, which are the most informative. Where nothing holds a joint in place, errors grow along a
-    trial and intervals are short.
-
-    Args:
-        model: that is judged.
-        recordings: what was measured.
-        window: (from, to) of each trial that counts at all [s].
-        simulator: that follows it.
-        whole: whether whole trials are tried too.
-
-    Raises:
-        SimulationDiverged: where the model diverges in all intervals, however short.
-    """
-    follow, sound = simulator or simulator_for(model, [r.position for r in recordings]), False
-    spread = np.median([r.position.std(axis=0) for r in recordings], axis=0)
-    for length in (None, *LENGTHS) if whole else LENGTHS:
-        if length is not None and all(length > r.time[-1] - r.time[0] for r in recordings):
-            continue
-        for errors in _errors_over(model, recordings, window, length, follow):
-            sound = sound or bool(np.any(errors < DIVERGED / 2))
-            if np.mean(np.all(errors < CLOSE_TO_MEASURED * spread, axis=1)) >= MOSTLY:
-                return length
-    if not sound:
-        raise SimulationDiverged(
-            f"{model.name}: the model diverges on the recorded commands, even over intervals of {LENGTHS[-1]:g} s; "
-            "check the signs and units of the commands, masses, inertias and the physics step"
-        )
-    return LENGTHS[-1]
-
-
-def _errors_over(
-    model: Model,
-    recordings: Sequence[Recording],
-    window: tuple[float, float] | None,
-    length: float | None,
-    simulator: Simulator,
-) -> Iterator[Array]:
-    """(n, nj) RMSE of predictions over some intervals [rad or m], from measured starts, then from better ones.
-
-    Where measured starts are good enough, better ones need not be looked for.
-    """
-    segments = [s for r in recordings for s in cut(model, [r], window=window, shoot=length)]
-    chosen = np.unique(np.linspace(0, len(segments) - 1, min(len(segments), LOOKED_AT)).round().astype(int))
-    for improved in (0, 1):
-        residuals = residuals_of(model, [segments[k] for k in chosen], simulator, improved)
-        yield np.array([np.sqrt((r**2).mean(axis=0)) for r in residuals])

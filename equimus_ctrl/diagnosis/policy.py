@@ -258,7 +258,8 @@ class Thresholds:
     worse: float = _decides(
         0.1,
         "of χ²",
-        "an effect is rejected where half of a held-out trial gets worse by more than the refitted model's share of it",
+        "an effect is rejected where the first or second half of a kind of held-out trials gets worse by more than "
+        "this share of what the refitted model leaves",
         "convention",
         "5 % of the error: residuals of real robots differ by so much without any reason to prefer one model",
     )

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from equimus_ctrl.engines.mjcf_inverse import applies, inverse_dynamics, motions_of
+from equimus_ctrl.engines.mjcf_inverse import MeasuredMotion, applies, inverse_dynamics, motions_of
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
@@ -132,6 +132,24 @@ def _check_forces(model: Model, robot: MjcfRobot, recordings: Sequence[Recording
 
 def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array]:
     """(m, nj) what the motion needs of the drives, and what they exert, at the width that makes them most alike."""
+    best, found = -math.inf, (np.empty((0, 0)), np.empty((0, 0)))
+    motions = measured_motions(model, recordings)
+    for width in WIDTHS:
+        long = [m for m in motions if len(m.time) > 8 * width]
+        if not long:
+            break
+        at = inverse_dynamics(model, long, width)
+        needed = np.concatenate([one.weighted(one.missing + one.drives) for one in at])
+        exerted = np.concatenate([one.weighted(one.drives) for one in at])
+        sizes = np.maximum(np.sqrt((needed**2).mean(axis=0) * (exerted**2).mean(axis=0)), 1e-300)
+        alike = float(np.median(np.abs((needed * exerted).mean(axis=0) / sizes)))
+        if alike > best:
+            best, found = alike, (needed, exerted)
+    return found
+
+
+def measured_motions(model: Model, recordings: Sequence[Recording]) -> list[MeasuredMotion]:
+    """What was measured, for inverse dynamics of whole recordings."""
     trials = [
         Trial(
             r.name, np.array(r.time), np.array(r.command), np.array(r.command_before), float(r.time[0]),
@@ -141,16 +159,4 @@ def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array
     ]  # fmt: skip
     measured = [np.array(r.position) for r in recordings]
     noise = np.array([own.sigma for own in noise_of_differences(measured)])
-    best, found = -math.inf, (np.empty((0, 0)), np.empty((0, 0)))
-    for width in WIDTHS:
-        motions = [m for m in motions_of(trials, measured, noise) if len(m.time) > 8 * width]
-        if not motions:
-            break
-        at = inverse_dynamics(model, motions, width)
-        needed = np.concatenate([one.weighted(one.missing + one.drives) for one in at])
-        exerted = np.concatenate([one.weighted(one.drives) for one in at])
-        sizes = np.maximum(np.sqrt((needed**2).mean(axis=0) * (exerted**2).mean(axis=0)), 1e-300)
-        alike = float(np.median(np.abs((needed * exerted).mean(axis=0) / sizes)))
-        if alike > best:
-            best, found = alike, (needed, exerted)
-    return found
+    return motions_of(trials, measured, noise)

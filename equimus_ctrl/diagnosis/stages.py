@@ -127,7 +127,7 @@ def refit(inputs: DiagnosisInputs) -> State:
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in inputs.settings.exclude}
     pool = candidates(model, split.train, looked_for)
     search = Search(data, pool, data.policy.applied(inputs.settings.search), _round_notify(inputs.progress))
-    state = State(inputs, search, SearchState(base, base), short, _nominal(data, split))
+    state = State(inputs, search, SearchState(base, base), short, _nominal(data, split), notes=inputs.settings.notes)
     excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
     return state.decided("refit", f"{len(data.free.free)} parameters refitted", f"excess variance: {said}")

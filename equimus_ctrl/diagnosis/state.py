@@ -36,6 +36,7 @@ class DiagnosisSettings:
         exclude: names of effects that are not looked for.
         budget: how long it may take [s]; its best so far is given then. As long as it needs by default.
         thresholds: that decide.
+        notes: what a person ought to know of recordings and model beforehand.
     """
 
     search: SearchSettings = field(default_factory=SearchSettings)
@@ -44,6 +45,7 @@ class DiagnosisSettings:
     exclude: tuple[str, ...] = ()
     budget: float | None = None
     thresholds: Thresholds = field(default_factory=Thresholds)
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

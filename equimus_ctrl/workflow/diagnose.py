@@ -15,6 +15,7 @@ from equimus_ctrl.diagnosis.holdout import check_settings, split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.policy import SearchSettings
 from equimus_ctrl.diagnosis.results import Diagnosis
+from equimus_ctrl.diagnosis.servo_gains import servo_gains, told, with_servo_gains
 from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
@@ -60,8 +61,10 @@ def diagnose_recordings(
         check_columns(model, trial)
     preflight.check(model, trials)
     chosen = default_free_parameters(model, options.free, options.bounds, options.fix)
+    gains = servo_gains(model, trials) if options.free is None else ()
+    chosen = with_servo_gains(chosen, gains, options.bounds, options.fix)
     parts = split(
-        model,
+        chosen.model_at(chosen.start) if gains else model,
         trials,
         simulator=lambda: simulator_of(options.engine, None, options.threads, model, trials),
         validation=options.validation,
@@ -72,7 +75,10 @@ def diagnose_recordings(
     )
     check_settings(chosen, parts)
     search = SearchSettings(most_parts=options.most)
-    settings = DiagnosisSettings(search, options.threads, options.engine, tuple(options.exclude), options.budget)
+    notes = (told(gains),) if gains else ()
+    settings = DiagnosisSettings(
+        search, options.threads, options.engine, tuple(options.exclude), options.budget, notes=notes
+    )
     return diagnose(chosen, parts, settings=settings, designs=lambda: sweeps(model), progress=progress, asked=asked)
 
 

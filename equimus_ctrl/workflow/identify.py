@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.holdout import longest_interval
+from equimus_ctrl.diagnosis.intervals import longest_interval
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.predict import check_columns

@@ -1,0 +1,178 @@
+"""Whether position servos are as stiff as a model says, from how far joints stay behind their goals.
+
+A servo of stiffness k holds a force f where its joint is f/k away from the goal, so along a measured motion
+
+    goal − q = f/k + a·q̇ + b·sign q̇ + c·q̈ + d
+
+f being what bodies and gravity need by the model (``engines.mjcf_inverse``); friction, the servo's own damping, latency
+and rotor inertia are in a, b and c. Least squares give 1/k. Noise of the positions is in goal − q alone, where it does
+not bias it. A model whose servos are ten times too stiff predicts next to nothing of what was measured, and everything
+else that is missing would be looked for on top of that.
+
+Where drives are no standard of force, the bodies are: masses and inertias are taken to be known then. A joint that
+neither gravity nor other joints load tells the ratio of stiffness, friction and rotor inertia alone, so its rotor
+inertia is taken to be known too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
+from equimus_ctrl.diagnosis.preflight import UNIT, measured_motions
+from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion, applies, inverse_dynamics
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
+from equimus_ctrl.types import Array, Recording
+
+WIDTHS = (4, 8, 16)
+"""Widths of test functions in samples."""
+SHOWN = 0.05
+"""Share of how far a joint stays behind, beside what goes with its own motion, from which on its load is shown."""
+LEAST_ROWS = 30
+"""Fewer independent samples show nothing."""
+WITHIN = 10.0
+"""A stiffness that is estimated from here is taken to be right within this factor."""
+LOADED = 0.05
+"""Share of its load that does not go with its own motion, from which on a joint is loaded by others or gravity."""
+NO_LIMIT = 1e6
+"""Of a force, to see what a servo would do without its own."""
+NO_ROTOR = 1e-9
+"""Rotor inertia of none: MuJoCo's parameters of it stay above 0."""
+
+
+@dataclass(frozen=True)
+class ServoGain:
+    """The stiffness of a servo.
+
+    Attributes:
+        name: of the model's parameter.
+        joint: that it drives.
+        model: its value by the model [N·m/rad or N/m].
+        measured: by the recordings; that of servos alike where its own joint does not show it.
+        loaded: whether its own joint shows it.
+    """
+
+    name: str
+    joint: str
+    model: float
+    measured: float
+    loaded: bool
+
+
+def servo_gains(model: Model, recordings: Sequence[Recording]) -> tuple[ServoGain, ...]:
+    """Stiffnesses of a robot's position servos, where they are far from what the model says; none where they are not.
+
+    Far is a factor of ``preflight.UNIT``.
+
+    Args:
+        model: of any robot.
+        recordings: with the robot's joints and actuators, in its order.
+    """
+    if not applies(model.robot):
+        return ()
+    robot, values = mjcf_of(model.robot), model.robot.parameters()
+    servos = {f"{d.actuator}.kp": d.joint for d in robot.actuators if d.servo and f"{d.actuator}.kp" in values}
+    if not servos or len(servos) < len(robot.actuators):
+        return ()
+    own = _stiffnesses(_bodies_alone(model), measured_motions(model, recordings), values, servos)
+    shares = [stiffness / values[name] for name, stiffness in own.items()]
+    if not any(not 1 / UNIT < share < UNIT for share in shares):
+        return ()
+    usual = float(np.median(shares))
+    return tuple(
+        ServoGain(name, joint, values[name], own.get(name, usual * values[name]), name in own)
+        for name, joint in servos.items()
+    )
+
+
+def _bodies_alone(model: Model) -> Model:
+    """The model without friction and rotor inertias, and its servos without limits."""
+    without = {".force_limit": NO_LIMIT, ".damping": 0.0, ".frictionloss": 0.0, ".armature": NO_ROTOR}
+    kinds = {name: without.get(name[name.rfind(".") :]) for name, value in model.robot.parameters().items() if value}
+    return model.with_parameters({name: value for name, value in kinds.items() if value is not None})
+
+
+def _stiffnesses(
+    model: Model, motions: Sequence[MeasuredMotion], known: Mapping[str, float], servos: Mapping[str, str]
+) -> dict[str, float]:
+    """The stiffness of each servo that shows it, at the width of test functions at which it shows it best."""
+    found: dict[str, tuple[float, float]] = {}
+    names = model.robot.joint_names
+    for width in WIDTHS:
+        long = [m for m in motions if len(m.time) > 8 * width]
+        if not long:
+            break
+        at = inverse_dynamics(model, long, width)
+        for name, joint in servos.items():
+            slope, share = _compliance(long, at, names.index(joint), width, known[name])
+            if slope > 0 and share > max(SHOWN, found.get(name, (0.0, 0.0))[1]):
+                found[name] = slope, share
+    return {name: 1 / slope for name, (slope, _) in found.items()}
+
+
+def _compliance(
+    motions: Sequence[MeasuredMotion], at: Sequence[InverseDynamics], j: int, width: int, k: float
+) -> tuple[float, float]:
+    """1/k of a joint's servo, and the share that it has of how far the joint stays behind beside all else."""
+    behind, needed, others, counts = list[Array](), list[Array](), list[Array](), list[NDArray[np.bool_]]()
+    for motion, one in zip(motions, at, strict=True):
+        rate = one.rate[:, j]
+        step = motion.interval * max(width // 2, 1)
+        needed.append(one.weighted(one.missing[:, j] + one.drives[:, j]))
+        behind.append(one.weighted(one.drives[:, j] / k))
+        parts = (rate, np.sign(rate), np.gradient(rate, step), np.ones_like(rate))
+        others.append(one.weighted(np.column_stack(parts)))
+        counts.append(one.counts[:, j])
+    moving = np.concatenate(counts)
+    if np.count_nonzero(moving) < LEAST_ROWS:
+        return 0.0, 0.0
+    beside = np.concatenate(others)[moving]
+    whole = np.column_stack([np.concatenate(needed), np.concatenate(behind)])[moving]
+    load, rest = (whole - beside @ np.linalg.lstsq(beside, whole, rcond=1e-9)[0]).T
+    if float(load @ load) < LOADED * float(np.sum((whole[:, 0] - whole[:, 0].mean()) ** 2)):
+        return 0.0, 0.0
+    across = float(load @ rest)
+    return across / float(load @ load), across**2 / max(float(load @ load) * float(rest @ rest), 1e-300)
+
+
+def with_servo_gains(
+    free: FreeParameters,
+    gains: Sequence[ServoGain],
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    fix: Sequence[str] = (),
+) -> FreeParameters:
+    """What is free where servos are far from what the model says: their stiffnesses too, and no masses and inertias.
+
+    Args:
+        free: where they are not; by default, see ``default_free_parameters``.
+        gains: what was measured.
+        bounds: (low, high) of some parameters.
+        fix: names or patterns of what stays as it is all the same.
+    """
+    if not gains:
+        return free
+    model, robot, values = free.model, mjcf_of(free.model.robot), free.model.parameters()
+    bodies = {n.name for n in robot.plan.parameters.values() if n.kind in ("mass", "inertia", "armature")}
+    rotors = {f"{g.joint}.armature" for g in gains if g.loaded and values[f"{g.joint}.armature"] > 0}
+    stiff = {g.name: g.measured for g in gains}
+    names = [name for name in values if name in (set(free.names) - bodies) | rotors | stiff.keys()]
+    within = {name: (k / WITHIN, k * WITHIN) for name, k in stiff.items()}
+    chosen = default_free_parameters(
+        model.with_parameters(stiff), names, {**within, **{n: b for n, b in (bounds or {}).items() if n in names}}, fix
+    )
+    return FreeParameters(model, chosen.free)
+
+
+def told(gains: Sequence[ServoGain]) -> str:
+    """A sentence for the report."""
+    servos = ", ".join(f"{g.name} {g.model:.4g} → {g.measured:.3g}" for g in gains)
+    return (
+        f"The servos are not as stiff as the model says, by how far joints stay behind their goals ({servos}): their "
+        "stiffnesses were estimated, and masses and inertias taken to be known."
+    )

@@ -1,0 +1,67 @@
+"""Servos that are softer than a model says are seen before a search, and what they hold forgets where it began."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pendulum_runs import MOTOR, PENDULUM, SERVO, recorded
+
+from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
+from equimus_ctrl.diagnosis.intervals import forgets
+from equimus_ctrl.diagnosis.servo_gains import servo_gains, told, with_servo_gains
+from equimus_ctrl.identification.simulators import simulator_for
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+
+TRUE = 12.0
+
+
+def model(drive: str = SERVO, kp: float = TRUE) -> Model:
+    return Model(MjcfRobot("arm", PENDULUM.format(drive=drive).replace('kp="12"', f'kp="{kp:g}"')))
+
+
+@pytest.mark.parametrize("said", [0.02, 1.0, 3.0, 80.0])
+def test_a_stiffness_far_from_the_models_is_measured(said: float) -> None:
+    """The goals lead the pendulum by what its weight needs over the servo's stiffness."""
+    gains = servo_gains(model(kp=said * TRUE), recorded(model()))
+    if 0.2 < said < 5:
+        assert gains == ()
+        return
+    (gain,) = gains
+    assert gain.name == "drive.kp" and gain.joint == "hinge" and gain.loaded
+    assert gain.model == pytest.approx(said * TRUE) and gain.measured == pytest.approx(TRUE, rel=0.15)
+    assert f"drive.kp {said * TRUE:.4g} → {gain.measured:.3g}" in told(gains)
+
+
+def test_then_bodies_are_the_standard_of_force() -> None:
+    stiff = model(kp=100 * TRUE)
+    gains = servo_gains(stiff, recorded(model()))
+    before, after = default_free_parameters(stiff), with_servo_gains(default_free_parameters(stiff), gains)
+    assert {"arm.mass", "arm.inertia"} == set(before.names) and {"drive.kp", "hinge.armature"} == set(after.names)
+    place = after.names.index("drive.kp")
+    assert after.low[place] < TRUE < after.high[place] and after.start[place] == gains[0].measured
+    assert with_servo_gains(before, ()) is before
+
+
+def test_a_joint_without_load_tells_no_stiffness() -> None:
+    """About an upright axis nothing but the servo and the body's own inertia act."""
+    upright = PENDULUM.format(drive=SERVO).replace('axis="0 -1 0"', 'axis="0 0 1"')
+    real = Model(MjcfRobot("arm", upright))
+    stiff = Model(MjcfRobot("arm", upright.replace('kp="12"', 'kp="1200"')))
+    assert servo_gains(stiff, recorded(real)) == ()
+
+
+def test_a_servo_forgets_where_it_began_and_a_pendulum_does_not() -> None:
+    for drive, expected in ((SERVO.replace("0.4", "2.4"), True), (MOTOR, False)):
+        own = model(drive)
+        trials = recorded(own, count=2)
+        follow = simulator_for(own, [r.position for r in trials])
+        assert forgets(own, trials, None, follow) is expected
+
+
+def test_the_loop_decides_what_is_forgotten() -> None:
+    """A servo without damping rings as long as a pendulum swings."""
+    ringing = Model(MjcfRobot("arm", PENDULUM.format(drive=SERVO).replace('kv="0.4"', 'kv="0.004"')))
+    trials = recorded(ringing, count=2)
+    assert not forgets(ringing, trials, None, simulator_for(ringing, [r.position for r in trials]))
+    assert np.isfinite(trials[0].position).all()
