@@ -31,18 +31,35 @@ from equimus_ctrl.types import Array
 
 ROUNDS = 4
 """How often noise and parameters are estimated in turn, at most."""
-GRID_SCANS = 3
-"""How often a full fit scans a discontinuous parameter θ and goes on from the best value, at most; a quick one once."""
-QUICK_GRID, FULL_GRID = 15, 47
-"""Numbers of values in one grid scan."""
-GRID_WIDTH = 0.4
-"""Half width of the first grid in ln θ."""
-GRID_LEVELS, GRID_NARROWER = 4, 5.0
-"""Grids in one scan, and the factor by which each is narrower than the one before."""
+GRID_NARROWER = 5.0
+"""The factor by which each grid of a scan is narrower than the one before."""
 PROFILE_STEPS = 1e-5 * 3.0 ** np.arange(11)
 """Changes of ln θ at which the profile likelihood of a discontinuous parameter is evaluated, to either side."""
 PROFILE_FALL = 3.84
 """Fall of 2 log L at the ends of a 95 % interval: the 95 % quantile of χ²(1)."""
+
+
+@dataclass(frozen=True)
+class GridScan:
+    """How a discontinuous parameter θ is scanned.
+
+    Attributes:
+        times: how often, going on from the best value, at most.
+        count: of values in a grid.
+        width: half width of the first grid in ln θ.
+        levels: grids, each ``GRID_NARROWER`` times narrower than the one before.
+    """
+
+    times: int
+    count: int
+    width: float = 0.4
+    levels: int = 4
+
+
+FULL_SCAN, QUICK_SCAN = GridScan(3, 47), GridScan(1, 15)
+"""Of a full fit and of a quick one."""
+AGAIN = GridScan(1, 15, 0.4 / GRID_NARROWER, 3)
+"""Of a full fit that goes on from one, under a noise that is little else."""
 COARSE_TOLERANCE = 10
 """Factor on the tolerance of a quick fit whose derivatives are those of the coarse engine."""
 NO_STEP = FitSettings(1e-5, 0)
@@ -161,10 +178,11 @@ class Data:
             fitted: where it begins.
             noise: of the first iteration; by default estimated from the residuals of ``fitted``.
         """
-        best = fitted
+        best, scan = fitted, FULL_SCAN
         for _ in range(ROUNDS):
             steps = FitSettings(1e-5, 12)
-            refitted = self._fit(best.hypothesis, [best.begin], noise or best.noise, steps, earlier=best.fit)
+            refitted = self._fit(best.hypothesis, [best.begin], noise or best.noise, steps, scan, earlier=best.fit)
+            scan = AGAIN
             after = self._with_noise(best.hypothesis, refitted)
             gain, noise = best.deviance - after.deviance, None
             if gain > 0:
@@ -187,10 +205,12 @@ class Data:
         begin: Sequence[Begin],
         noise: Noise,
         settings: FitSettings,
+        scan: GridScan | None = None,
         quick: bool = False,
         earlier: Fit | None = None,
     ) -> Fit:
         """Least squares from the best of some beginnings, with grid scans of discontinuous parameters."""
+        scan = scan or (QUICK_SCAN if quick else FULL_SCAN)
         self.budget.check()
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
@@ -200,8 +220,8 @@ class Data:
             coarse=coarse, earlier=earlier, notify=self._after_step,
         )  # fmt: skip
         discontinuous = self.discontinuous(hypothesis)
-        for _ in range((1 if quick else GRID_SCANS) if discontinuous else 0):
-            theta = self._grid_scan(discontinuous, best, noise, QUICK_GRID if quick else FULL_GRID)
+        for _ in range(scan.times if discontinuous else 0):
+            theta = self._grid_scan(discontinuous, best, noise, scan)
             if np.array_equal(theta, best.theta):
                 break
             after = fit(
@@ -274,20 +294,20 @@ class Data:
             ends.append(float(beyond[0]) if len(beyond) else math.inf * side)
         return ends[0], ends[1]
 
-    def _grid_scan(self, discontinuous: Sequence[int], start: Fit, noise: Noise, count: int) -> Array:
+    def _grid_scan(self, discontinuous: Sequence[int], start: Fit, noise: Noise, scan: GridScan) -> Array:
         """(p,) θ with each discontinuous parameter, one after the other, at the best of values θᵢ·exp(±w), w shrinking.
 
         Args:
             discontinuous: indices in θ.
             start: the fit whose other parameters are refitted to first order.
             noise: of the residuals.
-            count: of values in a grid.
+            scan: of how many values and grids.
         """
         theta = start.theta.copy()
         for place in discontinuous:
-            width = GRID_WIDTH
-            for _ in range(GRID_LEVELS):
-                values = theta[place] * np.exp(np.append(0.0, np.linspace(-width, width, count)))
+            width = scan.width
+            for _ in range(scan.levels):
+                values = theta[place] * np.exp(np.append(0.0, np.linspace(-width, width, scan.count)))
                 theta[place] = values[int(np.argmin(self._profile(start, noise, place, values)))]
                 width /= GRID_NARROWER
         return np.clip(theta, start.parameters.low, start.parameters.high)
