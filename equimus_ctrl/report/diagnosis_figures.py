@@ -49,6 +49,7 @@ SUMMARY_CHARACTERS, CURVE_CHARACTERS, PLACE_CHARACTERS = 88, 30, 20
 """Of the summary's title in a line, of its curve's, and of the name of a place."""
 LONG_NAME = 34
 BINS, LEAST_IN_BIN = 12, 5
+SINCE = "time since a step [s]"
 STEP_SHARE = 0.02
 """Share of the largest command that a change must have to count as a step."""
 
@@ -180,19 +181,18 @@ def _draw_trial(block: SubFigure, diagnosis: Diagnosis, k: int) -> None:
     joints, rows, segment = diagnosis.joints, _rows(diagnosis), _part(diagnosis)[1][k]
     columns = min(len(joints), JOINTS_A_ROW)
     heights = [2.1, 1.5] * rows + [0.7]
+    titles = [f"{joint}: RMSE {_errors(diagnosis, k, j)}" for j, joint in enumerate(joints)]
+    if max(map(len, titles)) > OF_TRIAL * JOINTS_A_ROW / columns:
+        titles = [title.replace(": ", "\n", 1) for title in titles]
+    titles[0] = f"{_trial_name(diagnosis, k)}\n{titles[0]}"
     grid = block.subplots(2 * rows + 1, columns, squeeze=False, sharex=True, height_ratios=heights)
     for j, joint in enumerate(joints):
         row, column = divmod(j, columns)
         top, bottom = grid[2 * row, column], grid[2 * row + 1, column]
         _draw_angles(top, diagnosis, k, j, diagnosis_text.states(diagnosis))
         _draw_residuals(bottom, diagnosis, k, j)
-        title = f"{joint}: RMSE {_errors(diagnosis, k, j)}"
-        if len(title) > OF_TRIAL * JOINTS_A_ROW / columns:
-            title = title.replace(": ", "\n", 1)
-        if j == 0:
-            title = f"{_trial_name(diagnosis, k)}\n{title}"
         label = column == 0
-        style.dress(top, title=title, y=_position_label(diagnosis, joint) if label else "")
+        style.dress(top, title=titles[j], y=_position_label(diagnosis, joint) if label else "")
         style.dress(bottom, y=f"error {units.error(diagnosis.model, joint).bracket}" if label else "")
     for axes in grid.flat[len(joints) // columns * 2 * columns :]:
         if not axes.has_data():
@@ -234,7 +234,10 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
         of_joint = {state: r[:, j] * unit.factor for state, r in residuals.items()}
         for c, (label, values) in enumerate(columns[joint]):
             top, bottom = grid[2 * j, c], grid[2 * j + 1, c]
-            _draw_binned(top, bottom, values, of_joint, even=c > 0)
+            in_time = label == SINCE
+            _draw_binned(top, bottom, values, of_joint, even=not in_time)
+            for axes in (top, bottom) if in_time else ():
+                _log_time(axes)
             top.axhline(sigma * unit.factor, color=style.INK, linewidth=1.0, linestyle=":")
             title = f"{joint}: size of the error" if c == 0 else ""
             style.dress(top, title=title, y=f"RMS {unit.bracket}" if c == 0 else "")
@@ -246,8 +249,6 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
             bottom.xaxis.label.set_size(style.SMALL_SIZE)
         for axes in grid[2 * j : 2 * j + 2, len(columns[joint]) :].flat:
             axes.set_axis_off()
-        for axes in grid[2 * j : 2 * j + 2, 0]:
-            _log_time(axes)
         grid[2 * j, 0].set_ylim(bottom=0)
     figure.align_ylabels()
     handles: list[Artist] = [Line2D([], [], color=COLOURS[s], marker="o", label=WORDS[s]) for s in states]
@@ -268,11 +269,12 @@ def _columns(model: Model, segments: Sequence[Segment]) -> dict[str, list[tuple[
         name: (f"command of {name} {unit.bracket}".rstrip(), given[:, a] * unit.factor)
         for a, (name, unit) in enumerate(shown.items())
     }
+    stepped = [(SINCE, since)] if np.median(since) > 0 else []  # else commands change all the time
     columns = {}
     for j, joint in enumerate(model.robot.joint_names):
         place, fast = units.position(model, joint), units.speed(model, joint)
         columns[joint] = [
-            ("time since a step [s]", since),
+            *stepped,
             (f"{units.noun(model, joint)} of {joint} {place.bracket}", positions[:, j] * place.factor),
             (f"speed of {joint} {fast.bracket}", rates[:, j] * fast.factor),
             *(

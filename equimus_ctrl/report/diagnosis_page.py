@@ -24,6 +24,7 @@ from equimus_ctrl.report.diagnosis_words import (
     number,
     percent,
     power_of_ten,
+    quantity,
     reading,
     short,
 )
@@ -309,7 +310,7 @@ def _method(diagnosis: Diagnosis) -> str:
     """How it was done; the refit by whole trials or by multiple shooting, as the trials were cut."""
     length = diagnosis.interval
     how = (
-        f"multiple shooting over intervals of {number(length)} s, each from an initial state of its own"
+        f"multiple shooting over intervals of {quantity(length, 's', 2)}, each from an initial state of its own"
         if length is not None
         else "simulating each trial fitted as a whole"
     )

@@ -95,7 +95,8 @@ def candidate_of(law: Law) -> Named:
     whole = law.findings[0].law
     if whole is None:
         return law.named
-    return Named(whole.candidate.effect.name, whole.candidate.locations, whole.candidate.each)
+    places = whole.candidate.locations
+    return Named(whole.candidate.effect.name, places, each=len(places) > 1)
 
 
 def law_sentence(law: Law, model: Model) -> str:
@@ -178,9 +179,10 @@ def held_out(diagnosis: Diagnosis) -> str:
         begins = "an initial state of its own" if free else "what was measured first"
         return f"{text}; each trial was simulated as a whole, from {begins}."
     fitted, rest = len(diagnosis.train), len(diagnosis.validation) + len(diagnosis.test)
+    length = quantity(diagnosis.interval, "s", 2)
     return (
-        f"{text}; trials were cut into shooting intervals of {quantity(diagnosis.interval, 's')}, {fitted} fitted and "
-        f"{rest} held out, each simulated from an initial state of its own."
+        f"{text}; trials were cut into shooting intervals of {length}, {fitted} fitted and {rest} held out, each "
+        "simulated from an initial state of its own."
     )
 
 
