@@ -125,6 +125,7 @@ def test_the_terminal_says_the_same(arm: Diagnosis) -> None:
     assert law in text and "2. A spring of" in text and "3." not in text.split("Missing physics")[1]
     for joint in JOINTS:
         assert f"{joint}: friction" in text
+    assert [diagnosis_text.share_alone(s) for s in (0.12, -0.099, np.nan)] == ["12 %", "none", "–"]
     assert text.count("explains 97 %") == 1 and "beside the others, 61 % alone" in text
     assert "All together explain 100 % of the excess residual variance (100 % in validation)." in text
 

@@ -49,7 +49,8 @@ img { max-width: 100%; height: auto; display: block; }
 table { border-collapse: collapse; font-size: 14px; margin: 10px 0; }
 th, td { padding: 4px 10px 4px 0; text-align: right; border-bottom: 1px solid #ececec; vertical-align: top; }
 th { border-bottom: 1px solid #999; font-weight: 600; }
-th.text, td.text { text-align: left; overflow-wrap: break-word; max-width: 46ch; }
+td { white-space: nowrap; }
+th.text, td.text { text-align: left; white-space: normal; overflow-wrap: break-word; max-width: 46ch; }
 th.group { text-align: center; border-bottom: 1px solid #ccc; }
 td.first, th.first { padding-left: 10px; border-left: 1px solid #ececec; }
 tr.strong td { font-weight: 600; background: #f4f8fb; }
@@ -198,7 +199,7 @@ def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     for law in found:
         e = law.findings[0].evidence
         gains = (number(e.gain), number(e.threshold), power_of_ten(e.log10_p_value), number(e.validation_gain))
-        alone = (percent(e.share_alone), percent(e.validation_share_alone)) if several else ()
+        alone = [diagnosis_text.share_alone(s) for s in (e.share_alone, e.validation_share_alone)] if several else []
         rows.append((short(law.named, model), *gains, *alone, percent(e.share), percent(e.validation_share)))
     groups = [("−2 log likelihood", ["gain", "threshold", "p-value", "gain in validation"])]
     if several:

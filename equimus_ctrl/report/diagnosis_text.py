@@ -265,8 +265,13 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
         text += f" ({percent(e.validation_share)} in validation)"
     if len(grouped(diagnosis.findings)) > 1:
         text += " beside the others"
-        text += f", {percent(e.share_alone)} alone" if math.isfinite(e.share_alone) else ""
+        text += f", {share_alone(e.share_alone)} alone" if math.isfinite(e.share_alone) else ""
     return text
+
+
+def share_alone(share: float) -> str:
+    """What an effect explains alone; without the others a fit can also leave more where the noise is small."""
+    return "none" if share <= 0 else percent(share)
 
 
 def remains(diagnosis: Diagnosis) -> list[str]:
