@@ -280,6 +280,11 @@ def test_the_report_is_plain_data_of_the_schema() -> None:
     finding = record["findings"][0]
     assert set(finding) == {"effect", "locations", "parameters", "evidence", "equivalent"}
     assert finding["parameters"]["threshold"]["unit"] == "Pa"
+    # The only effect explains alone what it explains, and what all do.
+    assert finding["evidence"]["share_alone"] == finding["evidence"]["share"]
+    assert record["explained_share"]["train"] == pytest.approx(finding["evidence"]["share"], abs=1e-9)
+    assert (record["explained_share"]["test"] is None) == (not record["trials"]["test"])
+    assert record["shooting_interval_s"] is None
     assert set(record["rmse_rad"]) == {"train", "validation", "test"}
     assert set(record["rmse_rad"]["validation"]) == {"nominal", "refitted", "corrected"}
     assert record["where"][0]["share"] >= record["where"][1]["share"]

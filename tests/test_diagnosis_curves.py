@@ -20,7 +20,7 @@ from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_drawing import finding_figure
 from equimus_ctrl.report.diagnosis_figures import summary_figure
 from equimus_ctrl.report.diagnosis_panels import Panel, Scene
-from equimus_ctrl.report.diagnosis_text import sentence
+from equimus_ctrl.report.diagnosis_text import Law, sentence
 from equimus_ctrl.types import Array
 from equimus_ctrl.workflow import load_plugins
 
@@ -43,7 +43,7 @@ def test_the_figure_of_every_effect_can_be_drawn(scene: Scene, name: str) -> Non
         assert panel.rows or len(panel.lines) == 2
         for line in panel.lines:
             assert np.all(np.isfinite(line.x)) and np.isfinite(line.y).any()
-    figure = finding_figure(scene, finding)
+    figure = finding_figure(scene, Law((finding,), 0))
     if name in DRAWN:
         figure.canvas.draw()
 
@@ -68,7 +68,7 @@ def test_the_curve_of_ones_own_effect_is_its_law(scene: Scene) -> None:
     rate, torque = curve(panel)
     assert "[°/s]" in panel.x and panel.y == "torque [N·m]"
     np.testing.assert_allclose(torque, -0.02 * np.radians(rate) * np.abs(np.radians(rate)), atol=1e-9)
-    finding_figure(scene, finding).canvas.draw()
+    finding_figure(scene, Law((finding,), 0)).canvas.draw()
 
 
 def own_effects() -> list[Finding]:
@@ -131,7 +131,7 @@ def test_effects_of_ones_own_of_every_kind_are_drawn(diagnosis: Diagnosis, scene
     for finding in own_effects():
         shown = panels(scene, finding)
         titles[finding.named.effect] = [panel.title.split(",")[0] for panel in shown]
-        finding_figure(scene, finding).canvas.draw()
+        finding_figure(scene, Law((finding,), 0)).canvas.draw()
         summary_figure(replace(diagnosis, findings=(finding,)), scene).canvas.draw()
         assert sentence(finding, nominal_model()).startswith(finding.part.candidate.effect.summary.capitalize())
     assert titles["squared"][0] == "once it has settled"

@@ -15,16 +15,24 @@ from mjcf_models import ARM, CRANE, PENDULUM, pendulum, refusal
 
 from equimus_ctrl.effects import (
     ActuatorGain,
+    AsymmetricDamping,
+    AsymmetricFriction,
     Backlash,
     ConstantForce,
     CoulombFriction,
     DriveCompliance,
+    DrivePlay,
     Effect,
     FirstOrderLag,
     GravityTilt,
+    LoadFriction,
+    ParallelSpring,
     PayloadMass,
+    PayloadOffCentre,
     QuadraticDamping,
+    SensorDelay,
     SensorOffset,
+    StribeckFriction,
     TorqueSaturation,
     TransportDelay,
     ViscousFriction,
@@ -100,14 +108,26 @@ HELD: dict[str, tuple[Effect, ...]] = {
     "viscous_friction": (ViscousFriction("shoulder", 0.8),),
     "quadratic_damping": (QuadraticDamping("reach", 20.0),),
     "coulomb_friction": (CoulombFriction("reach", 0.6),),
+    "asymmetric_friction": (AsymmetricFriction("shoulder", 1.2, 0.3),),
+    "parallel_spring": (ParallelSpring("shoulder", 3.0, -0.4), ParallelSpring("reach", 30.0, 0.3)),
+    "constant_force": (ConstantForce("reach", 2.5),),
+    "constant_force of servos": (ConstantForce("shoulder", 1.0),),
     "payload_mass": (PayloadMass("tip", 0.7), PayloadMass("arm", 0.4)),
+    "payload_off_centre": (PayloadOffCentre("rod", 0.5, 0.1, 0.05, -0.1),),
     "actuator_gain": (ActuatorGain("servo", 0.6), ActuatorGain("drive", 1.5)),
     "torque_saturation": (TorqueSaturation("servo", 1.5),),
     "joint_compliance": (DriveCompliance("shoulder", 60.0, 0.3),),
+    "drive_play": (DrivePlay("reach", 0.02),),
     "gravity_tilt": (GravityTilt("base", 0.3),),
     "transport_delay": (TransportDelay("servo", 0.05), TransportDelay("drive", 0.0333)),
 }
-HELD["all of them"] = tuple(effect for effects in HELD.values() for effect in effects)
+HELD["all of them"] = tuple(
+    effect
+    for name, effects in HELD.items()
+    if name not in ("asymmetric_friction", "constant_force of servos", "payload_off_centre", "drive_play")
+    for effect in effects
+)
+"""Without those that can stand beside no other there, or need a drive at a joint whose drive gives way."""
 
 
 @pytest.mark.parametrize("name", HELD)
@@ -163,8 +183,9 @@ def test_a_lag_is_a_filter_of_the_actuator(late: tuple[Effect, ...], tau: float,
 
 def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> None:
     effects = (
-        ViscousFriction("reach", 1.0), FirstOrderLag("servo", 0.1), ConstantForce("reach", 1.0),
-        SensorOffset("shoulder", 0.1), Backlash("reach", 0.01), TransportDelay("drive", 1e-5),
+        ViscousFriction("reach", 1.0), FirstOrderLag("servo", 0.1), StribeckFriction("reach", 0.1, 0.2, 0.1),
+        AsymmetricDamping("shoulder", 0.1), LoadFriction("shoulder", 0.1), SensorOffset("shoulder", 0.1),
+        Backlash("reach", 0.01), TransportDelay("drive", 1e-5), SensorDelay("reach", 1e-5),
     )  # fmt: skip
     model = Model(load_mjcf(crane_file), effects)
     told = [f"{e.name} at {e.location}" for e in effects[2:]]
@@ -175,6 +196,70 @@ def test_what_xml_has_no_field_for_is_told(crane_file: Path, tmp_path: Path) -> 
     assert f"m.xml has all of this in one MuJoCo model, but for {', '.join(told)}." in (tmp_path / "m.toml").read_text()
     assert write_corrected(tmp_path / "again.xml", model) == left
     assert load_model(tmp_path / "m.toml").effects == effects
+
+
+@pytest.mark.parametrize("late", [0.0333, 0.05])
+@pytest.mark.parametrize("own", [True, False], ids=["sensor of the XML", "new sensor"])
+def test_a_late_measurement_is_a_sensor_with_a_delay(own: bool, late: float) -> None:
+    """MuJoCo's sensor shows what the package's simulation says that the recording would show."""
+    sensor = '<sensor><jointpos name="encoder" joint="shoulder"/></sensor></mujoco>'
+    robot = replace(CRANE, xml=ARM.replace("</mujoco>", sensor)) if own else CRANE
+    model = Model(robot, (SensorDelay("shoulder", late),))
+    xml, left = corrected_xml(model)
+    assert left == ()
+    written, trial = mujoco.MjModel.from_xml_string(xml), driven(robot)
+    assert [written.sensor(k).name for k in range(written.nsensor)] == ["encoder" if own else "pos.shoulder"]
+    data, step = mujoco.MjData(written), written.opt.timestep
+    data.qpos[:] = trial.position
+    past = np.arange(-written.sensor_history[0, 0], 0) * step
+    mujoco.mj_initSensorHistory(written, data, 0, past, np.full((len(past), 1), trial.position[0]), 0.0)
+    order, shown = [written.actuator(name).id for name in robot.actuator_names], []
+    for k in range(round(trial.sample_times[-1] / step)):
+        data.ctrl[order] = trial.commands[np.searchsorted(trial.times, (k + 0.5) * step, side="right") - 1]
+        mujoco.mj_step(written, data)
+        shown.append(data.sensordata[0])  # of the beginning of the step
+    every = round((trial.sample_times[1] - trial.sample_times[0]) / step)
+    found = np.array(shown)[::every]
+    np.testing.assert_allclose(found, moved(model, trial)[: len(found), 0], rtol=0, atol=2e-5)
+    assert np.abs(found - moved(Model(robot), trial)[: len(found), 0]).max() > 0.02
+
+
+LIMITED = (
+    '<general name="m" joint="pivot" gainprm="2" biastype="affine" biasprm="0.1 -1 0" gear="-3" forcerange="-0.3 0.2"/>'
+)
+NOT_HELD = {
+    "springs are off": (pendulum(option='<flag spring="disable"/>'), ParallelSpring("pivot", 1.0, 0.3)),
+    "a curved spring": (pendulum('stiffness="1 0.3"'), ParallelSpring("pivot", 1.0, 0.3)),
+    "a limited joint": (pendulum('actuatorfrclimited="true" actuatorfrcrange="-1 1"'), ConstantForce("pivot", 0.5)),
+    "no drive": (pendulum(drive='<motor name="motor" site="tip" gear="0 0 1"/>'), ConstantForce("pivot", 0.5)),
+    "asymmetric without a drive": (
+        pendulum('actuatorfrclimited="true" actuatorfrcrange="-1 1"'), AsymmetricFriction("pivot", 0.5, 0.1),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NOT_HELD)
+def test_what_a_joint_cannot_take_stays_out_of_its_fields(name: str) -> None:
+    text, effect = NOT_HELD[name]
+    robot = MjcfRobot("p", text)
+    assert corrected_xml(Model(robot, (effect,)))[1] == (f"{effect.name} at pivot",)
+    plain, written = (
+        mujoco.MjModel.from_xml_string(corrected_xml(model)[0]) for model in (Model(robot), Model(robot, (effect,)))
+    )
+    for field in ("jnt_stiffness", "qpos_spring", "actuator_biasprm", "dof_frictionloss"):
+        np.testing.assert_array_equal(getattr(written, field), getattr(plain, field))
+
+
+def test_a_constant_force_is_none_of_a_limited_drive() -> None:
+    """The drive may exert as much as before beside it."""
+    robot = MjcfRobot("p", pendulum(drive=LIMITED))
+    model = Model(robot, (ConstantForce("pivot", 0.8),))
+    xml, left = corrected_xml(model)
+    written, trial = mujoco.MjModel.from_xml_string(xml), driven(robot)
+    assert left == ()
+    np.testing.assert_allclose(written.actuator_forcerange[0], [-0.3 - 0.8 / 3, 0.2 - 0.8 / 3], rtol=1e-5)
+    np.testing.assert_allclose(stepped(written, robot, trial), moved(model, trial), rtol=0, atol=2e-5)
+    np.testing.assert_allclose(moved(Model(MjcfRobot("again", xml)), trial), moved(model, trial), rtol=0, atol=2e-5)
 
 
 def test_the_xml_is_found_beside_the_model_file_from_anywhere(

@@ -21,7 +21,7 @@ from equimus_ctrl.diagnosis.alternatives import (
     simplified,
     without_parts,
 )
-from equimus_ctrl.diagnosis.findings import _smallest
+from equimus_ctrl.diagnosis.findings import _alone, _smallest
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.hypothesis_moves import (
@@ -375,3 +375,17 @@ def test_what_held_out_trials_say_of_a_part_has_a_reason(
     )
     said = confirmation._carried_over(search, holdout, fitted(1000.0), fitted(1000.0 - gain, RUB))
     assert said == confirmation.Confirmation(reason, pytest.approx(ratio))
+
+
+# --- what an effect explains alone --------------------------------------------------------------------------------
+
+
+def test_alone_is_the_best_fit_with_nothing_else() -> None:
+    base, both = fitted(900.0), fitted(100.0, RUB, DEAD)
+    only, worse, other = fitted(300.0, RUB), fitted(320.0, RUB), fitted(200.0, DEAD)
+    tried = SearchHistory(fitted=(worse, other, both, fitted(150.0, RUB, OFF)))
+    end = SearchState(base, both, without=(other, only), tried=tried)
+    assert _alone(end, RUB) is only and _alone(end, DEAD) is other
+    assert _alone(end, OFF) is None
+    assert _alone(replace(end, without=()), RUB) is worse
+    assert _alone(SearchState(base, only), RUB) is only

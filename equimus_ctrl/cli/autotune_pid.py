@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from equimus_ctrl.workflow import TunedPid
 
 
-@with_options(AutotuneOptions)
+@with_options
 def autotune_pid(
     study: Annotated[Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml by default.")] = None,
     model: ElasticFile = None,

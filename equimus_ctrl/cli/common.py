@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from equimus_ctrl.engines.base import Engine
-    from equimus_ctrl.models.model import Model
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, and nothing else there.")]
 ElasticFile = Annotated[
@@ -29,17 +28,6 @@ ModelFile = Annotated[
     typer.Option(
         "--model", metavar="FILE", help="Model file (TOML), MJCF file (XML) or URDF; the nominal leg by default."
     ),
-]
-Lock = Annotated[
-    list[str] | None,
-    typer.Option("--lock", metavar="JOINT[=POSITION]", help="Hold a joint of an MJCF robot that was not measured."),
-]
-Ignore = Annotated[
-    list[str] | None,
-    typer.Option("--ignore", metavar="ACTUATOR", help="Leave out an actuator that was not recorded."),
-]
-Motors = Annotated[
-    bool, typer.Option("--motors", help="Give each joint without an actuator a motor of its name, as of a URDF.")
 ]
 Recordings = Annotated[
     Path | None,
@@ -55,15 +43,6 @@ PluginFiles = Annotated[
     ),
 ]
 Figures = Annotated[bool, typer.Option(help="Draw figures.")]
-
-
-def model_of(path: Path | None, lock: list[str] | None, ignore: list[str] | None, motors: bool) -> Model:
-    """The model of a file, with joints held and actuators left out as the command line asks."""
-    from equimus_ctrl import workflow
-    from equimus_ctrl.robots.mjcf.editing import lock_of
-
-    held = dict(lock_of(text) for text in lock or [])
-    return workflow.load_model(path, lock=held, ignore=ignore or (), motors=motors)
 
 
 def people() -> Console:

@@ -21,7 +21,7 @@ from equimus_ctrl.cli.progress import stage_bar
 from equimus_ctrl.options import CompareOptions
 
 
-@with_options(CompareOptions)
+@with_options
 def compare(
     scenarios: Annotated[list[str], typer.Argument(help="Scenarios by name (see: list scenarios) or path.")],
     model: ElasticFile = None,

@@ -10,30 +10,23 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
-    Ignore,
     Json,
-    Lock,
-    ModelFile,
-    Motors,
     PluginFiles,
     check_model_file,
-    model_of,
     people,
     print_files,
     print_json,
 )
+from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import best_so_far, stage_bar
 from equimus_ctrl.options import DiagnoseOptions
 
 
-@with_options(DiagnoseOptions)
+@with_options
 def diagnose(
     recordings: Annotated[list[Path], typer.Argument(help="Trials: files, or folders of them.")],
-    model: ModelFile = None,
-    lock: Lock = None,
-    ignore: Ignore = None,
-    motors: Motors = False,
+    chosen: ModelChoice,
     write_model: Annotated[
         Path | None, typer.Option("--write-model", metavar="FILE", help="Write the corrected model, for --model.")
     ] = None,
@@ -74,7 +67,7 @@ def diagnose(
         workflow.load_plugins(plugins or ())
         found = workflow.diagnose_recordings(
             recordings,
-            model_of(model, lock, ignore, motors),
+            chosen.read(),
             options,
             progress=show,
             asked=asked,
@@ -95,7 +88,7 @@ def diagnose(
 
     print_diagnosis(console, found)
     if write_model is not None:
-        files += workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem), model)
+        files += workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem), chosen.model)
     print_files(console, files)
     if as_json:
         print_json(record)

@@ -9,21 +9,17 @@ import typer
 
 from equimus_ctrl.cli.common import (
     Figures,
-    Ignore,
     Json,
-    Lock,
-    ModelFile,
-    Motors,
     PluginFiles,
     check_model_file,
     light_table,
-    model_of,
     people,
     print_engine,
     print_files,
     print_json,
     write_results,
 )
+from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import stage_bar
 from equimus_ctrl.options import IdentifyOptions
@@ -40,15 +36,12 @@ if TYPE_CHECKING:
     from equimus_ctrl.types import Array
 
 
-@with_options(IdentifyOptions)
+@with_options
 def identify(
     recordings: Annotated[
         list[Path], typer.Argument(help="Trials (files, or folders of them), files of poses at rest, or both.")
     ],
-    model: ModelFile = None,
-    lock: Lock = None,
-    ignore: Ignore = None,
-    motors: Motors = False,
+    chosen: ModelChoice,
     write_model: Annotated[
         Path | None, typer.Option("--write-model", metavar="FILE", help="Write the identified model, for --model.")
     ] = None,
@@ -91,7 +84,7 @@ def identify(
 
         found = workflow.identify_files(
             recordings,
-            model_of(model, lock, ignore, motors),
+            chosen.read(),
             options,
             progress=notify,
         )
@@ -105,7 +98,7 @@ def identify(
 
         files = write_results(folder, draw, record)
     if write_model is not None:
-        files += workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem), model)
+        files += workflow.save_model(write_model, workflow.renamed(found.model, write_model.stem), chosen.model)
     print_identification(console, found)
     print_files(console, files)
     if as_json:

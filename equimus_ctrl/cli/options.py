@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from typing import Annotated, Any, TypeVar
 
 import typer
@@ -16,29 +16,30 @@ T = TypeVar("T")
 Verb = Callable[..., None]
 
 
-def with_options(kind: type[Any]) -> Callable[[Verb], Verb]:
-    """Give a verb an option for each field that a class offers; it takes them together, as its argument ``options``.
+def with_options(verb: Verb) -> Verb:
+    """Give a verb an option for each field that the class of one of its arguments offers, in that argument's place.
 
-    What is not given on the command line has the class's default.
+    The verb takes them together, as an instance of the class. What is not given on the command line has the class's
+    default.
     """
+    own = inspect.signature(verb, eval_str=True)
+    kinds = {p.name: p.annotation for p in own.parameters.values() if _offers(p.annotation)}
 
-    def decorated(verb: Verb) -> Verb:
-        offers = offered(kind)
+    @functools.wraps(verb)
+    def command(**given: Any) -> None:
+        made = {key: filled(kind, {name: given.pop(name) for name in offered(kind)}) for key, kind in kinds.items()}
+        verb(**made, **given)
 
-        @functools.wraps(verb)
-        def command(**given: Any) -> None:
-            values = {name: given.pop(name) for name in offers}
-            verb(options=filled(kind, values), **given)
+    parameters: list[inspect.Parameter] = []
+    for parameter in own.parameters.values():
+        more = _parameters(parameter.annotation) if parameter.name in kinds else [parameter]
+        parameters += [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in more]
+    command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return command
 
-        own = inspect.signature(verb, eval_str=True)
-        parameters: list[inspect.Parameter] = []
-        for parameter in own.parameters.values():
-            more = _parameters(kind, offers) if parameter.name == "options" else [parameter]
-            parameters += [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in more]
-        command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
-        return command
 
-    return decorated
+def _offers(annotation: Any) -> bool:
+    return isinstance(annotation, type) and is_dataclass(annotation) and bool(offered(annotation))
 
 
 def filled(kind: type[T], values: dict[str, Any]) -> T:
@@ -53,9 +54,9 @@ def filled(kind: type[T], values: dict[str, Any]) -> T:
     return kind(**{name: readers[name](value) for name, value in given.items()})
 
 
-def _parameters(kind: type[Any], offers: dict[str, OnCommandLine]) -> list[inspect.Parameter]:
+def _parameters(kind: type[Any]) -> list[inspect.Parameter]:
     defaults = {f.name: f.default for f in fields(kind)}
-    return [_parameter(name, offer, defaults[name]) for name, offer in offers.items()]
+    return [_parameter(name, offer, defaults[name]) for name, offer in offered(kind).items()]
 
 
 def _parameter(name: str, offer: OnCommandLine, default: Any) -> inspect.Parameter:

@@ -23,7 +23,7 @@ MOST_ROWS = 60
 """Of a table in a terminal; files have all."""
 
 
-@with_options(ProveOptions)
+@with_options
 def prove(
     recordings: Annotated[
         list[Path] | None,

@@ -8,29 +8,22 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
-    Ignore,
     Json,
-    Lock,
-    ModelFile,
-    Motors,
     PluginFiles,
-    model_of,
     people,
     print_engine,
     print_json,
 )
+from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import share_bar
 from equimus_ctrl.options import ScoreOptions
 
 
-@with_options(ScoreOptions)
+@with_options
 def score(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
-    model: ModelFile = None,
-    lock: Lock = None,
-    ignore: Ignore = None,
-    motors: Motors = False,
+    chosen: ModelChoice,
     *,
     options: ScoreOptions,
     plugins: PluginFiles = None,
@@ -53,7 +46,7 @@ def score(
     with share_bar(console, "score") as show:
         found = workflow.score_recordings(
             recordings,
-            model_of(model, lock, ignore, motors),
+            chosen.read(),
             options,
             progress=show,
         )

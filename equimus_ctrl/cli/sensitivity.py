@@ -9,20 +9,16 @@ import typer
 
 from equimus_ctrl.cli.common import (
     Figures,
-    Ignore,
     Json,
-    Lock,
-    ModelFile,
-    Motors,
     PluginFiles,
     light_table,
-    model_of,
     people,
     print_engine,
     print_files,
     print_json,
     write_results,
 )
+from equimus_ctrl.cli.model_choice import ModelChoice
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import stage_bar
 from equimus_ctrl.options import SensitivityOptions
@@ -36,13 +32,10 @@ if TYPE_CHECKING:
 SHOWN = 15
 
 
-@with_options(SensitivityOptions)
+@with_options
 def sensitivity(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: files or folders.")],
-    model: ModelFile = None,
-    lock: Lock = None,
-    ignore: Ignore = None,
-    motors: Motors = False,
+    chosen: ModelChoice,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="For figures and record.json; identification/results/…"),
@@ -73,7 +66,7 @@ def sensitivity(
         workflow.load_plugins(plugins or ())
         found = workflow.sensitivity_of(
             recordings,
-            model_of(model, lock, ignore, motors),
+            chosen.read(),
             options,
             progress=lambda done: show(share=done),
         )

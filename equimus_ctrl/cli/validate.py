@@ -41,7 +41,7 @@ TITLES = {
 }
 
 
-@with_options(ValidateOptions)
+@with_options
 def validate(
     model: ElasticFile = None,
     figures: Figures = True,

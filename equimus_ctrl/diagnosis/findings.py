@@ -143,6 +143,12 @@ def _evidence(search: Search, end: SearchState, holdout: HoldoutResiduals, k: in
     best, without = end.best, end.without[k]
     gain, count = without.deviance - best.deviance, best.hypothesis[k].candidate.n_parameters
     log10_p_value = (_log_p_value(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
+    alone = _alone(end, best.hypothesis[k].candidate.label)
+    share_alone, validation_alone = math.nan, math.nan
+    if alone is not None:
+        share_alone = holdout.share(end.base.fit.residuals, alone.fit.residuals, end.base.fit.residuals)
+        base, only = (holdout.residuals(f.fit.model) for f in (end.base, alone))
+        validation_alone = holdout.share(base, only, base)
     return Evidence(
         gain=gain,
         threshold=search.threshold(count),
@@ -150,7 +156,15 @@ def _evidence(search: Search, end: SearchState, holdout: HoldoutResiduals, k: in
         validation_gain=holdout.gain(without, best),
         share=holdout.share(without.fit.residuals, best.fit.residuals, end.base.fit.residuals),
         validation_share=holdout.share(*(holdout.residuals(f.fit.model) for f in (without, best, end.base))),
+        share_alone=share_alone,
+        validation_share_alone=validation_alone,
     )
+
+
+def _alone(end: SearchState, label: str) -> Fitted | None:
+    """The best fit with a part as the only one; None where the search has made none."""
+    fits = [f for f in (end.best, *end.without, *end.tried.fitted) if f.labels == frozenset({label})]
+    return min(fits, key=lambda f: f.deviance, default=None)
 
 
 def _log_p_value(gain: float, count: int) -> float:

@@ -19,7 +19,8 @@ from equimus_ctrl.types import Array
 
 SCHEMA = "equimus-ctrl/diagnosis/2"
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
-SETS: tuple[Literal["train"], Literal["validation"], Literal["test"]] = ("train", "validation", "test")
+Set = Literal["train", "validation", "test"]
+SETS: tuple[Set, ...] = ("train", "validation", "test")
 """Of the trials: fitted, by which effects were confirmed or rejected, and not touched before the report."""
 STATES = ("nominal", "refitted", "corrected")
 """The nominal model, the refitted (re-identified) model, and the augmented model with the effects found."""
@@ -93,8 +94,11 @@ class Evidence:
         threshold: acceptance threshold of the gain.
         log10_p_value: log₁₀ of the p-value: of such a gain where no physics is missing, corrected for all candidates.
         validation_gain: the same fall on validation trials, the noise being the same.
-        share: of the excess residual variance that it explains, on the trials fitted.
+        share: of the excess residual variance that it explains beside the other effects, on the trials fitted.
         validation_share: the same on validation trials.
+        share_alone: what it explains as the only effect, all other parameters free; nan where the search has not
+            fitted that.
+        validation_share_alone: the same on validation trials.
     """
 
     gain: float
@@ -103,6 +107,8 @@ class Evidence:
     validation_gain: float
     share: float
     validation_share: float
+    share_alone: float = math.nan
+    validation_share_alone: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
@@ -437,12 +443,27 @@ class Diagnosis:
         """That simulated."""
         return self.best.fit.problem.simulator.engine
 
-    def rmse(self, state: str, part: Literal["train", "validation", "test"]) -> Array:
+    def rmse(self, state: str, part: Set) -> Array:
         """(nj,) root mean square error of a state of the model [rad or m]; nan where there are no such trials."""
         residuals = getattr(self.residuals[state], part)
         if not residuals:
             return np.full(len(self.joints), np.nan)
         return np.asarray(np.sqrt((np.concatenate(residuals) ** 2).mean(axis=0)))
+
+    def explained(self, part: Set) -> float:
+        """Share of the excess residual variance that all effects together explain; nan where there are no trials."""
+        sigma = np.array([own.sigma for own in self.best.noise])
+        before, after = (
+            float(np.maximum((self.rmse(state, part) / sigma) ** 2 - 1.0, 0.0).mean()) for state in STATES[1:]
+        )
+        return (before - after) / before if before > 0 else math.nan if math.isnan(before) else 0.0
+
+    @property
+    def interval(self) -> float | None:
+        """Length of the shooting intervals that are fitted, most of them [s]; None where trials are fitted whole."""
+        if len(self.train) == len({s.recording for s in self.train}):
+            return None
+        return float(np.median([s.trial.sample_times[-1] - s.trial.start for s in self.train]))
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data: schema ``equimus-ctrl/diagnosis/2``."""
@@ -461,11 +482,13 @@ class Diagnosis:
             },
             "rmse_rad": {part: {state: self._by_joint(self.rmse(state, part)) for state in STATES} for part in SETS},
             "excess_residual_variance": dict(self.excess_variance),
+            "explained_share": {part: _finite(self.explained(part)) for part in SETS},
             "parameters": self._parameters(),
             "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],
             "trials": {part: [s.trial.name for s in getattr(self, part)] for part in SETS},
+            "shooting_interval_s": self.interval,
             "decisions": [decision.to_dict() for decision in self.decisions],
             "not_done": list(self.not_done),
             "notes": list(self.notes),

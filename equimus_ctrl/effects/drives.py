@@ -17,6 +17,7 @@ from equimus_ctrl.effects.bodies import BodyEffect
 from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect, Parameters
+from equimus_ctrl.effects.native import add_constant_force
 from equimus_ctrl.effects.sizes import Share
 
 SOFT = 1.0
@@ -135,6 +136,13 @@ class AsymmetricFriction(ForceEffect):
     def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         return (p["forward"] + p["backward"]) / 2
 
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        # Friction of the mean size, and what is left of the difference between the directions.
+        if not add_constant_force(mujoco_model, self.location, (self.backward - self.forward) / 2):
+            return False
+        mujoco_model.dof_frictionloss[mujoco_model.joint(self.location).dofadr[0]] += (self.forward + self.backward) / 2
+        return True
+
     @classmethod
     def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
         return max(values.values()) < UNLIKE * min(values.values())
@@ -185,6 +193,9 @@ class ConstantForce(ForceEffect):
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return p["size"]
+
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        return add_constant_force(mujoco_model, self.location, self.size)
 
     @classmethod
     def sentence(cls, t: Description) -> str:

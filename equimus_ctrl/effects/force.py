@@ -17,6 +17,7 @@ import numpy as np
 from equimus_ctrl.effects.base import REGISTRY, Effect, Robots, parameter, register
 from equimus_ctrl.effects.description import CURVE_MARGIN, CURVE_POINTS, Curve, Description
 from equimus_ctrl.effects.excitation import Excitation
+from equimus_ctrl.effects.native import add_spring
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.errors import ConfigError
 
@@ -306,6 +307,9 @@ class ParallelSpring(ForceEffect):
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
         return -p["stiffness"] * (x - p["rest"])
+
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        return add_spring(mujoco_model, self.location, self.stiffness, self.rest)
 
     @classmethod
     def sentence(cls, t: Description) -> str:

@@ -105,6 +105,9 @@ class SensorDelay(SensorEffect):
     def apply(self, sensor: Array) -> None:
         sensor[SENSOR_DELAY] = self.delay
 
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        return True  # as the delay of a sensor of its joint
+
     @classmethod
     def sentence(cls, t: Description) -> str:
         return f"The measured {t.noun} of {t.the} is {t['delay']} older than its time stamp: a sensor's delay."

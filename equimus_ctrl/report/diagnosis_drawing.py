@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,14 +14,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from equimus_ctrl.diagnosis.results import Diagnosis, Finding, Named, Ranked, ResidualForce, Unexplained
+from equimus_ctrl.diagnosis.results import Diagnosis, Named, Ranked, ResidualForce, Unexplained
 from equimus_ctrl.report import style
 from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_panels import Band, Panel, Scene
-from equimus_ctrl.report.diagnosis_words import coordinates_text, short
+from equimus_ctrl.report.diagnosis_text import Law, candidate_of, grouped, upper
+from equimus_ctrl.report.diagnosis_words import coordinates_text, listed, short
 from equimus_ctrl.types import Array
 
 WIDTH = 11.0
+CHARACTERS, TITLE_CHARACTERS = 10.5, 8.2
+"""Of a panel's title and of a figure's that fit in an inch of its width, the label of the other axis apart."""
+LABEL_CHARACTERS = 46
+"""Of a candidate in the ranking before its name is wrapped."""
 WITH, WITHOUT = "#0072B2", "#6B6B6B"
 EQUIVALENT, OTHER = "#86BBD8", "#C4C4C4"
 MOST_CANDIDATES = 20
@@ -33,12 +39,15 @@ A_ROW, MOST_PANELS = 3, 6
 """Panels side by side, and in a figure."""
 
 
-def finding_figure(scene: Scene, finding: Finding) -> Figure:
-    """The curves of a finding."""
-    shown = panels(scene, finding)[:MOST_PANELS]
-    places = finding.part.candidate.locations
-    alike = f", drawn at {places[0]}" if len(places) > 1 else ""
-    return _figure(f"{short(finding.named)[:1].upper()}{short(finding.named)[1:]}{alike}", shown, "interval")
+def finding_figure(scene: Scene, law: Law) -> Figure:
+    """The curves of a finding; of a law with its own size at several places the first curve of each place."""
+    named, first = law.named, law.findings[0]
+    title = upper(short(named, scene.model))
+    if len(law.findings) > 1:
+        of_places = [replace(panels(scene, f)[0], title=listed(f.named.locations)) for f in law.findings]
+        return _figure(title, of_places, "interval")
+    alike = f", drawn at {named.locations[0]}" if len(named.locations) > 1 else ""
+    return _figure(f"{title}{alike}", panels(scene, first)[:MOST_PANELS], "interval")
 
 
 def unexplained_figure(scene: Scene, residual: Unexplained) -> Figure | None:
@@ -48,24 +57,26 @@ def unexplained_figure(scene: Scene, residual: Unexplained) -> Figure | None:
         return None
     on = coordinates_text(residual.coordinates, scene.model)
     title = f"Unexplained at {residual.location}: a force that depends on {on}"
-    return _figure(textwrap.fill(title, 58), [panel], "95 % interval")
+    return _figure(title, [panel], "95 % interval")
 
 
 def _figure(title: str, shown: Sequence[Panel], interval: str) -> Figure:
     columns = min(len(shown), A_ROW) if len(shown) != 4 else 2
     rows = -(-len(shown) // columns)
-    figure = style.new_figure(WIDTH if columns > 1 else 7.0, 1.1 + 2.9 * rows, title)
+    width = WIDTH if columns > 1 else 7.0
+    title = textwrap.fill(title, int(TITLE_CHARACTERS * width))
+    figure = style.new_figure(width, 1.1 + 2.9 * rows, title)
     grid = figure.subplots(rows, columns, squeeze=False)
     for axes, panel in zip(grid.flat, shown, strict=False):
-        draw(axes, panel)
+        draw(axes, panel, int(CHARACTERS * width / columns))
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
     style.legend_below(figure, handles_of(shown, interval))
     return figure
 
 
-def draw(axes: Axes, panel: Panel) -> None:
-    """Draw a panel on axes."""
+def draw(axes: Axes, panel: Panel, characters: int) -> None:
+    """Draw a panel on axes whose title and label have room for so many characters."""
     if panel.rows:
         _draw_table(axes, panel)
         return
@@ -82,7 +93,7 @@ def draw(axes: Axes, panel: Panel) -> None:
     axes.set_xlim(left, right)
     if panel.data is not None:
         _draw_data(axes, panel.data, left, right)
-    style.dress(axes, title=textwrap.fill(panel.title, 44), x=panel.x, y=panel.y)
+    style.dress(axes, title=textwrap.fill(panel.title, characters), x=textwrap.fill(panel.x, characters), y=panel.y)
 
 
 def _one_way(band: Band) -> list[Band]:
@@ -144,16 +155,21 @@ def handles_of(shown: Sequence[Panel], interval: str) -> list[Artist]:
 
 def ranking_figure(diagnosis: Diagnosis) -> Figure:
     """What every candidate would gain alone, the best of them and all that was found."""
-    findings = [f.named for f in diagnosis.findings]
+    found = grouped(diagnosis.findings)
+    findings = [candidate_of(law) for law in found]
     equivalent = [other for f in diagnosis.findings for other in f.equivalent]
     shown = list(diagnosis.ranking[:MOST_CANDIDATES])
     shown += [r for r in diagnosis.ranking[MOST_CANDIDATES:] if r.named in (*findings, *equivalent)]
+    names = [textwrap.fill(short(r.named, diagnosis.model), LABEL_CHARACTERS) for r in shown]
+    lines = sum(name.count("\n") + 1 for name in names)
     figure = style.new_figure(
-        WIDTH, 1.6 + 0.27 * len(shown), f"What each effect would gain alone ({len(diagnosis.ranking)} candidates)"
+        WIDTH,
+        1.6 + 0.17 * lines + 0.1 * len(shown),
+        f"What each effect would gain alone ({len(diagnosis.ranking)} candidates)",
     )
     axes = figure.add_subplot()
     threshold = min(r.threshold for r in diagnosis.ranking)
-    beside = {f.named: f.evidence.gain for f in diagnosis.findings}
+    beside = {candidate_of(law): law.findings[0].evidence.gain for law in found}
     gains = [max(r.screened, r.fitted or 0.0) for r in shown]
     largest = max([10.0, threshold, *beside.values(), *gains])
     least = max(1.0, 1e-5 * largest)
@@ -167,7 +183,7 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
     axes.axvline(threshold, color=style.ALERT, linewidth=1.3, linestyle=style.DASHES)
     axes.set_xscale("log")
     axes.set_xlim(least, 2 * largest)
-    axes.set_yticks(np.arange(len(shown)), [short(r.named) for r in shown])
+    axes.set_yticks(np.arange(len(shown)), names)
     axes.set_ylim(len(shown) - 0.4, -0.6)
     style.dress(axes, x="fall of −2 log likelihood")
     axes.grid(False, axis="y")

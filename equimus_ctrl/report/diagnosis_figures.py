@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -32,15 +32,24 @@ from equimus_ctrl.report.diagnosis_drawing import (
     unexplained_figure,
 )
 from equimus_ctrl.report.diagnosis_panels import Panel, Scene
-from equimus_ctrl.report.diagnosis_sentences import sentence
-from equimus_ctrl.report.diagnosis_words import listed, number, short
+from equimus_ctrl.report.diagnosis_words import listed, number, reading, short
 from equimus_ctrl.types import Array
 
 COLOURS = {"nominal": "#B0A08A", "refitted": "#D55E00", "corrected": "#0072B2"}
 WORDS = {"nominal": "nominal", "refitted": "refitted", "corrected": "augmented"}
 MOST_TRIALS = 3
+"""Rows of joints of which a trial is shown: so many trials of a few joints, one of many."""
+JOINTS_A_ROW, OF_TRIAL = 3, 34
+"""Joints side by side; characters of the title over each."""
+MOST_COMMANDS = 3
+"""Of more actuators than so many a joint's residuals are drawn against those that drive it."""
+COLUMNS_CHARACTERS = 120
+"""Of the labels of all columns of residuals together."""
+SUMMARY_CHARACTERS, CURVE_CHARACTERS, PLACE_CHARACTERS = 88, 30, 20
+"""Of the summary's title in a line, of its curve's, and of the name of a place."""
 LONG_NAME = 34
 BINS, LEAST_IN_BIN = 12, 5
+SINCE = "time since a step [s]"
 STEP_SHARE = 0.02
 """Share of the largest command that a change must have to count as a step."""
 
@@ -55,8 +64,8 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
     }
     if diagnosis.ranking:
         figures["ranking"] = ranking_figure(diagnosis)
-    for k, finding in enumerate(diagnosis.findings):
-        figures[f"finding_{k + 1}"] = finding_figure(scene, finding)
+    for law in diagnosis_text.grouped(diagnosis.findings):
+        figures[f"finding_{law.first + 1}"] = finding_figure(scene, law)
     for k, residual in enumerate(diagnosis.unexplained):
         if (figure := unexplained_figure(scene, residual)) is not None:
             figures[f"unexplained_{k + 1}"] = figure
@@ -86,10 +95,16 @@ def _sigma(diagnosis: Diagnosis) -> Array:
 
 
 def _worst(diagnosis: Diagnosis) -> list[int]:
-    """The trials of which the refitted model is worst, worst first."""
+    """The trials of which the refitted model is worst, worst first; of many joints fewer."""
     part, segments = _part(diagnosis)
+    most = max(MOST_TRIALS // _rows(diagnosis), 1)
     squares = [((r / _sigma(diagnosis)) ** 2).mean() for r in getattr(diagnosis.residuals["refitted"], part)]
-    return [int(k) for k in np.argsort(squares)[::-1][: min(MOST_TRIALS, len(segments))]]
+    return [int(k) for k in np.argsort(squares)[::-1][: min(most, len(segments))]]
+
+
+def _rows(diagnosis: Diagnosis) -> int:
+    """Rows of joints, see ``JOINTS_A_ROW``."""
+    return -(-len(diagnosis.joints) // JOINTS_A_ROW)
 
 
 def _trial_name(diagnosis: Diagnosis, k: int) -> str:
@@ -147,33 +162,55 @@ def _command_label(diagnosis: Diagnosis) -> str:
 
 def before_after_figure(diagnosis: Diagnosis) -> Figure:
     """The trials of which the refitted model is worst: angles, residuals and commands."""
-    chosen, joints, states = _worst(diagnosis), diagnosis.joints, diagnosis_text.states(diagnosis)
+    chosen, rows, states = _worst(diagnosis), _rows(diagnosis), diagnosis_text.states(diagnosis)
     title = f"Before and after (RMSE {' → '.join(WORDS[s] for s in states)})"
-    figure = style.new_figure(WIDTH, 0.9 + 3.9 * len(chosen), title)
+    figure = style.new_figure(WIDTH, 0.9 + (0.8 + 3.1 * rows) * len(chosen), title)
     blocks = figure.subfigures(len(chosen), 1, squeeze=False)[:, 0]
     for block, k in zip(blocks, chosen, strict=True):
-        grid = block.subplots(3, len(joints), squeeze=False, sharex=True, height_ratios=[2.1, 1.5, 0.7])
-        segment = _part(diagnosis)[1][k]
-        for j, joint in enumerate(joints):
-            _draw_angles(grid[0, j], diagnosis, k, j, states)
-            _draw_residuals(grid[1, j], diagnosis, k, j)
-            _draw_commands(grid[2, j], diagnosis, segment)
-            unit = units.error(diagnosis.model, joint)
-            errors = [float(np.sqrt(np.mean(_residual(diagnosis, s, k)[:, j] ** 2))) * unit.factor for s in states]
-            shown = ("diverged" if np.isnan(e) else number(e) if e < 1 else f"{e:.1f}" for e in errors)
-            title = f"{joint}: RMSE {' → '.join(shown)} {unit.unit}"
-            if j == 0:
-                title = f"{_trial_name(diagnosis, k)}\n{title}"
-            style.dress(grid[0, j], title=title, y=_position_label(diagnosis, joint) if j == 0 else "")
-            style.dress(grid[1, j], y=f"error {unit.bracket}" if j == 0 else "")
-            style.dress(grid[2, j], x="time [s]", y=_command_label(diagnosis) if j == 0 else "")
-        block.align_ylabels()
+        _draw_trial(block, diagnosis, k)
     handles = _state_handles(states)
     handles.append(Patch(facecolor=style.SHADE, label="± 2 σ of the noise"))
     for a, name in enumerate(diagnosis.model.robot.actuator_names):
         handles.append(Line2D([], [], color=style.actuator_colour(a), linewidth=1.4, label=f"command of {name}"))
     style.legend_below(figure, handles)
     return figure
+
+
+def _draw_trial(block: SubFigure, diagnosis: Diagnosis, k: int) -> None:
+    """One trial: rows of joints, angles over residuals, and the commands under the last row."""
+    joints, rows, segment = diagnosis.joints, _rows(diagnosis), _part(diagnosis)[1][k]
+    columns = min(len(joints), JOINTS_A_ROW)
+    heights = [2.1, 1.5] * rows + [0.7]
+    titles = [f"{joint}: RMSE {_errors(diagnosis, k, j)}" for j, joint in enumerate(joints)]
+    if max(map(len, titles)) > OF_TRIAL * JOINTS_A_ROW / columns:
+        titles = [title.replace(": ", "\n", 1) for title in titles]
+    titles[0] = f"{_trial_name(diagnosis, k)}\n{titles[0]}"
+    grid = block.subplots(2 * rows + 1, columns, squeeze=False, sharex=True, height_ratios=heights)
+    for j, joint in enumerate(joints):
+        row, column = divmod(j, columns)
+        top, bottom = grid[2 * row, column], grid[2 * row + 1, column]
+        _draw_angles(top, diagnosis, k, j, diagnosis_text.states(diagnosis))
+        _draw_residuals(bottom, diagnosis, k, j)
+        label = column == 0
+        style.dress(top, title=titles[j], y=_position_label(diagnosis, joint) if label else "")
+        style.dress(bottom, y=f"error {units.error(diagnosis.model, joint).bracket}" if label else "")
+    for axes in grid.flat[len(joints) // columns * 2 * columns :]:
+        if not axes.has_data():
+            axes.set_axis_off()
+    for column in range(columns):
+        grid[-1, column].set_axis_on()
+        _draw_commands(grid[-1, column], diagnosis, segment)
+        style.dress(grid[-1, column], x="time [s]", y=_command_label(diagnosis) if column == 0 else "")
+    block.align_ylabels()
+
+
+def _errors(diagnosis: Diagnosis, k: int, j: int) -> str:
+    """A joint's RMSE in a trial with each state of the model."""
+    unit = units.error(diagnosis.model, diagnosis.joints[j])
+    of_states = (_residual(diagnosis, s, k)[:, j] for s in diagnosis_text.states(diagnosis))
+    errors = [float(np.sqrt(np.mean(r**2))) * unit.factor for r in of_states]
+    shown = ("diverged" if np.isnan(e) else number(e) if e < 1 else f"{e:.1f}" for e in errors)
+    return f"{' → '.join(shown)} {unit.unit}"
 
 
 def residuals_figure(diagnosis: Diagnosis) -> Figure:
@@ -184,27 +221,34 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
     rows = {s: [r for part in SETS for r in getattr(diagnosis.residuals[s], part)] for s in states}
     residuals = {s: np.concatenate(r) for s, r in rows.items()}
     figure = style.new_figure(WIDTH + 1, 0.9 + 3.3 * len(joints), "Where the error lies")
+    columns = _columns(model, segments)
     grid = figure.subplots(
         2 * len(joints),
-        3 + len(model.robot.actuator_names),
+        max(map(len, columns.values())),
         squeeze=False,
         sharey="row",
         height_ratios=[1.3, 1] * len(joints),
     )
-    columns = _columns(model, segments)
     for j, joint in enumerate(joints):
         unit, sigma = units.error(model, joint), _sigma(diagnosis)[j]
         of_joint = {state: r[:, j] * unit.factor for state, r in residuals.items()}
         for c, (label, values) in enumerate(columns[joint]):
             top, bottom = grid[2 * j, c], grid[2 * j + 1, c]
-            _draw_binned(top, bottom, values, of_joint, even=c > 0)
+            in_time = label == SINCE
+            _draw_binned(top, bottom, values, of_joint, even=not in_time)
+            for axes in (top, bottom) if in_time else ():
+                _log_time(axes)
             top.axhline(sigma * unit.factor, color=style.INK, linewidth=1.0, linestyle=":")
             title = f"{joint}: size of the error" if c == 0 else ""
             style.dress(top, title=title, y=f"RMS {unit.bracket}" if c == 0 else "")
-            style.dress(bottom, x=label, y=f"mean {unit.bracket}" if c == 0 else "")
+            style.dress(
+                bottom,
+                x=textwrap.fill(label, COLUMNS_CHARACTERS // grid.shape[1]),
+                y=f"mean {unit.bracket}" if c == 0 else "",
+            )
             bottom.xaxis.label.set_size(style.SMALL_SIZE)
-        for axes in grid[2 * j : 2 * j + 2, 0]:
-            _log_time(axes)
+        for axes in grid[2 * j : 2 * j + 2, len(columns[joint]) :].flat:
+            axes.set_axis_off()
         grid[2 * j, 0].set_ylim(bottom=0)
     figure.align_ylabels()
     handles: list[Artist] = [Line2D([], [], color=COLOURS[s], marker="o", label=WORDS[s]) for s in states]
@@ -219,19 +263,25 @@ def _columns(model: Model, segments: Sequence[Segment]) -> dict[str, list[tuple[
     rates = np.concatenate([speeds(s) for s in segments])
     given = np.concatenate([commands(s)[0] for s in segments])
     since = np.concatenate([_since_step(s, float(given.max())) for s in segments])
-    shown = [(name, units.command(model, name)) for name in model.robot.actuator_names]
-    shared = [
-        (f"command of {name} {unit.bracket}".rstrip(), given[:, a] * unit.factor)
-        for a, (name, unit) in enumerate(shown)
-    ]
+    names = model.robot.actuator_names
+    shown = {name: units.command(model, name) for name in names}
+    driving = {
+        name: (f"command of {name} {unit.bracket}".rstrip(), given[:, a] * unit.factor)
+        for a, (name, unit) in enumerate(shown.items())
+    }
+    stepped = [(SINCE, since)] if np.median(since) > 0 else []  # else commands change all the time
     columns = {}
     for j, joint in enumerate(model.robot.joint_names):
         place, fast = units.position(model, joint), units.speed(model, joint)
         columns[joint] = [
-            ("time since a step [s]", since),
+            *stepped,
             (f"{units.noun(model, joint)} of {joint} {place.bracket}", positions[:, j] * place.factor),
             (f"speed of {joint} {fast.bracket}", rates[:, j] * fast.factor),
-            *shared,
+            *(
+                driving[name]
+                for name in names
+                if len(names) <= MOST_COMMANDS or joint in model.robot.driven_joints(name)
+            ),
         ]
     return columns
 
@@ -285,15 +335,20 @@ def _binned(values: Array, residual: Array, even: bool) -> tuple[Array, Array, A
 def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
     """One picture of it all: a trial before and after, and the curve of what was found first."""
     figure = style.new_figure(8.4, 3.75)
-    text = "Refitted, the model leaves nothing but noise."
+    text, model = "Refitted, the model leaves nothing but noise.", diagnosis.model
     if diagnosis.findings:
-        first, *others = diagnosis.findings
-        also = f" Also: {listed([short(named) for named in diagnosis_text.laws(others)])}." if others else ""
-        text = sentence(first, diagnosis.model) + also
+        first, *others = diagnosis_text.grouped(diagnosis.findings)
+        also = f" Also: {listed([short(law.named, model) for law in others])}." if others else ""
+        text = diagnosis_text.law_sentence(first, model) + also
     elif diagnosis.unexplained:
         text = f"Unexplained at {diagnosis.unexplained[0].location}: none of the known effects does this."
     figure.suptitle(
-        textwrap.fill(text, 96), x=0.012, ha="left", fontsize=style.PANEL_SIZE, fontweight="bold", color=style.INK
+        textwrap.fill(text, SUMMARY_CHARACTERS),
+        x=0.012,
+        ha="left",
+        fontsize=style.PANEL_SIZE,
+        fontweight="bold",
+        color=style.INK,
     )
     k, j = _most_improved(diagnosis)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.45, 1.0], height_ratios=[2.2, 1.0])
@@ -302,14 +357,19 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
     _draw_angles(top, diagnosis, k, j, states)
     _draw_residuals(bottom, diagnosis, k, j)
     joint = diagnosis.joints[j]
-    style.dress(top, title=f"{joint}, {_trial_name(diagnosis, k)}", y=_position_label(diagnosis, joint))
+    style.dress(
+        top, title=textwrap.fill(f"{joint}, {_trial_name(diagnosis, k)}", 46), y=_position_label(diagnosis, joint)
+    )
     style.dress(bottom, x="time [s]", y=f"error {units.error(diagnosis.model, joint).bracket}")
     top.tick_params(labelbottom=False)
-    panel = _first_panel(diagnosis, scene)
-    if panel is None:
+    panel, found = _first_panel(diagnosis, scene), diagnosis_text.grouped(diagnosis.findings)
+    if found and len(found[0].findings) > 1:
+        panel = None
+        _draw_sizes(right, diagnosis, found[0])
+    elif panel is None:
         _draw_against_noise(right, diagnosis)
     else:
-        draw(right, panel)
+        draw(right, panel, CURVE_CHARACTERS)
     style.legend_below(figure, [*_state_handles(states), *(handles_of([panel], "")[:2] if panel else [])])
     return figure
 
@@ -333,6 +393,24 @@ def _first_panel(diagnosis: Diagnosis, scene: Scene) -> Panel | None:
         return replace(panels(scene, first)[0], title=short(first.named))
     drawn = (unexplained_panel(scene, residual) for residual in diagnosis.unexplained)
     return next((panel for panel in drawn if panel is not None), None)
+
+
+def _draw_sizes(axes: Axes, diagnosis: Diagnosis, law: diagnosis_text.Law) -> None:
+    """The first parameter of a law at each of its places, with its interval."""
+    key = next(iter(law.findings[0].parameters))
+    sizes = [f.parameters[key] for f in law.findings]
+    unit = reading(sizes[0].unit, max(abs(size.value) for size in sizes))
+    rows = np.arange(len(sizes))
+    axes.barh(rows, [size.value * unit.factor for size in sizes], height=0.62, color=COLOURS["corrected"], alpha=0.55)
+    for row, size in zip(rows, sizes, strict=True):
+        least, most = sorted((0.0, 2 * size.value))
+        ends = [min(max(end, least), most) for end in (size.low, size.high)]
+        axes.plot(np.array(ends) * unit.factor, [row, row], color=style.INK, linewidth=1.2, marker="|", markersize=9)
+    axes.set_yticks(rows, [textwrap.fill(listed(f.named.locations), PLACE_CHARACTERS) for f in law.findings])
+    axes.invert_yaxis()
+    title = f"{law.named.effect.replace('_', ' ')}, and its 95 % interval"
+    style.dress(axes, title=textwrap.fill(title, CURVE_CHARACTERS), x=f"{key} {unit.bracket}".rstrip())
+    axes.grid(False, axis="y")
 
 
 def _draw_against_noise(axes: Axes, diagnosis: Diagnosis) -> None:

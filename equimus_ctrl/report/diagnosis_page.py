@@ -17,7 +17,6 @@ from equimus_ctrl.diagnosis.results import SETS, Diagnosis, ResidualForce
 from equimus_ctrl.identification.results import together
 from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
-from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_words import (
     coordinates_text,
     interval_digits,
@@ -25,6 +24,7 @@ from equimus_ctrl.report.diagnosis_words import (
     number,
     percent,
     power_of_ten,
+    quantity,
     reading,
     short,
 )
@@ -33,7 +33,7 @@ CSS = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: #222; background: #fff;
   max-width: 1040px; margin: 0 auto; padding: 24px 20px 60px; }
-h1 { font-size: 26px; margin: 0 0 4px; }
+h1 { font-size: 26px; margin: 0 0 4px; overflow-wrap: anywhere; }
 h2 { font-size: 20px; margin: 40px 0 10px; padding-top: 10px; border-top: 1px solid #e3e3e3; }
 h3 { font-size: 16px; margin: 24px 0 6px; }
 p, ul, ol { margin: 8px 0; max-width: 80ch; overflow-wrap: anywhere; }
@@ -42,14 +42,17 @@ p, ul, ol { margin: 8px 0; max-width: 80ch; overflow-wrap: anywhere; }
 .verdict.unexplained, .verdict.partly_explained, .verdict.unfinished { border-color: #d55e00; background: #fdf6f1; }
 .faint { color: #666; font-size: 14px; }
 nav { font-size: 14px; margin: 14px 0; display: flex; flex-wrap: wrap; gap: 4px 14px; }
-nav a { color: #0060a0; white-space: nowrap; }
+nav a { color: #0060a0; }
 figure { margin: 14px 0; }
 img { max-width: 100%; height: auto; display: block; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 14px; margin: 10px 0; }
-th, td { padding: 4px 14px 4px 0; text-align: right; border-bottom: 1px solid #ececec; vertical-align: top; }
+th, td { padding: 4px 10px 4px 0; text-align: right; border-bottom: 1px solid #ececec; vertical-align: top; }
 th { border-bottom: 1px solid #999; font-weight: 600; }
-th.text, td.text { text-align: left; }
+td { white-space: nowrap; }
+th.text, td.text { text-align: left; white-space: normal; overflow-wrap: break-word; max-width: 46ch; }
+th.group { text-align: center; border-bottom: 1px solid #ccc; }
+td.first, th.first { padding-left: 10px; border-left: 1px solid #ececec; }
 tr.strong td { font-weight: 600; background: #f4f8fb; }
 pre, code { font: 14px/1.45 ui-monospace, Menlo, Consolas, monospace; background: #f5f5f5; }
 pre { padding: 8px 12px; white-space: pre-wrap; overflow-wrap: anywhere; }
@@ -94,7 +97,9 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("provenance", "Provenance", _provenance(diagnosis, command_line)),
     ]
     kept = [(key, head, body) for key, head, body in parts if body]
-    summary = " ".join([diagnosis_text.verdict(diagnosis), *(sentence(f, diagnosis.model) for f in diagnosis.findings)])
+    found = diagnosis_text.grouped(diagnosis.findings)
+    told = (diagnosis_text.law_sentence(law, diagnosis.model) for law in found)
+    summary = " ".join([diagnosis_text.verdict(diagnosis), *told])
     links = "".join(f'<a href="#{key}">{escape(head)}</a>' for key, head, _ in kept)
     notes = "".join(f"<p>Note: {escape(note)}</p>" for note in diagnosis.notes)
     sections = "\n".join(
@@ -106,7 +111,8 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         f"<style>{CSS}</style>\n</head>\n<body>\n<header>\n<h1>{escape(title)}</h1>\n"
         f'<p class="faint">{escape(diagnosis_text.trials(diagnosis))}</p>\n'
         f'<p class="verdict {escape(diagnosis.verdict)}">{escape(diagnosis_text.verdict(diagnosis))}</p>\n'
-        f"<p>{escape(diagnosis_text.headline(diagnosis))}</p>\n{notes}\n"
+        f"<p>{escape(diagnosis_text.headline(diagnosis))}</p>\n"
+        f"<p>{escape(diagnosis_text.held_out(diagnosis))}</p>\n{notes}\n"
         f"<nav>{links}</nav>\n{_figure(figures['summary'], summary)}\n</header>\n<main>\n{sections}\n"
         f"</main>\n</body>\n</html>\n"
     )
@@ -136,21 +142,21 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: int = 1, st
 
 
 def _size(diagnosis: Diagnosis) -> str:
+    """The size of the residuals of each state of the model, joint by joint."""
     text, *_ = diagnosis_text.against_noise(diagnosis)
-    rows: list[tuple[str, ...]] = []
     shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     factors, alike = np.array([u.factor for u in shown]), len({u.unit for u in shown}) == 1
-    for part in SETS:
-        words = "fitted" if part == "train" else part
-        if not getattr(diagnosis, part):
-            continue
-        for state in diagnosis_text.states(diagnosis):
-            values = diagnosis.rmse(state, part) * factors
-            whole = (number(together(values)),) if alike else ()
-            rows.append((f"{words}: {WORDS[state]}", *(number(v) for v in values), *whole))
-    sigma = [own.sigma * u.factor for own, u in zip(diagnosis.best.noise, shown, strict=True)]
-    whole = (number(math.sqrt(sum(v**2 for v in sigma) / len(sigma))),) if alike else ()
-    rows.append(("noise", *(number(v) for v in sigma), *whole))
+    states, parts = diagnosis_text.states(diagnosis), [part for part in SETS if getattr(diagnosis, part)]
+    groups = [(diagnosis_text.PARTS[part], [WORDS[state] for state in states]) for part in parts]
+    sizes = [diagnosis.rmse(state, part) * factors for part in parts for state in states]
+    sigma = np.array([own.sigma for own in diagnosis.best.noise]) * factors
+    rows = [
+        (joint if alike else f"{joint} [{unit.unit}]", *(number(v[j]) for v in sizes), number(float(sigma[j])))
+        for j, (joint, unit) in enumerate(zip(diagnosis.joints, shown, strict=True))
+    ]
+    if alike and len(rows) > 1:
+        noise = math.sqrt(float((sigma**2).mean()))
+        rows.append(("all joints", *(number(together(v)) for v in sizes), number(noise)))
     colour = [
         f"{joint}: {number(own.white * u.factor)} {u.unit} white, {number(own.coloured * u.factor)} {u.unit} "
         f"correlated over {number(own.time * 1e3)} ms"
@@ -158,11 +164,25 @@ def _size(diagnosis: Diagnosis) -> str:
         if own.coloured > 0
     ]
     coloured = f"<p>The noise is coloured.</p>{_list(colour)}" if colour else ""
-    names = diagnosis.joints
-    heads = names if alike else tuple(f"{j} [{u.unit}]" for j, u in zip(names, shown, strict=True))
-    first = f"RMSE in {shown[0].unit}, trials" if alike else "RMSE, trials"
-    table = _table((first, *heads, *(("all joints",) if alike else ())), rows)
-    return f"<p>{escape(text)}</p>{table}{coloured}"
+    first = f"RMSE in {shown[0].unit}" if alike else "RMSE"
+    return f"<p>{escape(text)}</p>{_grouped(first, [*groups, ('noise', [''])], rows)}{coloured}"
+
+
+def _grouped(first: str, groups: Sequence[tuple[str, Sequence[str]]], rows: Sequence[Sequence[str]]) -> str:
+    """A table whose columns after the first stand in groups with a head of their own."""
+    starts = {0} | set(np.cumsum([len(heads) for _, heads in groups[:-1]]).tolist())
+
+    def cells(values: Sequence[str], tag: str) -> str:
+        kinds = (' class="first"' if k in starts else "" for k in range(len(values)))
+        return "".join(f"<{tag}{kind}>{escape(value)}</{tag}>" for value, kind in zip(values, kinds, strict=True))
+
+    above = "".join(f'<th class="group first" colspan="{len(heads)}">{escape(name)}</th>' for name, heads in groups)
+    below = cells([head for _, heads in groups for head in heads], "th")
+    body = "".join(f'<tr><td class="text">{escape(name)}</td>{cells(values, "td")}</tr>' for name, *values in rows)
+    return (
+        f'<div class="wide"><table><thead><tr><th class="text">{escape(first)}</th>{above}</tr>'
+        f'<tr><th class="text"></th>{below}</tr></thead><tbody>{body}</tbody></table></div>'
+    )
 
 
 def _where(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
@@ -174,30 +194,32 @@ def _where(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
 def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     if not diagnosis.findings:
         return ""
-    head = (
-        "effect",
-        "gain",
-        "threshold",
-        "p-value",
-        "gain in validation",
-        "explained",
-        "explained in validation",
-    )
-    rows = []
-    for finding in diagnosis.findings:
-        e = finding.evidence
+    model, found = diagnosis.model, diagnosis_text.grouped(diagnosis.findings)
+    rows, several = [], len(found) > 1
+    for law in found:
+        e = law.findings[0].evidence
         gains = (number(e.gain), number(e.threshold), power_of_ten(e.log10_p_value), number(e.validation_gain))
-        rows.append((short(finding.named), *gains, percent(e.share), percent(e.validation_share)))
-    sentences = [sentence(finding, diagnosis.model) for finding in diagnosis.findings]
-    shown = [
-        f"<h3>{escape(text)}</h3>{_figure(figures[f'finding_{k + 1}'], f'Curves of {short(finding.named)}: {text}')}"
-        for k, (finding, text) in enumerate(zip(diagnosis.findings, sentences, strict=True))
-    ]
+        alone = [diagnosis_text.share_alone(s) for s in (e.share_alone, e.validation_share_alone)] if several else []
+        rows.append((short(law.named, model), *gains, *alone, percent(e.share), percent(e.validation_share)))
+    groups = [("−2 log likelihood", ["gain", "threshold", "p-value", "gain in validation"])]
+    if several:
+        groups.append(("explained alone", ["fitted", "validation"]))
+        whole = percent(diagnosis.explained("train")), percent(diagnosis.explained("validation"))
+        rows.append(("all together", *[""] * 6, *whole))
+    groups.append(("explained beside the others" if several else "explained", ["fitted", "validation"]))
+    shown = []
+    for law in found:
+        text = diagnosis_text.law_sentence(law, model)
+        sizes = _table(*diagnosis_text.by_place(law)) if len(law.findings) > 1 else ""
+        figure = _figure(figures[f"finding_{law.first + 1}"], f"Curves of {short(law.named, model)}: {text}")
+        shown.append(f"<h3>{escape(text)}</h3>{sizes}{figure}")
     explained = (
         '<p class="faint">Gain: fall of −2 log likelihood with the effect, everything else free without it. Explained: '
         "share of the excess residual variance (mean squared residual above the noise variance).</p>"
     )
-    return f"{_list(sentences)}{_table(head, rows)}{explained}{''.join(shown)}"
+    together = f"<p>{escape(text)}</p>" if (text := diagnosis_text.together(diagnosis)) else ""
+    sentences = [diagnosis_text.law_sentence(law, model) for law in found]
+    return f"{_list(sentences)}{_grouped('effect', groups, rows)}{together}{explained}{''.join(shown)}"
 
 
 def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
@@ -253,13 +275,18 @@ def _parameters(diagnosis: Diagnosis) -> str:
 def _candidates(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     if not diagnosis.ranking:
         return ""
+    model, found = diagnosis.model, diagnosis_text.grouped(diagnosis.findings)
     marks = dict.fromkeys(diagnosis.rejected, "fits best, rejected")
-    marks |= {other: f"not distinguishable from {short(f.named)}" for f in diagnosis.findings for other in f.equivalent}
-    marks |= {f.named: "found" for f in diagnosis.findings}
+    marks |= {
+        other: f"not distinguishable from {short(law.named, model)}"
+        for law in found
+        for other in law.findings[0].equivalent
+    }
+    marks |= {diagnosis_text.candidate_of(law): "found" for law in found}
     rows = [
         (
             str(k + 1),
-            short(r.named),
+            short(r.named, model),
             marks.get(r.named, ""),
             number(r.screened),
             "" if r.fitted is None else number(r.fitted),
@@ -282,12 +309,10 @@ def _detectable(diagnosis: Diagnosis) -> str:
 
 def _method(diagnosis: Diagnosis) -> str:
     """How it was done; the refit by whole trials or by multiple shooting, as the trials were cut."""
-    segments = diagnosis.train
-    cut = len(segments) > len({s.recording for s in segments})
-    length = float(np.median([s.trial.sample_times[-1] - s.trial.start for s in segments]))
+    length = diagnosis.interval
     how = (
-        f"multiple shooting over intervals of {number(length)} s, each from an initial state of its own"
-        if cut
+        f"multiple shooting over intervals of {quantity(length, 's', 2)}, each from an initial state of its own"
+        if length is not None
         else "simulating each trial fitted as a whole"
     )
     refit = (
@@ -306,8 +331,8 @@ def _provenance(diagnosis: Diagnosis, command_line: str) -> str:
         ("validation trials", diagnosis.validation),
         ("test trials", diagnosis.test),
     ):
-        names = dict.fromkeys(s.trial.name for s in segments)
-        rows.append((words, ", ".join(names) or "none"))
+        names = {s.recording: s.recording_name for s in segments}
+        rows.append((words, ", ".join(names.values()) or "none"))
     carried = [f"{e.name} at {e.location}" for e in diagnosis.model.effects]
     if carried:
         rows.append(("effects of the nominal model", ", ".join(carried)))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.results import (
+    SETS,
     STATES,
     Detectable,
     Diagnosis,
@@ -17,6 +19,7 @@ from equimus_ctrl.diagnosis.results import (
     Finding,
     Named,
     ResidualAboveNoise,
+    Set,
     Unexplained,
 )
 from equimus_ctrl.diagnosis.units import Reading
@@ -24,6 +27,7 @@ from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_sentences import sentence
 from equimus_ctrl.report.diagnosis_words import (
+    MANY,
     coordinates_text,
     estimate_text,
     listed,
@@ -44,31 +48,90 @@ __all__ = ["print_diagnosis", "sentence"]
 NOWHERE = "nowhere in particular"
 MOST_DETECTABLE = 24
 """Smallest detectable sizes that a terminal shows."""
+MOST_NAMES = 4
+"""Names of held-out trials that are listed; more are counted."""
+PARTS: dict[Set, str] = {"train": "fitted", "validation": "validation", "test": "test"}
+"""What the sets of trials are called."""
 COUNTS = ("no", "one", "two", "three", "four", "five")
 
 
-def laws(findings: Sequence[Finding]) -> list[Named]:
-    """What was found, a law with its own size at several places as one."""
-    grouped = []
-    for finding in findings:
+@dataclass(frozen=True, eq=False)
+class Law:
+    """What was found of one law: one finding, or those of all places where it has its own size.
+
+    Attributes:
+        findings: in the diagnosis' order; their evidence is the same.
+        first: place of the first of them among all findings.
+    """
+
+    findings: tuple[Finding, ...]
+    first: int
+
+    @property
+    def named(self) -> Named:
+        """The effect and all its places."""
+        named = self.findings[0].named
+        places = tuple(place for finding in self.findings for place in finding.named.locations)
+        return named if len(self.findings) == 1 else Named(named.effect, places, each=True)
+
+
+def grouped(findings: Sequence[Finding]) -> list[Law]:
+    """The laws that were found, a law with its own size at several places as one."""
+    found = []
+    for k, finding in enumerate(findings):
         same = [other for other in findings if finding.law is not None and other.law is finding.law] or [finding]
         if same[0] is finding:
-            places = tuple(place for other in same for place in other.named.locations)
-            grouped.append(finding.named if len(same) == 1 else Named(finding.named.effect, places, each=True))
-    return grouped
+            found.append(Law(tuple(same), k))
+    return found
+
+
+def laws(findings: Sequence[Finding]) -> list[Named]:
+    """Their names."""
+    return [law.named for law in grouped(findings)]
+
+
+def candidate_of(law: Law) -> Named:
+    """The candidate of the search that it was, with the places that are not named."""
+    whole = law.findings[0].law
+    if whole is None:
+        return law.named
+    places = whole.candidate.locations
+    return Named(whole.candidate.effect.name, places, each=len(places) > 1)
+
+
+def law_sentence(law: Law, model: Model) -> str:
+    """What was found as a sentence; of a law with several sizes the ends of the first, see ``by_place`` for all."""
+    if len(law.findings) == 1:
+        return sentence(law.findings[0], model)
+    key = next(iter(law.findings[0].parameters))
+    least, *_, most = sorted(law.findings, key=lambda f: f.parameters[key].value)
+    ends = (
+        f"{quantity(f.parameters[key].value, f.parameters[key].unit)} at {listed(f.named.locations)}"
+        for f in (least, most)
+    )
+    effect = law.findings[0].part.candidate.effect
+    return f"{upper(short(law.named, model))} ({effect.summary}): {key} {' to '.join(ends)}."
+
+
+def by_place(law: Law) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """A table of a law with its own size at several places: its heads, and for each place its parameters."""
+    effect = law.findings[0].part.candidate.effect
+    keys = list(law.findings[0].parameters)
+    rows = [(listed(f.named.locations), *(estimate_text(f.parameters[key]) for key in keys)) for f in law.findings]
+    return (effect.sits_at[0], *keys), rows
 
 
 def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in one sentence."""
     named = laws(diagnosis.findings)
-    n = len(named)
+    n, model = len(named), diagnosis.model
     if diagnosis.verdict == "consistent":
         return "Consistent: refitted, the model explains the recordings down to the noise; no missing physics is seen."
     if diagnosis.verdict == "unexplained" and diagnosis.undetermined and not diagnosis.unexplained:
         return "Unexplained: physics is missing from the model; what fits is not identifiable from these recordings."
     if diagnosis.verdict == "unexplained":
         return "Unexplained: physics is missing from the model, and it is none of the known effects."
-    what = listed([short(each) for each in named])
+    what = listed([short(each, model) for each in named])
     count = COUNTS[n] if n < len(COUNTS) else n
     effects = f"{count} {'effect' if n == 1 else 'effects'} missing from the model: {what}"
     if diagnosis.verdict == "unfinished":
@@ -95,10 +158,55 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
     lines = [f"{text}."]
     for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.best.noise, strict=True)):
         unit = units.error(diagnosis.model, joint)
-        first, last = (diagnosis.rmse(state, "train")[j] * unit.factor for state in states(diagnosis)[-2:])
-        noise = number(own.sigma * unit.factor)
-        lines.append(f"{joint}: RMSE {number(first)} → {number(last)} {unit.unit}, noise {noise} {unit.unit}")
+        said = []
+        for part in SETS:
+            if getattr(diagnosis, part):
+                shown = (number(diagnosis.rmse(state, part)[j] * unit.factor) for state in states(diagnosis)[-2:])
+                said.append(f"{PARTS[part]} {' → '.join(shown)}")
+        said.append(f"noise {number(own.sigma * unit.factor)}")
+        lines.append(f"{joint}: RMSE in {unit.unit}: {', '.join(said)}")
     return lines
+
+
+def held_out(diagnosis: Diagnosis) -> str:
+    """Which trials were held out, and how all were cut, in one sentence."""
+    parts = {part: _which(diagnosis, part) for part in SETS[1:]}
+    text = "Nothing was held out"
+    if any(parts.values()):
+        text = f"Held out: {parts['validation'] or 'nothing'} for validation, {parts['test'] or 'nothing'} for the test"
+    if diagnosis.interval is None:
+        free = diagnosis.train[0].free_start > 0
+        begins = "an initial state of its own" if free else "what was measured first"
+        return f"{text}; each trial was simulated as a whole, from {begins}."
+    fitted, rest = len(diagnosis.train), len(diagnosis.validation) + len(diagnosis.test)
+    length = quantity(diagnosis.interval, "s", 2)
+    return (
+        f"{text}; trials were cut into shooting intervals of {length}, {fitted} fitted and {rest} held out, each "
+        "simulated from an initial state of its own."
+    )
+
+
+def _which(diagnosis: Diagnosis, part: Set) -> str:
+    """The trials of a set by name, or how many where they are many; from when on, where their beginning was fitted."""
+    segments = getattr(diagnosis, part)
+    fitted = {s.recording for s in diagnosis.train}
+    begins: dict[int, float] = {}
+    for s in segments:
+        begins[s.recording] = min(begins.get(s.recording, math.inf), float(s.trial.sample_times[0]))
+    names = {s.recording: s.recording_name for s in segments}
+    if len(names) > MOST_NAMES:
+        return f"{len(names)} trials"
+    own = {r: f" from {quantity(begins[r], 's')} on" if r in fitted else "" for r in names}
+    return listed([f"{name}{own[r]}" for r, name in names.items()])
+
+
+def together(diagnosis: Diagnosis) -> str:
+    """What all effects together explain; "" where there is one or none, whose evidence says so."""
+    if len(grouped(diagnosis.findings)) < 2:
+        return ""
+    text = f"All together explain {percent(diagnosis.explained('train'))} of the excess residual variance"
+    held = [f"{percent(diagnosis.explained(part))} in {PARTS[part]}" for part in SETS[1:] if getattr(diagnosis, part)]
+    return f"{text} ({', '.join(held)})." if held else f"{text}."
 
 
 def where(diagnosis: Diagnosis) -> list[str]:
@@ -120,10 +228,15 @@ def headline(diagnosis: Diagnosis) -> str:
     shown = [units.error(diagnosis.model, joint) for joint in diagnosis.joints]
     if diagnosis.findings:
         parts = [_fall(j, b, a, u) for j, b, a, u in zip(diagnosis.joints, before, after, shown, strict=True)]
+        size = after / np.maximum(before, 1e-300)
     else:
         of = zip(diagnosis.joints, before, shown, strict=True)
         parts = [f"{number(size * unit.factor)} {unit.unit} at the {joint}" for joint, size, unit in of]
-    text = f"the error {'changes by' if diagnosis.findings else 'is'} {listed(parts)}"
+        size = before / np.array([own.sigma for own in diagnosis.best.noise])
+    what = listed(parts)
+    if len(parts) >= MANY:  # the table has all of them
+        what = f"{parts[int(np.argmin(size))]} to {parts[int(np.argmax(size))]}"
+    text = f"the error {'changes by' if diagnosis.findings else 'is'} {what}"
     n = len({s.recording for s in segments})
     who = f"On the {part} trial" if n == 1 else f"On the {n} {part} trials"
     seen = "no fit and no choice has seen" if part == "test" else "no fit has seen, though choices have"
@@ -148,21 +261,25 @@ def evidence(diagnosis: Diagnosis, k: int) -> str:
     if math.isfinite(e.validation_gain):
         text += f"; on validation trials by {number(e.validation_gain)}"
     text += f"; explains {percent(e.share)} of the excess residual variance"
-    return f"{text} ({percent(e.validation_share)} in validation)" if math.isfinite(e.validation_share) else text
+    if math.isfinite(e.validation_share):
+        text += f" ({percent(e.validation_share)} in validation)"
+    if len(grouped(diagnosis.findings)) > 1:
+        text += " beside the others"
+        text += f", {share_alone(e.share_alone)} alone" if math.isfinite(e.share_alone) else ""
+    return text
 
 
-def first_of_law(diagnosis: Diagnosis, k: int) -> bool:
-    """Whether no finding before this one is a place of the same law, whose evidence is of all of them together."""
-    law = diagnosis.findings[k].law
-    return law is None or all(earlier.law is not law for earlier in diagnosis.findings[:k])
+def share_alone(share: float) -> str:
+    """What an effect explains alone; without the others a fit can also leave more where the noise is small."""
+    return "none" if share <= 0 else percent(share)
 
 
 def remains(diagnosis: Diagnosis) -> list[str]:
     """What none of the findings explains, and effects that were rejected because of it."""
     lines = [_unexplained(residual, diagnosis.model) for residual in diagnosis.unexplained]
-    lines += [f"{_upper(short(f.named))} fits, but {f.undetermined}." for f in diagnosis.undetermined]
+    lines += [f"{upper(short(f.named, diagnosis.model))} fits, but {f.undetermined}." for f in diagnosis.undetermined]
     if diagnosis.rejected:
-        named = listed([short(named) for named in diagnosis.rejected])
+        named = listed([short(named, diagnosis.model) for named in diagnosis.rejected])
         lines.append(f"Of the known effects, {named} fits best, but no better than an unstructured residual force.")
     return lines
 
@@ -190,11 +307,17 @@ def _unexplained(residual: Unexplained, model: Model) -> str:
 
 def not_distinguishable(diagnosis: Diagnosis) -> list[str]:
     """Findings that these recordings do not distinguish from others."""
-    ambiguous = [f for f in diagnosis.findings if f.equivalent]
-    return [f"{_upper(short(f.named))} or {listed([short(o) for o in f.equivalent], 'or')}." for f in ambiguous]
+    ambiguous = [law for law in grouped(diagnosis.findings) if law.findings[0].equivalent]
+    model = diagnosis.model
+    return [
+        f"{upper(short(law.named, model))} or "
+        f"{listed([short(other, model) for other in law.findings[0].equivalent], 'or')}."
+        for law in ambiguous
+    ]
 
 
-def _upper(text: str) -> str:
+def upper(text: str) -> str:
+    """With a capital letter first."""
     return text[:1].upper() + text[1:]
 
 
@@ -260,6 +383,7 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
             say(line, 2)
 
     say(trials(diagnosis), style="dim")
+    say(held_out(diagnosis), style="dim")
     if diagnosis.engine.reason:
         say(diagnosis.engine.sentence, style="dim")
     say(verdict(diagnosis), style="bold")
@@ -274,10 +398,16 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     )
     if diagnosis.findings:
         say("Missing physics", style="bold")
-    for k, finding in enumerate(diagnosis.findings):
-        say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
-        if first_of_law(diagnosis, k):
-            say(evidence(diagnosis, k), 5, "dim")
+    for k, law in enumerate(grouped(diagnosis.findings)):
+        say(f"{k + 1}. {law_sentence(law, diagnosis.model)}", 2)
+        if len(law.findings) > 1:
+            head, rows = by_place(law)
+            for place, *sizes in rows:
+                named = (f"{key} {size}" for key, size in zip(head[1:], sizes, strict=True))
+                say(f"{place}: {', '.join(named)}", 5)
+        say(evidence(diagnosis, law.first), 5, "dim")
+    if text := together(diagnosis):
+        say(text, 2)
     listing("Unexplained residuals", remains(diagnosis))
     listing("Not distinguishable from these recordings", not_distinguishable(diagnosis))
     if diagnosis.experiment is not None:

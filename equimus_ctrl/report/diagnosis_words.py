@@ -12,6 +12,8 @@ from equimus_ctrl.models.model import Model
 
 DIGITS, MOST_DIGITS = 3, 5
 """Significant digits of a number without an interval, and of any."""
+MANY = 4
+"""So many joints or actuators are counted where all of them are meant, and not listed by name."""
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _DEGREES = 180.0 / math.pi
 
@@ -122,10 +124,27 @@ def listed(items: Sequence[str], last: str = "and") -> str:
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}" if items else ""
 
 
-def short(named: Named) -> str:
-    """Such as ``dead zone at baa``."""
+def short(named: Named, model: Model | None = None) -> str:
+    """Such as ``dead zone at baa``.
+
+    Args:
+        named: what and where.
+        model: of the robot, for ``all 6 joints`` in the place of their names, and ``each of the 6 joints``.
+    """
+    what = named.effect.replace("_", " ")
+    if model is not None and (whole := _all_of(named, model)):
+        return f"{what} at {whole}"
     own = ", each with its own size" if named.each else ""
-    return f"{named.effect.replace('_', ' ')} at {listed(named.locations)}{own}"
+    return f"{what} at {listed(named.locations)}{own}"
+
+
+def _all_of(named: Named, model: Model) -> str:
+    """All places of a kind in words, where these are all of them and too many to be listed; else ""."""
+    kinds = {"joints": model.robot.joint_names, "actuators": model.robot.actuator_names}
+    for kind, names in kinds.items():
+        if len(names) >= MANY and set(named.locations) == set(names):
+            return f"each of the {len(names)} {kind}" if named.each else f"all {len(names)} {kind}"
+    return ""
 
 
 _COORDINATES: dict[Kind, str] = {

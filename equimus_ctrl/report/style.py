@@ -9,6 +9,7 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -96,17 +97,30 @@ def legend_below(figure: Figure, handles: Sequence[Artist]) -> Legend | None:
     """One legend under all panels, where it cannot cover data; None where there is nothing to explain."""
     if not handles:
         return None
-    characters = sum(len(str(handle.get_label())) + 9 for handle in handles)
-    rows = -(-characters // int(12.5 * figure.get_figwidth()))
     return figure.legend(
         handles=list(handles),
         loc="outside lower center",
-        ncols=-(-len(handles) // rows),
+        ncols=_columns([len(str(handle.get_label())) + 9 for handle in handles], 12.5 * figure.get_figwidth()),
         frameon=False,
         fontsize=SMALL_SIZE,
         labelcolor=INK,
         handlelength=2.6,
     )
+
+
+def _columns(widths: Sequence[int], room: float) -> int:
+    """Columns of a legend that is filled column by column, as few rows as its width has room for.
+
+    Args:
+        widths: of the entries, in characters.
+        room: the same for a whole row.
+    """
+    for rows in range(1, len(widths)):
+        columns = -(-len(widths) // rows)
+        parts = np.array_split(np.asarray(widths), columns)
+        if sum(int(part.max()) for part in parts) <= room:
+            return columns
+    return 1
 
 
 def save(figure: Figure, path: Path) -> Path:

@@ -9,6 +9,7 @@ from typing import Any
 
 from equimus_ctrl import presets
 from equimus_ctrl.effects.command import DELAY
+from equimus_ctrl.effects.sensors import SENSOR_DELAY, SensorDelay
 from equimus_ctrl.effects.valves import TransportDelay
 from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
@@ -176,4 +177,7 @@ def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]
         own.mujoco.actuator_delay[drive.index] = delay if held else 0.0
         if delay > 0 and not held:
             left.append(f"{TransportDelay.name} at {drive.name}")
-    return exported(own.robot, own.mujoco, left, folder), tuple(left)
+    late = dict(zip(own.robot.joint_names, own.sensor[:, SENSOR_DELAY].tolist(), strict=True))
+    left += [f"{SensorDelay.name} at {joint}" for joint, delay in late.items() if 0 < delay < own.mujoco.opt.timestep]
+    late = {joint: delay for joint, delay in late.items() if delay >= own.mujoco.opt.timestep}
+    return exported(own.robot, own.mujoco, left, folder, late), tuple(left)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -14,7 +14,13 @@ from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 
-def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str = "") -> str:
+def exported(
+    robot: MjcfRobot,
+    model: Any,
+    left: Sequence[str] = (),
+    folder: str = "",
+    late: Mapping[str, float] | None = None,
+) -> str:
     """MuJoCo's XML of a robot with the parameters that an ``MjModel`` made of it has.
 
     Args:
@@ -22,6 +28,7 @@ def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str
         model: see ``mujoco_model``; parameters may have been changed in it since.
         left: what the XML cannot hold, for a comment.
         folder: of the files that it names, as seen from where it is to be.
+        late: joint → by how much its measurements are late, at least a step [s]: the delay of its sensors.
     """
     joints = tuple(c.joint for c in robot.compliances)
     spec = with_rotors_spec(robot.xml, Assets(robot.assets), joints)
@@ -44,13 +51,12 @@ def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str
     for actuator in spec.actuators:
         a = model.actuator(actuator.name).id
         actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
-        actuator.dynprm = model.actuator_dynprm[a]
+        actuator.biastype, actuator.dynprm = model.actuator_biastype[a], model.actuator_dynprm[a]
         actuator.dyntype, actuator.actearly = model.actuator_dyntype[a], bool(model.actuator_actearly[a])
         actuator.delay = model.actuator_delay[a]
         if model.actuator_delay[a]:
-            # Linear between samples: of a command that holds over whole steps the mean over a step.
-            actuator.nsample = max(actuator.nsample, math.ceil(model.actuator_delay[a] / model.opt.timestep - 1e-9))
-            actuator.interp = 1
+            # Of a command that holds over whole steps the mean over a step.
+            _buffer(actuator, model)
         actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
     for tendon in spec.tendons:
         t = tendon.id
@@ -59,6 +65,10 @@ def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str
         tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]
         tendon.damping = [model.tendon_damping[t], *model.tendon_dampingpoly[t]]
         tendon.springlength = model.tendon_lengthspring[t]
+    for name, delay in (late or {}).items():
+        for sensor in _sensors(spec, name):
+            sensor.delay += delay
+            _buffer(sensor, model)
     spec.option.gravity = model.opt.gravity
     _fill(spec, before)
     spec.compile()
@@ -68,6 +78,19 @@ def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str
     if left:
         text = text.replace("\n", f"\n  <!-- Not in here: {', '.join(left)}. -->\n", 1)
     return text
+
+
+def _buffer(late: Any, model: Any) -> None:
+    """Give something with a delay a buffer that holds it, linear between the samples in it."""
+    late.nsample = max(late.nsample, math.ceil(late.delay / model.opt.timestep - 1e-9))
+    late.interp = 1
+
+
+def _sensors(spec: Any, joint: str) -> list[Any]:
+    """The sensors of a joint's position, or a new one, called as the column of a recording is."""
+    kind = mujoco.mjtSensor.mjSENS_JOINTPOS
+    own = [sensor for sensor in spec.sensors if sensor.type == kind and sensor.objname == joint]
+    return own or [spec.add_sensor(name=f"pos.{joint}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)]
 
 
 def _fill(spec: Any, before: Any) -> None:

@@ -1,0 +1,46 @@
+"""Options of the verbs, one class each: the command line offers its fields as options, the library takes it whole.
+
+A default, its bounds and the line of help stand here and nowhere else.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from equimus_ctrl.options.autotune import AutotuneOptions
+from equimus_ctrl.options.compare import CompareOptions
+from equimus_ctrl.options.diagnose import DiagnoseOptions
+from equimus_ctrl.options.fields import NAMES, SPAN, bounds_of, key_values
+from equimus_ctrl.options.identify import IdentifyOptions
+from equimus_ctrl.options.offers import OnCommandLine, offered, option, with_changes
+from equimus_ctrl.options.prove import KINDS, LEAST_DURATION, ProveOptions
+from equimus_ctrl.options.score import MOST_RATE, ScoreOptions
+from equimus_ctrl.options.sensitivity import SensitivityOptions
+from equimus_ctrl.options.validate import ValidateOptions
+
+if TYPE_CHECKING:
+    from equimus_ctrl.options.fields import Bounds as Bounds
+    from equimus_ctrl.options.fields import Some as Some
+    from equimus_ctrl.options.fields import Window as Window
+
+__all__ = [
+    "KINDS",
+    "LEAST_DURATION",
+    "MOST_RATE",
+    "NAMES",
+    "SPAN",
+    "AutotuneOptions",
+    "CompareOptions",
+    "DiagnoseOptions",
+    "IdentifyOptions",
+    "OnCommandLine",
+    "ProveOptions",
+    "ScoreOptions",
+    "SensitivityOptions",
+    "ValidateOptions",
+    "bounds_of",
+    "key_values",
+    "offered",
+    "option",
+    "with_changes",
+]

@@ -1,0 +1,66 @@
+"""Options of ``compare``."""
+# ruff: noqa: RUF009 – options are fields, made as ``dataclasses.field`` makes them
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from equimus_ctrl.options.fields import NAMES, at_least, set_of, settings_of
+from equimus_ctrl.options.offers import option
+
+if TYPE_CHECKING:
+    from equimus_ctrl.scenarios.comparison import Condition
+    from equimus_ctrl.types import Controller
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """How controllers are compared.
+
+    Attributes:
+        controllers: names, ``path.py:Name``, controllers, classes or functions; all that are made for it by default.
+        under: names of ``workflow.comparisons.CONDITIONS``, or conditions; by default the first ones, and with a
+            corrected model the last ones too.
+        draws: how many perturbed robots.
+        scenario_options: of the scenarios, as text.
+        settings: controller → its settings file.
+        seed: of noise and perturbed robots.
+        recordings: folder to look for recordings in.
+
+    Raises:
+        ConfigError: for a value that cannot be.
+    """
+
+    controllers: Sequence[str | Controller | Callable[..., Any]] | None = option(
+        None,
+        NAMES,
+        "By name or path/to/file.py:Name; repeatable. By default pid, lqr, nmpc, sampling, those of plugins.",
+        "--controller",
+        "-c",
+    )
+    under: Sequence[str | Condition] | None = option(
+        None,
+        NAMES,
+        "nominal, noisy, delayed, unmodelled_delay, perturbed, corrected or uncorrected; repeatable.",
+        "--condition",
+        metavar="NAME",
+    )
+    draws: int = option(3, int, "How many perturbed robots.")
+    scenario_options: Mapping[str, str] | None = option(
+        None, NAMES, "An option of the scenarios.", "--set", metavar="KEY=VALUE", read=set_of
+    )
+    settings: Mapping[str, Path] | None = option(
+        None, NAMES, "Settings file of a controller (TOML); repeatable.", metavar="NAME=FILE", read=settings_of
+    )
+    seed: int = option(0, int, "Of noise and perturbed robots.")
+    recordings: Path | None = option(
+        None, Path | None, "Folder with recordings; $EQUIMUS_RECORDINGS by default.", metavar="DIR"
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        at_least("draws", self.draws, 1)
+        at_least("seed", self.seed, 0)

@@ -1,0 +1,45 @@
+"""Options of ``score``."""
+# ruff: noqa: RUF009 – options are fields, made as ``dataclasses.field`` makes them
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.options.fields import engine_option, window_option
+from equimus_ctrl.options.offers import option
+
+if TYPE_CHECKING:
+    from equimus_ctrl.engines.base import EngineName
+    from equimus_ctrl.options.fields import Window
+
+MOST_RATE = 1e5
+"""Of the grid that predictions are compared on [Hz]; nothing is recorded faster."""
+
+
+@dataclass(frozen=True)
+class ScoreOptions:
+    """How a model is judged by recordings, open loop.
+
+    Attributes:
+        engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
+        window: (from, to) of each trial that counts; all of it by default [s].
+        rate: of a grid to compare on; the recording's own rows by default [Hz].
+
+    Raises:
+        ConfigError: for a value that cannot be.
+    """
+
+    engine: EngineName | None = engine_option()
+    window: Window | None = window_option("Score this part of each trial, in s.")
+    rate: float | None = option(
+        None, float | None, "Compare on a grid of this rate, in Hz; at the recorded rows by default."
+    )
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.rate is not None and not 0 < self.rate <= MOST_RATE:
+            raise ConfigError(
+                f"the rate of the grid is {self.rate:g} Hz, expected more than 0 and at most {MOST_RATE:g}"
+            )
