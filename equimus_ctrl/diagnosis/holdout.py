@@ -24,7 +24,7 @@ LAST = 0.25
 """Share of a single trial that is held out, its end."""
 LEAST_DURATION, LEAST_SAMPLES = 1.0, 60
 """Of a trial to be of use [s] and in samples."""
-MOST_TIME, ENOUGH = 400.0, 8.0
+MOST_TIME, ENOUGH = 240.0, 8.0
 """Fitted are so many seconds times joints; of longer recordings intervals of the second length are chosen evenly [s].
 More takes longer in proportion, and intervals of estimates shrink by the root of it alone."""
 
