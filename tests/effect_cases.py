@@ -212,6 +212,9 @@ CASES: dict[str, Case] = {
     "payload_off_centre": Case(
         mjcf={"mass": 0.6, "x": 0.1, "y": 0.0, "z": -0.2},
     ),
+    "spring_tether": Case(
+        mjcf={"stiffness": 20.0, "x": 0.4, "y": 0.2, "z": -0.3},
+    ),
     "gravity_tilt": Case(
         strong={"base": {"angle": 0.2}},
         acting={"angle": 0.1},

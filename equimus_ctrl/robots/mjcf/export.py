@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from equimus_ctrl.robots.mjcf.parts import with_rotors_spec
+from equimus_ctrl.robots.mjcf.parts import tether_of, with_parts_spec
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
@@ -24,7 +24,8 @@ def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str
         folder: of the files that it names, as seen from where it is to be.
     """
     joints = tuple(c.joint for c in robot.compliances)
-    spec = with_rotors_spec(robot.xml, Assets(robot.assets), joints)
+    places = tuple(tether.place for tether in robot.tethers)
+    spec = with_parts_spec(robot.xml, Assets(robot.assets), joints, places)
     before = spec.compile()  # gives ids to what has no name
     turn = 180 / math.pi if spec.compiler.degree else 1.0
     for body in spec.bodies[1:]:
@@ -59,6 +60,11 @@ def exported(robot: MjcfRobot, model: Any, left: Sequence[str] = (), folder: str
         tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]
         tendon.damping = [model.tendon_damping[t], *model.tendon_dampingpoly[t]]
         tendon.springlength = model.tendon_lengthspring[t]
+    for place in places:
+        _, *ends = tether_of(place)
+        for name in ends:
+            if (site := spec.site(name)) is not None:
+                site.pos = model.site_pos[model.site(name).id]
     spec.option.gravity = model.opt.gravity
     _fill(spec, before)
     spec.compile()
