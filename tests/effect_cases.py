@@ -264,8 +264,14 @@ CASES: dict[str, Case] = {
     "asymmetric_friction": Case(
         mjcf={"forward": 1.5, "backward": 0.5},
     ),
+    "cogging": Case(
+        mjcf={"sine": 1.0, "cosine": -0.7, "period": 0.3},
+    ),
     "constant_force": Case(
         mjcf={"size": 1.5},
+    ),
+    "directional_load_friction": Case(
+        mjcf={"drive": 0.1, "backdrive": 0.4},
     ),
     "drive_play": Case(
         mjcf={"play": 0.3},
@@ -275,6 +281,15 @@ CASES: dict[str, Case] = {
     ),
     "load_friction": Case(
         mjcf={"share": 0.3},
+    ),
+    "position_dependent_friction": Case(
+        mjcf={"friction": 0.2, "more": 1.5, "angle": 0.5},
+    ),
+    "rotor_inertia": Case(
+        mjcf={"inertia": 0.1},
+    ),
+    "motor_dead_zone": Case(
+        mjcf={"threshold": 1.5},
     ),
     "quadratic_damping": Case(
         mjcf={"drag": 0.5},

@@ -33,8 +33,14 @@ OTHER = Excitation(
     roams=UNITS["m"] * SEEN.roams,
 )
 OWN = sorted(name for name, cls in REGISTRY.items() if cls.__module__.startswith("equimus_ctrl."))
-ABSOLUTE = {("gravity_tilt", "angle"): 1.0, ("rate_limit", "rate"): UNITS["Pa"]}
-"""What is tried whatever was seen: by so much more it is. A valve takes its time, in seconds, however long a trial is."""
+ABSOLUTE = {
+    ("gravity_tilt", "angle"): 1.0,
+    ("position_dependent_friction", "angle"): 1.0,
+    ("rate_limit", "rate"): UNITS["Pa"],
+    ("rotor_inertia", "inertia"): FORCE * TIME**2 / PLACE,
+}
+"""What is tried whatever was seen: by so much more it is. A valve takes its time, in seconds, however long a trial is;
+what comes back every turn is looked for at its quarters. An inertia is what a force turns."""
 
 
 def factor(unit: str) -> float:

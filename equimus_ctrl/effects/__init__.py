@@ -5,15 +5,13 @@ from equimus_ctrl.effects.bodies import BodyEffect, GravityTilt, JointStop, Payl
 from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.drives import (
     ActuatorGain,
-    AsymmetricDamping,
-    AsymmetricFriction,
+    Cogging,
     ConstantForce,
     DriveCompliance,
     DrivePlay,
-    LoadFriction,
-    QuadraticDamping,
+    MotorDeadZone,
+    RotorInertia,
     TorqueSaturation,
-    ViscousFriction,
 )
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import (
@@ -25,6 +23,15 @@ from equimus_ctrl.effects.force import (
     NonlinearStiffness,
     ParallelSpring,
     StribeckFriction,
+)
+from equimus_ctrl.effects.joint_friction import (
+    AsymmetricDamping,
+    AsymmetricFriction,
+    DirectionalLoadFriction,
+    LoadFriction,
+    PositionDependentFriction,
+    QuadraticDamping,
+    ViscousFriction,
 )
 from equimus_ctrl.effects.sensors import Backlash, SensorDelay, SensorEffect, SensorOffset, SensorScale
 from equimus_ctrl.effects.sizes import Share, Size
@@ -50,6 +57,7 @@ __all__ = [
     "AsymmetricLag",
     "Backlash",
     "BodyEffect",
+    "Cogging",
     "ConstantForce",
     "CoulombFriction",
     "Creep",
@@ -57,6 +65,7 @@ __all__ = [
     "Cutoff",
     "DeadZone",
     "Description",
+    "DirectionalLoadFriction",
     "DriveCompliance",
     "DrivePlay",
     "Effect",
@@ -68,13 +77,16 @@ __all__ = [
     "Hysteresis",
     "JointStop",
     "LoadFriction",
+    "MotorDeadZone",
     "NarrowingArea",
     "NonlinearStiffness",
     "ParallelSpring",
     "PayloadMass",
     "PayloadOffCentre",
+    "PositionDependentFriction",
     "QuadraticDamping",
     "RateLimit",
+    "RotorInertia",
     "Saturation",
     "SensorDelay",
     "SensorEffect",

@@ -72,6 +72,8 @@ class Excitation:
             "s": self.span / self.speed,
             "Hz": self.speed / self.span,
             "kg": self.mass,
+            "kg·m²": self.force * self.span / self.speed**2,
+            "command": self.command,
             **dict.fromkeys(("rad", "m"), self.span),
             **dict.fromkeys(("rad/s", "m/s"), self.speed),
             **dict.fromkeys(("N·m", "N"), self.force),

@@ -265,6 +265,17 @@ class MjcfRobot(Robot):
         return replace(self, tethers=(*self.tethers, Tether(place, stiffness, anchor)))
 
     @property
+    def joints_without_rotor(self) -> tuple[str, ...]:
+        """Joints of drives with which nothing turns, for they have no armature."""
+        numbers, driven = self.parameters(), {drive.joint for drive in self.actuators}
+        return tuple(name for name in self.joint_names if name in driven and numbers[f"{name}.armature"] <= 0)
+
+    @property
+    def motors(self) -> tuple[str, ...]:
+        """Actuators whose command is no goal for where something is."""
+        return tuple(drive.name for drive in self.actuators if not drive.servo)
+
+    @property
     def ends(self) -> dict[str, tuple[str, ...]]:
         """``places`` of what sticks out: sites, or where there are none the bodies that carry no other."""
         carrying = {int(parent) for parent in self.plan.base.body_parentid}
