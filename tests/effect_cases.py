@@ -264,9 +264,6 @@ CASES: dict[str, Case] = {
     "asymmetric_friction": Case(
         mjcf={"forward": 1.5, "backward": 0.5},
     ),
-    "cogging": Case(
-        mjcf={"sine": 1.0, "cosine": -0.7, "period": 0.3},
-    ),
     "constant_force": Case(
         mjcf={"size": 1.5},
     ),
@@ -293,6 +290,9 @@ CASES: dict[str, Case] = {
     ),
     "quadratic_damping": Case(
         mjcf={"drag": 0.5},
+    ),
+    "torque_ripple": Case(
+        mjcf={"sine": 1.0, "cosine": -0.7, "period": 0.3},
     ),
     "torque_saturation": Case(
         mjcf={"level": 1.5},

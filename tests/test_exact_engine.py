@@ -13,7 +13,6 @@ import pytest
 from mjcf_models import CRANE, RIG, pendulum, swinging
 
 from equimus_ctrl.effects import (
-    Cogging,
     CoulombFriction,
     DirectionalLoadFriction,
     DriveCompliance,
@@ -21,6 +20,7 @@ from equimus_ctrl.effects import (
     PayloadMass,
     PositionDependentFriction,
     SpringTether,
+    TorqueRipple,
     ViscousFriction,
 )
 from equimus_ctrl.engines.batch import simulate
@@ -162,7 +162,7 @@ def test_a_drive_that_gives_way_is_mujocos_without_its_step() -> None:
         (ViscousFriction("shoulder", 0.4),),
         (CoulombFriction("reach", 2.0),),
         (SpringTether("tip", 20.0, 0.4, 0.2, -0.3),),
-        (Cogging("shoulder", 0.8, -0.5, 0.4),),
+        (TorqueRipple("shoulder", 0.8, -0.5, 0.4),),
         (PositionDependentFriction("shoulder", 0.1, 0.8, 0.5),),
         (DirectionalLoadFriction("reach", 0.1, 0.4),),
     ],

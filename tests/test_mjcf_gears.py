@@ -10,13 +10,13 @@ import pytest
 from mjcf_models import DT, RK4, M, cart, refusal, run
 
 from equimus_ctrl.effects import (
-    Cogging,
     DirectionalLoadFriction,
     Effect,
     LoadFriction,
     MotorDeadZone,
     PositionDependentFriction,
     RotorInertia,
+    TorqueRipple,
 )
 from equimus_ctrl.engines.mjcf_inverse import law_force
 from equimus_ctrl.models.model import Model
@@ -80,27 +80,27 @@ def test_two_frictions_of_the_load_exclude_each_other() -> None:
 # --- forces that come back along the way ------------------------------------------------------------------------
 
 
-def test_cogging_keeps_energy() -> None:
+def test_ripple_keeps_energy() -> None:
     """½·I·ω² − ∫F dx stays: F = a·sin(kx) + b·cos(kx) has the potential (a·cos(kx) − b·sin(kx))/k."""
     a, b, k = 0.3, -0.2, 2 * math.pi / 0.5
-    found = run(wheel(), Cogging("way", a, b, 0.5), v=4.0)
+    found = run(wheel(), TorqueRipple("way", a, b, 0.5), v=4.0)
     x, v = found.x, np.gradient(found.x, found.t)
     energy = INERTIA * v**2 / 2 + (a * np.cos(k * x) - b * np.sin(k * x)) / k
     assert np.ptp(INERTIA * v[2:-2] ** 2 / 2) > 0.05 and np.ptp(energy[2:-2]) < 4e-3
 
 
-def test_cogging_holds_a_wheel_that_is_slow() -> None:
+def test_ripple_holds_a_wheel_that_is_slow() -> None:
     """From a valley of the potential with less energy than the ridge it only swings, ω² = 2π·F/(period·I)."""
-    found = run(wheel(), Cogging("way", -0.4, 0.0, 0.5), v=0.02, until=0.2)
+    found = run(wheel(), TorqueRipple("way", -0.4, 0.0, 0.5), v=0.02, until=0.2)
     omega = math.sqrt(2 * math.pi * 0.4 / (0.5 * INERTIA))
     np.testing.assert_allclose(found.x, 0.02 / omega * np.sin(omega * found.t), rtol=0, atol=2e-5)
 
 
-def test_less_than_one_wave_is_no_cogging() -> None:
+def test_less_than_one_wave_is_no_ripple() -> None:
     from test_guesses import SEEN
 
-    assert Cogging.degenerate({"sine": 1.0, "cosine": 0.0, "period": 1.1 * SEEN.span}, SEEN)
-    assert not Cogging.degenerate({"sine": 1.0, "cosine": 0.0, "period": 0.4 * SEEN.span}, SEEN)
+    assert TorqueRipple.degenerate({"sine": 1.0, "cosine": 0.0, "period": 1.1 * SEEN.span}, SEEN)
+    assert not TorqueRipple.degenerate({"sine": 1.0, "cosine": 0.0, "period": 0.4 * SEEN.span}, SEEN)
 
 
 # --- dry friction that depends on the angle ---------------------------------------------------------------------

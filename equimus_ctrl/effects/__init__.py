@@ -5,12 +5,12 @@ from equimus_ctrl.effects.bodies import BodyEffect, GravityTilt, JointStop, Payl
 from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.drives import (
     ActuatorGain,
-    Cogging,
     ConstantForce,
     DriveCompliance,
     DrivePlay,
     MotorDeadZone,
     RotorInertia,
+    TorqueRipple,
     TorqueSaturation,
 )
 from equimus_ctrl.effects.excitation import Excitation
@@ -57,7 +57,6 @@ __all__ = [
     "AsymmetricLag",
     "Backlash",
     "BodyEffect",
-    "Cogging",
     "ConstantForce",
     "CoulombFriction",
     "Creep",
@@ -98,6 +97,7 @@ __all__ = [
     "SpringTether",
     "StribeckFriction",
     "SupplyCoupling",
+    "TorqueRipple",
     "TorqueSaturation",
     "TransportDelay",
     "ValveEffect",

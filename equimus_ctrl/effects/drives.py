@@ -28,17 +28,17 @@ SOFT = 1.0
 
 @register
 @dataclass(frozen=True)
-class Cogging(ForceEffect):
+class TorqueRipple(ForceEffect):
     """sine·sin(2π·x/period) + cosine·cos(2π·x/period): a motor's cogging, a gear's ripple.
 
     One harmonic of the torque that a motor's magnets and slots exert without current (Holtz & Springob, "Identification
     and compensation of torque ripple in high-precision permanent magnet motor drives", 1996).
     """
 
-    name = "cogging"
+    name = "torque_ripple"
     robots = ("mjcf",)
     sits_at = ("joint",)
-    summary = "a force that comes back along the way: cogging, ripple of a gear"
+    summary = "a force that comes back along the way: a motor's cogging, a gear's ripple"
     alike = False
     neutral = {"sine": 0.0, "cosine": 0.0}  # noqa: RUF012
     mjcf_sizes = (

@@ -254,7 +254,7 @@ def _source(form: Structure, phase: Phase) -> str:
     return "\n".join([*header, functions, "", _tuples(nj, na)])
 
 
-SHORT = 250
+SHORT = 290
 """Up to so many operations of its equations of motion a whole Runge–Kutta step is written out at once."""
 
 
