@@ -237,7 +237,7 @@ class PositionDependentFriction(ForceEffect):
     )
     friction: float = parameter("N·m", 0.0, 100.0, "size of the friction where it is least")
     more: float = parameter("N·m", 0.0, 100.0, "how much more it is half a turn from there")
-    angle: float = parameter("rad", -6.3, 6.3, "where it is largest")
+    angle: float = parameter("rad", -3.2, 3.2, "where it is largest")
 
     @classmethod
     def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
