@@ -212,6 +212,9 @@ CASES: dict[str, Case] = {
     "payload_off_centre": Case(
         mjcf={"mass": 0.6, "x": 0.1, "y": 0.0, "z": -0.2},
     ),
+    "spring_tether": Case(
+        mjcf={"stiffness": 20.0, "x": 0.4, "y": 0.2, "z": -0.3},
+    ),
     "gravity_tilt": Case(
         strong={"base": {"angle": 0.2}},
         acting={"angle": 0.1},
@@ -264,6 +267,9 @@ CASES: dict[str, Case] = {
     "constant_force": Case(
         mjcf={"size": 1.5},
     ),
+    "directional_load_friction": Case(
+        mjcf={"drive": 0.1, "backdrive": 0.4},
+    ),
     "drive_play": Case(
         mjcf={"play": 0.3},
     ),
@@ -273,8 +279,20 @@ CASES: dict[str, Case] = {
     "load_friction": Case(
         mjcf={"share": 0.3},
     ),
+    "position_dependent_friction": Case(
+        mjcf={"friction": 0.2, "more": 1.5, "angle": 0.5},
+    ),
+    "rotor_inertia": Case(
+        mjcf={"inertia": 0.1},
+    ),
+    "motor_dead_zone": Case(
+        mjcf={"threshold": 1.5},
+    ),
     "quadratic_damping": Case(
         mjcf={"drag": 0.5},
+    ),
+    "torque_ripple": Case(
+        mjcf={"sine": 1.0, "cosine": -0.7, "period": 0.3},
     ),
     "torque_saturation": Case(
         mjcf={"level": 1.5},

@@ -12,7 +12,17 @@ import numpy as np
 import pytest
 from mjcf_models import CRANE, RIG, pendulum, swinging
 
-from equimus_ctrl.effects import CoulombFriction, DriveCompliance, Effect, PayloadMass, ViscousFriction
+from equimus_ctrl.effects import (
+    CoulombFriction,
+    DirectionalLoadFriction,
+    DriveCompliance,
+    Effect,
+    PayloadMass,
+    PositionDependentFriction,
+    SpringTether,
+    TorqueRipple,
+    ViscousFriction,
+)
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.choice import MujocoEngine, ReducedEngine, engine_for
 from equimus_ctrl.engines.encoding import encode
@@ -146,7 +156,16 @@ def test_a_drive_that_gives_way_is_mujocos_without_its_step() -> None:
 
 @pytest.mark.parametrize(
     "effects",
-    [(), (PayloadMass("tip", 0.3),), (ViscousFriction("shoulder", 0.4),), (CoulombFriction("reach", 2.0),)],
+    [
+        (),
+        (PayloadMass("tip", 0.3),),
+        (ViscousFriction("shoulder", 0.4),),
+        (CoulombFriction("reach", 2.0),),
+        (SpringTether("tip", 20.0, 0.4, 0.2, -0.3),),
+        (TorqueRipple("shoulder", 0.8, -0.5, 0.4),),
+        (PositionDependentFriction("shoulder", 0.1, 0.8, 0.5),),
+        (DirectionalLoadFriction("reach", 0.1, 0.4),),
+    ],
     ids=lambda effects: effects[0].name if effects else "none",
 )
 def test_effects_are_the_same_in_both_engines(effects: tuple[Effect, ...]) -> None:

@@ -14,8 +14,9 @@ from equimus_ctrl.effects.excitation import Excitation
 UNITS = {"N·m": 1.07, "N": 1.07, "rad": 1.1, "m": 1.1, "s": 0.93, "Pa": 1.05, "command": 1.05, "kg": 0.96, "1": 1.0}
 """By so much more a quantity is in another unit; a joint's angle and an actuator's length are told alike."""
 SEEN = Excitation(
-    low=0.2, high=1.4, speed=3.0, force=0.8, command=2e4, interval=0.01, duration=8.0, mass=0.5, drive=0.9, reach=0.2
-)
+    low=0.2, high=1.4, speed=3.0, force=0.8, command=2e4, interval=0.01, duration=8.0, mass=0.5, drive=0.9, reach=0.2,
+    middle=(0.3, -0.2, 0.7), roams=0.4,
+)  # fmt: skip
 FORCE, PLACE, TIME = UNITS["N"], UNITS["rad"], UNITS["s"]
 OTHER = Excitation(
     low=PLACE * SEEN.low,
@@ -28,10 +29,18 @@ OTHER = Excitation(
     mass=UNITS["kg"] * SEEN.mass,
     drive=FORCE * SEEN.drive,
     reach=UNITS["m"] * SEEN.reach,
+    middle=(0.3 * UNITS["m"], -0.2 * UNITS["m"], 0.7 * UNITS["m"]),
+    roams=UNITS["m"] * SEEN.roams,
 )
 OWN = sorted(name for name, cls in REGISTRY.items() if cls.__module__.startswith("equimus_ctrl."))
-ABSOLUTE = {("gravity_tilt", "angle"): 1.0, ("rate_limit", "rate"): UNITS["Pa"]}
-"""What is tried whatever was seen: by so much more it is. A valve takes its time, in seconds, however long a trial is."""
+ABSOLUTE = {
+    ("gravity_tilt", "angle"): 1.0,
+    ("position_dependent_friction", "angle"): 1.0,
+    ("rate_limit", "rate"): UNITS["Pa"],
+    ("rotor_inertia", "inertia"): FORCE * TIME**2 / PLACE,
+}
+"""What is tried whatever was seen: by so much more it is. A valve takes its time, in seconds, however long a trial is;
+what comes back every turn is looked for at its quarters. An inertia is what a force turns."""
 
 
 def factor(unit: str) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mjcf_models import ARM, CRANE, PENDULUM, pendulum, refusal, slider
+from mjcf_models import ARM, CRANE, PENDULUM, RK4, M, cart, pendulum, refusal, run, slider
 
 from equimus_ctrl.effects import (
     REGISTRY,
@@ -25,6 +25,7 @@ from equimus_ctrl.effects import (
     PayloadOffCentre,
     QuadraticDamping,
     SensorOffset,
+    SpringTether,
     TorqueSaturation,
     TransportDelay,
     ViscousFriction,
@@ -34,6 +35,7 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.identification.parameters import free_parameters, unit_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.leg import nominal_leg
+from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 
@@ -81,7 +83,7 @@ def test_effects_of_elastic_robots_are_refused_on_mjcf_robots(name: str) -> None
 
 @pytest.mark.parametrize("name", sorted(set(catalogue("mjcf")) - set(catalogue("elastic"))))
 def test_effects_of_mjcf_robots_are_refused_on_elastic_robots(name: str) -> None:
-    place = {"joint": "hip", "actuator": "maa", "link": "calf", "base": "base"}
+    place = {"joint": "hip", "actuator": "maa", "link": "calf", "foot": "foot", "base": "base"}
     told = refusal(lambda: Model(nominal_leg(), (middle(name, place[REGISTRY[name].sits_at[0]]),)))
     assert told.startswith(f"nominal_leg: a robot with elastic actuators cannot have effect {name} (it can: ")
     assert all(other in told for other in catalogue("elastic"))
@@ -178,6 +180,40 @@ def test_a_payload_beside_the_centre_is_one_at_a_site_there() -> None:
     assert "exclude each other" in refusal(
         lambda: Model(CRANE, (PayloadOffCentre("rod", 0.4, 0.1, 0.0, 0.0), PayloadMass("rod", 0.1)))
     )
+
+
+def test_a_tether_is_a_spring_along_a_slide() -> None:
+    """A cart on a level slide, tied to a point beside it: harmonic about that point's foot, ω² = k/M."""
+    k, at = 50.0, 0.5
+    found = run(cart(option=RK4), SpringTether("box", k, at, 0.1, 0.3), q=-0.2)
+    np.testing.assert_allclose(found.x, at - 0.7 * np.cos(math.sqrt(k / M) * found.t), rtol=0, atol=1e-6)
+
+
+def test_a_tether_is_written_as_a_tendon() -> None:
+    """At a site, and at the centre of mass of a last body where there is none."""
+    for robot, place in ((CRANE, "tip"), (cart(), "box")):
+        tied = robot.with_tether(place, 20.0, (0.4, 0.2, -0.3))
+        own = tied.mujoco_model()
+        again = mujoco.MjModel.from_xml_string(exported(tied, own))
+        for model in (own, again):
+            data = mujoco.MjData(model)
+            data.qpos[:] = 0.2
+            mujoco.mj_forward(model, data)
+            at = data.site("tip").xpos if place == "tip" else data.body("box").xipos
+            way = np.array([0.4, 0.2, -0.3]) - at
+            jacobian = np.zeros((3, model.nv))
+            mujoco.mj_jac(model, data, jacobian, None, at, model.body("rod" if place == "tip" else "box").id)
+            bare = robot.mujoco_model()
+            free = mujoco.MjData(bare)
+            free.qpos[:] = 0.2
+            mujoco.mj_forward(bare, free)
+            np.testing.assert_allclose(data.qfrc_passive - free.qfrc_passive, jacobian.T @ way * 20.0, atol=1e-9)
+
+
+def test_a_robot_has_one_tether_at_most_and_where_it_ends() -> None:
+    one = SpringTether("tip", 1.0, 0.0, 0.0, 0.0)
+    assert "crane" in refusal(lambda: Model(CRANE, (one, SpringTether("tip", 2.0, 0.0, 0.0, 0.0))))
+    assert refusal(lambda: Model(CRANE, (SpringTether("arm", 1.0, 0.0, 0.0, 0.0),))).endswith("(known: tip)")
 
 
 def test_payloads_weigh_as_bodies_of_their_own_would() -> None:

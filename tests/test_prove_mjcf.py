@@ -75,8 +75,13 @@ def _ground_truth(model: Model, recordings: tuple[Recording, ...], effects: tupl
     )
 
 
+def bare(model: Model) -> Model:
+    """Without armatures, which some of the physics that may be missing take the place of."""
+    return model.with_parameters({name: 0.0 for name in model.parameters() if name.endswith(".armature")})
+
+
 def test_there_is_a_size_for_every_effect_of_mjcf_robots(two_joints: Experiment) -> None:
-    model = two_joints.model
+    model = bare(two_joints.model)
     table = mjcf_table(model, excitation_of(model, two_joints.segments))
     own = {name for name, cls in REGISTRY.items() if "mjcf" in cls.robots}
     assert own <= set(table) <= own | set(OUTSIDE)
@@ -98,7 +103,11 @@ def without_steps(model: Model, trials: Sequence[Trial]) -> list[Array]:
 def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) -> None:
     model, cls = two_joints.model, REGISTRY[name]
     seen = excitation_of(model, two_joints.segments)
-    sizes = mjcf_table(model, seen)[name]
+    table = mjcf_table(model, seen)
+    if name not in table:
+        model = bare(model)
+        table = mjcf_table(model, seen)
+    sizes = table[name]
     rows = [size for size in sizes if size.at == sizes[0].at]
     rng = np.random.default_rng(1)
     for _ in range(50):

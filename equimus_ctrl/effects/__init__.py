@@ -1,19 +1,17 @@
 """Physics that can be attached to a model."""
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, make, parameter, parse, register
-from equimus_ctrl.effects.bodies import BodyEffect, GravityTilt, JointStop, PayloadMass, PayloadOffCentre
+from equimus_ctrl.effects.bodies import BodyEffect, GravityTilt, JointStop, PayloadMass, PayloadOffCentre, SpringTether
 from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.drives import (
     ActuatorGain,
-    AsymmetricDamping,
-    AsymmetricFriction,
     ConstantForce,
     DriveCompliance,
     DrivePlay,
-    LoadFriction,
-    QuadraticDamping,
+    MotorDeadZone,
+    RotorInertia,
+    TorqueRipple,
     TorqueSaturation,
-    ViscousFriction,
 )
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import (
@@ -25,6 +23,15 @@ from equimus_ctrl.effects.force import (
     NonlinearStiffness,
     ParallelSpring,
     StribeckFriction,
+)
+from equimus_ctrl.effects.joint_friction import (
+    AsymmetricDamping,
+    AsymmetricFriction,
+    DirectionalLoadFriction,
+    LoadFriction,
+    PositionDependentFriction,
+    QuadraticDamping,
+    ViscousFriction,
 )
 from equimus_ctrl.effects.sensors import Backlash, SensorDelay, SensorEffect, SensorOffset, SensorScale
 from equimus_ctrl.effects.sizes import Share, Size
@@ -57,6 +64,7 @@ __all__ = [
     "Cutoff",
     "DeadZone",
     "Description",
+    "DirectionalLoadFriction",
     "DriveCompliance",
     "DrivePlay",
     "Effect",
@@ -68,13 +76,16 @@ __all__ = [
     "Hysteresis",
     "JointStop",
     "LoadFriction",
+    "MotorDeadZone",
     "NarrowingArea",
     "NonlinearStiffness",
     "ParallelSpring",
     "PayloadMass",
     "PayloadOffCentre",
+    "PositionDependentFriction",
     "QuadraticDamping",
     "RateLimit",
+    "RotorInertia",
     "Saturation",
     "SensorDelay",
     "SensorEffect",
@@ -83,8 +94,10 @@ __all__ = [
     "ShapingEffect",
     "Share",
     "Size",
+    "SpringTether",
     "StribeckFriction",
     "SupplyCoupling",
+    "TorqueRipple",
     "TorqueSaturation",
     "TransportDelay",
     "ValveEffect",

@@ -134,6 +134,60 @@ class PayloadOffCentre(BodyEffect):
 
 @register
 @dataclass(frozen=True)
+class SpringTether(BodyEffect):
+    """stiffness·(anchor − p): a spring of no rest length from a point p of the robot to a point of the room.
+
+    On the joints it exerts Jᵀ·stiffness·(anchor − p), J = ∂p/∂q (virtual work; Siciliano et al., *Robotics*, 2009,
+    chapter 3). p is a site, or where the XML has none the centre of mass of a body that carries no other. What does
+    not move p, as a part of the anchor across a planar arm's plane, recordings cannot tell; of a single hinge they tell
+    only stiffness times anchor. A robot has one at most.
+    """
+
+    name = "spring_tether"
+    robots = ("mjcf",)
+    sits_at = ("foot", "link")
+    summary = "a spring to a point in the room: a hose, a cable, a balancer"
+    alike = False
+    exclusive = "spring_tether"
+    mujoco_flags = ("spring",)
+    mjcf_sizes = (
+        Share("stiffness", 0.1, 3.0),
+        *(Share(axis, 0.2, 0.8, "either sign", "none") for axis in "xyz"),
+    )
+    stiffness: float = parameter("N/m", 0.0, 1e5, "of the spring")
+    x: float = parameter("m", -10.0, 10.0, "of its end in the room, along the model's first axis")
+    y: float = parameter("m", -10.0, 10.0, "along the second")
+    z: float = parameter("m", -10.0, 10.0, "along the third")
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        places: Mapping[str, tuple[str, ...]] = robot.ends
+        return places
+
+    def slot(self, robot: Any) -> str:
+        return str(robot.name)
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        way = 2.0 * excitation.roams
+        force = excitation.force * excitation.span / excitation.roams  # at that point, by virtual work
+        stiffness = 0.1 * force / way
+        middle = dict(zip("xyz", excitation.middle, strict=True))
+        return [{"stiffness": stiffness, **middle, axis: middle[axis] + side} for axis in "xyz" for side in (way, -way)]
+
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_tether(self.location, self.stiffness, (self.x, self.y, self.z))
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return (
+            f"A spring of {t['stiffness']} pulls {t.places[0]} towards the point {t['x']}, {t['y']} and {t['z']} along "
+            "the model's axes: a hose, a cable or a balancer that is not in the model."
+        )
+
+
+@register
+@dataclass(frozen=True)
 class GravityTilt(BodyEffect):
     """Gravity turned by ``angle`` against the base."""
 

@@ -1,4 +1,4 @@
-"""Effects of joints that motors drive: friction of many kinds, drives that give way, forces that are off.
+"""Effects of joints that motors drive: drives that give way, forces that are off.
 
 They are for MJCF robots. What MuJoCo has a field for goes there; the rest is stepped with it.
 """
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.bodies import BodyEffect
@@ -19,161 +20,61 @@ from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect, Parameters
 from equimus_ctrl.effects.native import add_constant_force
 from equimus_ctrl.effects.sizes import Share
+from equimus_ctrl.effects.valves import ShapingEffect
+from equimus_ctrl.types import Array
 
 SOFT = 1.0
 """Frequency of a joint on its drive's spring below which the drive would not drive it [Hz]."""
 
 
-UNLIKE = 1.3
-"""Least factor between dry friction forwards and backwards that is called different."""
-
-
 @register
 @dataclass(frozen=True)
-class ViscousFriction(ForceEffect):
-    """−damping·rate."""
+class TorqueRipple(ForceEffect):
+    """sine·sin(2π·x/period) + cosine·cos(2π·x/period): a motor's cogging, a gear's ripple.
 
-    name = "viscous_friction"
+    One harmonic of the torque that a motor's magnets and slots exert without current (Holtz & Springob, "Identification
+    and compensation of torque ripple in high-precision permanent magnet motor drives", 1996).
+    """
+
+    name = "torque_ripple"
     robots = ("mjcf",)
     sits_at = ("joint",)
-    summary = "friction in proportion to speed"
-    mujoco_field = ("dof_damping", None)
-    mujoco_flags = ("damper",)
-    neutral = {"damping": 0.0}  # noqa: RUF012
-    mjcf_sizes = (Share("damping", 0.003, 0.5),)
-    damping: float = parameter("N·m·s/rad", 0.0, 1e4, "torque for each speed")
-
-    @classmethod
-    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
-        return -p["damping"] * rate
-
-    @classmethod
-    def sentence(cls, t: Description) -> str:
-        return f"Friction at {t.the} in proportion to speed, of {t['damping']}{t.one_or('', ' each')}."
-
-
-@register
-@dataclass(frozen=True)
-class QuadraticDamping(ForceEffect):
-    """−drag·rate·|rate|."""
-
-    name = "quadratic_damping"
-    robots = ("mjcf",)
-    sits_at = ("joint",)
-    summary = "drag that grows with the square of speed"
-    mujoco_field = ("dof_dampingpoly", 0)
-    mujoco_flags = ("damper",)
-    neutral = {"drag": 0.0}  # noqa: RUF012
-    mjcf_sizes = (Share("drag", 0.003, 0.5),)
-    drag: float = parameter("N·m·s²/rad²", 0.0, 1e4, "torque for each square of speed")
-
-    @classmethod
-    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
-        return -p["drag"] * rate * ca.fabs(rate)
-
-    @classmethod
-    def sentence(cls, t: Description) -> str:
-        return f"A drag at {t.the} that grows with the square of speed, of {t['drag']}{t.one_or('', ' each')}."
-
-
-@register
-@dataclass(frozen=True)
-class AsymmetricDamping(ForceEffect):
-    """−difference·|rate|/2: damping that is larger by ``difference`` forwards than backwards."""
-
-    name = "asymmetric_damping"
-    robots = ("mjcf",)
-    sits_at = ("joint",)
-    summary = "viscous friction that differs between the two directions"
+    summary = "a force that comes back along the way: a motor's cogging, a gear's ripple"
     alike = False
-    neutral = {"difference": 0.0}  # noqa: RUF012
-    mjcf_sizes = (Share("difference", 0.01, 0.5, "either sign"),)
-    difference: float = parameter("N·m·s/rad", -1e4, 1e4, "of the damping forwards over that backwards")
-
-    @classmethod
-    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
-        return -p["difference"] * ca.fabs(rate) / 2
-
-    @classmethod
-    def sentence(cls, t: Description) -> str:
-        more = "forwards" if t.value("difference") > 0 else "backwards"
-        size = t.scaled("difference", t.unit("difference"), math.copysign(1.0, t.value("difference")))
-        return f"Viscous friction at {t.the} is larger {more}, by {size}."
-
-
-@register
-@dataclass(frozen=True)
-class AsymmetricFriction(ForceEffect):
-    """Dry friction of size ``forward`` where rate > 0 and ``backward`` where rate < 0."""
-
-    name = "asymmetric_friction"
-    robots = ("mjcf",)
-    sits_at = ("joint",)
-    summary = "dry friction that differs between the two directions"
-    alike = False
-    exclusive = "dry friction"
-    neutral = {"forward": 0.0, "backward": 0.0}  # noqa: RUF012
+    neutral = {"sine": 0.0, "cosine": 0.0}  # noqa: RUF012
     mjcf_sizes = (
-        Share("forward", 0.003, 0.3),
-        Share("backward", 0.003, 0.3),
+        Share("sine", 0.02, 0.3, "either sign"),
+        Share("cosine", 0.02, 0.3, "either sign"),
+        Share("period", 0.1, 0.5),
     )
-    forward: float = parameter("N·m", 0.0, 100.0, "size of the friction of forward motion")
-    backward: float = parameter("N·m", 0.0, 100.0, "of backward motion")
+    sine: float = parameter("N·m", -1e3, 1e3, "of its part that is 0 where the coordinate is")
+    cosine: float = parameter("N·m", -1e3, 1e3, "of its part that is greatest there")
+    period: float = parameter("rad", 1e-3, 6.3, "way after which it comes back")
 
     @classmethod
     def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        # A fit finds a period where the guess is off by less than half a wave over what is covered.
+        size = excitation.sizes("N·m")[1]
         return [
-            {"forward": size * share, "backward": size * (2 - share)}
-            for size in excitation.sizes("N·m")
-            for share in (0.5, 0.9, 1.1, 1.5)
+            {"sine": size, "cosine": size, "period": excitation.span / waves} for waves in np.arange(1.5, 12.6, 1.0)
         ]
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
-        return (p["backward"] - p["forward"]) / 2
+        turn = 2 * math.pi * x / p["period"]
+        return p["sine"] * ca.sin(turn) + p["cosine"] * ca.cos(turn)
 
     @classmethod
-    def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
-        return (p["forward"] + p["backward"]) / 2
-
-    def write_mjcf(self, mujoco_model: Any) -> bool:
-        # Friction of the mean size, and what is left of the difference between the directions.
-        if not add_constant_force(mujoco_model, self.location, (self.backward - self.forward) / 2):
-            return False
-        mujoco_model.dof_frictionloss[mujoco_model.joint(self.location).dofadr[0]] += (self.forward + self.backward) / 2
-        return True
-
-    @classmethod
-    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
-        return max(values.values()) < UNLIKE * min(values.values())
+    def degenerate(cls, values: Mapping[str, float], excitation: Excitation) -> bool:
+        return values["period"] > excitation.span  # less than one wave is any force of the coordinate
 
     @classmethod
     def sentence(cls, t: Description) -> str:
-        sizes = f"{t['forward']} forwards and {t['backward']} backwards"
-        return f"Dry friction at {t.the} differs between directions: {sizes}."
-
-
-@register
-@dataclass(frozen=True)
-class LoadFriction(ForceEffect):
-    """Dry friction of size share·|force of the drive|, beside any other: a gear's losses."""
-
-    name = "load_friction"
-    robots = ("mjcf",)
-    sits_at = ("joint",)
-    summary = "dry friction in proportion to the drive's force"
-    neutral = {"share": 0.0}  # noqa: RUF012
-    mjcf_sizes = (Share("share", 0.01, 0.4),)
-    share: float = parameter("1", 0.0, 1.0, "of the drive's force")
-
-    @classmethod
-    def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
-        return p["share"] * load
-
-    @classmethod
-    def sentence(cls, t: Description) -> str:
-        share = t.scaled("share", "%", 100.0)
-        return f"Dry friction at {t.the} of {share} of the drive's force: a gear's losses."
+        size = t.quantity(math.hypot(t.value("sine"), t.value("cosine")), t.unit("sine"))
+        return (
+            f"A force of {size} at {t.the} comes back every {t['period']}, {t['sine']} times its sine and "
+            f"{t['cosine']} times its cosine: cogging, or a gear's ripple."
+        )
 
 
 @register
@@ -273,6 +174,73 @@ class DrivePlay(BodyEffect):
     @classmethod
     def sentence(cls, t: Description) -> str:
         return f"Between {t.the} and its drive there is a play of {t['play']}."
+
+
+@register
+@dataclass(frozen=True)
+class RotorInertia(BodyEffect):
+    """−inertia·acceleration of the joint: what turns with a drive, whose gear counts it by its ratio squared.
+
+    Only where the XML has no armature; one that it has is a parameter of the model (Siciliano et al., *Robotics*, 2009,
+    chapter 7).
+    """
+
+    name = "rotor_inertia"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "an inertia that turns with the drive alone: a rotor behind a gear"
+    exclusive = "rotor_inertia"
+    mjcf_sizes = (Share("inertia", 0.02, 0.5),)
+    inertia: float = parameter("kg·m²", 0.0, 1e4, "of the rotor, at the joint")
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        return {**robot.places(), "joint": robot.joints_without_rotor}
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        # That which the joint's force would turn about its range at its speed.
+        whole = excitation.scale("kg·m²")
+        return [{"inertia": share * whole} for share in (0.03, 0.1, 0.3)]
+
+    def changes(self, robot: Any) -> dict[str, float]:
+        own = f"{self.location}.armature"
+        return {own: robot.parameters()[own] + self.inertia}
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return f"With the drive of {t.the} turns an inertia of {t['inertia']} that the model does not have: a rotor."
+
+
+@register
+@dataclass(frozen=True)
+class MotorDeadZone(ShapingEffect):
+    """u' = sign(u)·max(|u| − threshold, 0).
+
+    Tao & Kokotović, *Adaptive Control of Systems with Actuator and Sensor Nonlinearities*, 1996. Of drives whose
+    command is a force or a speed: nothing is lost of a goal for where something is.
+    """
+
+    name = "motor_dead_zone"
+    robots = ("mjcf",)
+    summary = "small commands of either sign do nothing, and larger ones lose as much"
+    exclusive = "motor_dead_zone"
+    order = 0
+    mjcf_sizes = (Share("threshold", 0.02, 0.3),)
+    threshold: float = parameter("command", 0.0, 1e4, "size that a command loses, and below which it does nothing")
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        return {**robot.places(), "actuator": robot.motors}
+
+    def shape(self, commands: Array, own: int) -> Array:
+        given = commands[:, own]
+        return np.asarray(np.sign(given) * np.maximum(np.abs(given) - self.threshold, 0.0))
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        lose = t.one_or("loses", "each lose")
+        return f"{t.at} {lose} the first {t['threshold']} of every command, of either sign: a dead zone."
 
 
 @register

@@ -20,6 +20,8 @@ class Excitation:
         mass: of what moves [kg].
         drive: largest force of the actuator, or of any, according to the model [N·m or N]; 0 where unknown.
         reach: about half the length of a link [m].
+        middle: where a link's centre or a site is in the room, the median over the recordings [m].
+        roams: how far from there it seldom is [m].
     """
 
     low: float
@@ -32,6 +34,8 @@ class Excitation:
     mass: float
     drive: float = 0.0
     reach: float = 0.1
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    roams: float = 0.1
 
     @property
     def span(self) -> float:
@@ -68,6 +72,8 @@ class Excitation:
             "s": self.span / self.speed,
             "Hz": self.speed / self.span,
             "kg": self.mass,
+            "kg·m²": self.force * self.span / self.speed**2,
+            "command": self.command,
             **dict.fromkeys(("rad", "m"), self.span),
             **dict.fromkeys(("rad/s", "m/s"), self.speed),
             **dict.fromkeys(("N·m", "N"), self.force),

@@ -34,8 +34,8 @@ PROBE, REST, LOAD = (0.73, -1.9, 1.9), 0.47, 1.3
 class ForceEffect(Effect):
     """An effect that exerts a generalised force along one coordinate x.
 
-    A subclass overrides ``force``, ``dry_friction``, ``friction_of_load`` or ``more_area``; ``rubs``, ``loads`` and
-    ``scales`` say which of the last three, and are found out by themselves.
+    A subclass overrides ``force``, ``dry_friction``, ``friction_of_load``, ``force_of_drive`` or ``more_area``;
+    ``rubs``, ``loads`` and ``scales`` say which of these beside ``force``, and are found out by themselves.
     """
 
     side = "force"
@@ -53,7 +53,10 @@ class ForceEffect(Effect):
         super().__init_subclass__()
         cls.rubs = cls.dry_friction.__func__ is not ForceEffect.dry_friction.__func__  # type: ignore[attr-defined]
         cls.scales = cls.more_area.__func__ is not ForceEffect.more_area.__func__  # type: ignore[attr-defined]
-        cls.loads = cls.friction_of_load.__func__ is not ForceEffect.friction_of_load.__func__  # type: ignore[attr-defined]
+        cls.loads = any(
+            getattr(cls, own).__func__ is not getattr(ForceEffect, own).__func__
+            for own in ("friction_of_load", "force_of_drive")
+        )
         if cls.rubs or cls.loads:
             cls.mujoco_flags = ("constraint", "frictionloss")
         if cls.exclusive is None and hasattr(cls, "name"):
@@ -94,7 +97,8 @@ class ForceEffect(Effect):
         try:
             rates, rests = list(cls.state_rate(x, rate, states, p)), list(cls.rest_state(x, p))
             most, more = cls.greatest_friction(x, speed, ca.SX(LOAD), p), cls.more_area(x, ca.SX(REST), p)
-            terms = (cls.force(x, rate, states, p), most, more)
+            force = cls.force(x, rate, states, p) + cls.force_of_drive(ca.SX(LOAD), p)
+            terms = (force, most, more)
             symbols = [x, rate, speed, z, ca.vertcat(*p.values())]
             law = ca.Function("law", symbols, [*map(ca.SX, terms), ca.vertcat(*rates), ca.vertcat(*rests)])
         except Exception as error:
@@ -136,11 +140,12 @@ class ForceEffect(Effect):
         """
         x, rate, p = ca.SX.sym("x"), ca.SX.sym("rate"), {key: ca.SX.sym(key) for key in cls.parameter_info()}
         z = [ca.SX.sym(f"z{k}") for k in range(cls.n_states)]
-        total = cls.sliding_force(x, rate, z, ca.SX(LOAD), p)
+        total, drive = cls.sliding_force(x, rate, z, ca.SX(LOAD), p), ca.SX.sym("drive")
         area = ca.SX(cls.more_area(x, ca.SX(1), p))
         if z and ca.depends_on(total, ca.vertcat(*z)):
             return {"past"}
         found = {name for name, symbol in (("pos", x), ("vel", rate)) if ca.depends_on(total, symbol)}
+        found |= {"cmd"} if ca.depends_on(ca.SX(cls.force_of_drive(drive, p)), drive) else set()
         return found | {"pos", "cmd"} if ca.depends_on(area, x) else found
 
     @classmethod
@@ -154,10 +159,13 @@ class ForceEffect(Effect):
         return ca.SX(cls.dry_friction(x, speed, p)) + ca.SX(cls.friction_of_load(load, speed, p))
 
     @classmethod
-    def sliding_force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], load: ca.SX, p: Parameters) -> ca.SX:
-        """All that it exerts while x moves: ``force`` − ``greatest_friction``·sign(rate) [N·m] or [N]."""
-        opposing = cls.greatest_friction(x, ca.fabs(rate), load, p) * ca.sign(rate)
-        return ca.SX(cls.force(x, rate, z, p)) - opposing
+    def sliding_force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], drive: ca.SX, p: Parameters) -> ca.SX:
+        """All that it exerts while x moves: ``force`` + ``force_of_drive`` − ``greatest_friction``·sign(rate).
+
+        [N·m or N]; ``drive`` is the drive's force, positive where it would increase x.
+        """
+        opposing = cls.greatest_friction(x, ca.fabs(rate), ca.fabs(drive), p) * ca.sign(rate)
+        return ca.SX(cls.force(x, rate, z, p)) + ca.SX(cls.force_of_drive(drive, p)) - opposing
 
     @classmethod
     def more_area(cls, x: ca.SX, rest: ca.SX, p: Parameters) -> ca.SX:
@@ -182,6 +190,11 @@ class ForceEffect(Effect):
     @classmethod
     def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
         """How much more dry friction there can be under a drive's force of a size ≥ 0 [N·m] or [N]."""
+        return ca.SX(0)
+
+    @classmethod
+    def force_of_drive(cls, drive: ca.SX, p: Parameters) -> ca.SX:
+        """What it adds to a drive's force, positive where that would increase x [N·m] or [N]."""
         return ca.SX(0)
 
 
@@ -446,7 +459,11 @@ class Creep(ForceEffect):
 @register
 @dataclass(frozen=True)
 class Hysteresis(ForceEffect):
-    """Bouc–Wen with exponent 1: −force·z, dz/dt = (rate − |rate|·z)/width, so that z follows the path within ±1."""
+    """Bouc–Wen with exponent 1: −size·z, dz/dt = (rate − |rate|·z)/width, so that z follows the path within ±1.
+
+    Of friction it is Dahl's law of what gives way before it slides (*A solid friction model*, 1968), its stiffness at
+    rest being size/width.
+    """
 
     name = "hysteresis"
     sits_at = ("actuator",)

@@ -254,7 +254,7 @@ def _source(form: Structure, phase: Phase) -> str:
     return "\n".join([*header, functions, "", _tuples(nj, na)])
 
 
-SHORT = 250
+SHORT = 290
 """Up to so many operations of its equations of motion a whole Runge–Kutta step is written out at once."""
 
 
@@ -295,14 +295,20 @@ def _friction_routines(
     impulse = (s.phi - earlier) * s.span
     moved = ca.vertcat(m.q + per_impulse @ (0.5 * s.span * impulse), m.v + per_impulse @ impulse)
     at = {name: rows[name.upper()] for name in ("side", "sought", "phi", "slip", "bound", "span", "per_impulse")}
-    at |= {"mobility": rows["DELASSUS"], "earlier": rows["SUM"], "dt": rows["DT"], "v0": rows["START"] + nj}
+    at |= {
+        "mobility": rows["DELASSUS"],
+        "earlier": rows["SUM"],
+        "dt": rows["DT"],
+        "q0": rows["START"],
+        "v0": rows["START"] + nj,
+    }
     at |= {"pressure": rows["PRESSURE"], "grip": rows["GRIP"], **state}
     known = {"mobility": s.mobility, "bound": s.bound, "span": s.span, "slip": s.slip, "phi": s.phi, "side": s.side}
     known |= {"sought": s.sought}
     return [
         lane_code.LaneRoutine(
             "lane_friction",
-            {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "grip": m.grip, "v0": m.v0, "dt": dt},
+            {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure, "grip": m.grip, "q0": m.q0, "v0": m.v0, "dt": dt},
             ca.vertcat(ca.vec(m.per_impulse), ca.vec(m.delassus), m.bound, span, m.rows),
             at,
             at["per_impulse"],
@@ -412,7 +418,7 @@ def _mjcf_source(laws: Laws) -> str:
     rates, rests = [ca.SX(0)] * count, [ca.SX(0)] * count
     for law, p in zip(laws, symbols, strict=True):
         own = states[used : used + law.n_states]
-        force += law.force(x, rate, own, p)
+        force += law.force(x, rate, own, p) + law.force_of_drive(load, p)
         bound += law.dry_friction(x, speed, p) + law.friction_of_load(ca.fabs(load), speed, p)
         rates[used : used + law.n_states] = [ca.SX(r) for r in law.state_rate(x, rate, own, p)]
         rests[used : used + law.n_states] = [ca.SX(r) for r in law.rest_state(x, p)]

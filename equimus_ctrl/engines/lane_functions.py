@@ -92,7 +92,7 @@ def lane_keep(w: Array) -> None:
 
 
 def lane_friction(w: Array) -> None:
-    """From state, pressure, ROW_GRIP, ROW_DT and the start's v: ROW_PER_IMPULSE to ROW_SLIP."""
+    """From state, pressure, ROW_GRIP, ROW_DT and the start's q and v: ROW_PER_IMPULSE to ROW_SLIP."""
     raise NotImplementedError
 
 

@@ -322,6 +322,7 @@ def put_states(w: Array, begin: int, q: Array, v: Array, z: Array, pressure: Arr
         for j in range(N_JOINTS):
             w[(ROW_X + j) * LANES + l] = q[k, j]
             w[(ROW_X + N_JOINTS + j) * LANES + l] = v[k, j]
+            w[(ROW_START + j) * LANES + l] = q[k, j]
             w[(ROW_START + N_JOINTS + j) * LANES + l] = v[k, j]
         for i in range(N_STATES):
             w[(ROW_X + 2 * N_JOINTS + i) * LANES + l] = z[k, i]

@@ -28,7 +28,7 @@ from equimus_ctrl.engines.trials import Condition, Predicted, Trial
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
-from equimus_ctrl.robots.mjcf.parts import harden, rotor_of
+from equimus_ctrl.robots.mjcf.parts import harden, hook_of, rotor_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
 
@@ -402,3 +402,15 @@ def joint_forces(own: Realised, position: Array, velocity: Array, command: Array
         drives[k] = data.actuator_force[which]
         weights[k] = data.qfrc_bias[own.places[:, 1]]
     return drives, weights
+
+
+def places_in_room(own: Realised, position: Array, places: Sequence[str]) -> Array:
+    """(n, k, 3) where k sites or bodies' centres of mass are in the room, with the joints at (n, nj) [m]."""
+    model, data = own.mujoco, scratch.data(own.mujoco)
+    hooks = [hook_of(model, place) for place in places]
+    found = np.empty((len(position), len(hooks), 3))
+    for k in range(len(position)):
+        data.qpos[own.places[:, 0]] = position[k]
+        mujoco.mj_kinematics(model, data)
+        found[k] = [data.xpos[body] + data.xmat[body].reshape(3, 3) @ point for body, point in hooks]
+    return found

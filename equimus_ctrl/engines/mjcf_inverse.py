@@ -156,14 +156,14 @@ def law_force(
     law: type[ForceEffect], parameters: Mapping[str, float], position: Array, rate: Array, drive: Array
 ) -> Array:
     """(n,) what a law without states exerts at a joint that moves so, under a drive's force [N·m or N]."""
-    return _functions(law).force(position, rate, np.abs(drive), np.array(list(parameters.values())))
+    return _functions(law).force(position, rate, drive, np.array(list(parameters.values())))
 
 
 def law_slopes(
     law: type[ForceEffect], parameters: Mapping[str, float], position: Array, rate: Array, drive: Array
 ) -> Array:
     """(n, p) its derivatives by the parameters."""
-    return _functions(law).slopes(position, rate, np.abs(drive), np.array(list(parameters.values())))
+    return _functions(law).slopes(position, rate, drive, np.array(list(parameters.values())))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,14 +178,14 @@ class _Law:
     one: ca.Function
     slope: ca.Function
 
-    def force(self, position: Array, rate: Array, load: Array, values: Array) -> Array:
+    def force(self, position: Array, rate: Array, drive: Array, values: Array) -> Array:
         """(n,) at n instants."""
-        return np.asarray(self.one(position[None], rate[None], load[None], values[:, None])).ravel()
+        return np.asarray(self.one(position[None], rate[None], drive[None], values[:, None])).ravel()
 
-    def slopes(self, position: Array, rate: Array, load: Array, values: Array) -> Array:
+    def slopes(self, position: Array, rate: Array, drive: Array, values: Array) -> Array:
         """(n, p) at n instants."""
         n = len(position)
-        found = self.slope.map(n)(position[None], rate[None], load[None], np.tile(values[:, None], n))
+        found = self.slope.map(n)(position[None], rate[None], drive[None], np.tile(values[:, None], n))
         return np.asarray(found).reshape(n, len(values))
 
 
@@ -194,11 +194,11 @@ _KNOWN: dict[type[ForceEffect], _Law] = {}
 
 def _functions(law: type[ForceEffect]) -> _Law:
     if law not in _KNOWN:
-        x, rate, load = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("load")
+        x, rate, drive = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("drive")
         p = {key: ca.SX.sym(key) for key in law.parameter_info()}
         whole = ca.vertcat(*p.values())
-        force = law.sliding_force(x, rate, [], load, p)
-        symbols = [x, rate, load, whole]
+        force = law.sliding_force(x, rate, [], drive, p)
+        symbols = [x, rate, drive, whole]
         _KNOWN[law] = _Law(
             ca.Function("force", symbols, [force]), ca.Function("slope", symbols, [ca.jacobian(force, whole)])
         )

@@ -28,7 +28,7 @@ STICKING = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 @lru_cache(maxsize=16)
 def _functions(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, ca.Function]:
     m = augmented_model(form, phase, laws)
-    bound = ca.substitute(m.bound, m.v0, m.v)
+    bound = m.bound_here
     force = m.force + m.more_area * m.pressure
     forces = ca.Function("forces", [m.q, m.v, m.z, m.pressure, m.p], [m.torque, force, m.z_rate, bound])
     return forces, ca.Function("rest", [m.q, m.p], [m.rest_state])

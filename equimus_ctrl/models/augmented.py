@@ -45,7 +45,7 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class AugmentedModel:
-    """CasADi SX expressions; symbols are q, v, z, pressure, phi, v0, pressed, p.
+    """CasADi SX expressions; symbols are q, v, z, pressure, phi, q0, v0, pressed, p.
 
     Units are those of hinges. Of slides m takes the place of rad and N of N·m. Where commands are no pressures their
     own unit takes the place of Pa.
@@ -56,7 +56,8 @@ class AugmentedModel:
         z: (nz,) states of the robot's own, then those of the effects.
         pressure: (nu,) commands as they arrive [Pa], or what else they are.
         phi: (nr,) dry friction held over a step: at the joints that can have it [N·m], then the actuators [N].
-        v0: (nj,) velocities at the start of a step [rad/s].
+        q0: (nj,) joint angles at the start of a step [rad].
+        v0: (nj,) velocities there [rad/s].
         pressed: (nl,) 1 where a limit is pressed, else 0.
         grip: (nl,) what limits add to the mass matrix, see ``parts.grips``.
         pull: (nl,) what they add to the load.
@@ -80,7 +81,7 @@ class AugmentedModel:
         gaps: (nl,) above 0 where a limit would be pressed at the accelerations ``a``, see ``parts.gaps``.
         depths: (nl,) above 0 beyond a limit; below it no gap is above 0.
         quickness: (1,) a bound, near to it, of the fastest rate of the motion with ``pressed`` stops [1/s].
-        bound: (nr,) the greatest friction at the mean of the speeds v0 and v.
+        bound: (nr,) the greatest friction at the means of the angles q0 and q and of the speeds v0 and v.
         rows_before: (nr,) rates at the start of a step, G(q) v0.
         drive: (nj,) what the actuators exert on the joints.
         kept: (nz,) the states of the robot's own within their bounds.
@@ -91,6 +92,7 @@ class AugmentedModel:
     z: ca.SX
     pressure: ca.SX
     phi: ca.SX
+    q0: ca.SX
     v0: ca.SX
     pressed: ca.SX
     grip: ca.SX
@@ -120,6 +122,11 @@ class AugmentedModel:
     drive: ca.SX
     kept: ca.SX
 
+    @property
+    def bound_here(self) -> ca.SX:
+        """(nr,) ``bound`` of a step of nothing."""
+        return ca.substitute(self.bound, ca.vertcat(self.q0, self.v0), ca.vertcat(self.q, self.v))
+
 
 @lru_cache(maxsize=32)
 def slots_of(form: Structure, laws: Laws) -> tuple[Slot, ...]:
@@ -146,7 +153,8 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     p = ca.SX.sym("p", base + sum(len(slot.law.parameter_info()) for slot in slots))
     ny = m.inside.state.numel()
     nz = ny + sum(slot.law.n_states for slot in slots)
-    z, pressure, v0 = ca.SX.sym("z", nz), ca.SX.sym("pressure", m.u.numel()), ca.SX.sym("v0", nj)
+    z, pressure = ca.SX.sym("z", nz), ca.SX.sym("pressure", m.u.numel())
+    q0, v0 = ca.SX.sym("q0", nj), ca.SX.sym("v0", nj)
     lengths, jacobian = m.lengths, m.jacobian
     coordinates = {"joint": (m.q, m.v), "actuator": (lengths, jacobian @ m.v)}
     exerted = {"joint": [ca.SX(0)] * nj, "actuator": [ca.SX(0)] * na}
@@ -155,7 +163,7 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     rests = ca.vertsplit(m.inside.rest) if ny else []
     for slot in slots:
         law, kind, i = slot.law, slot.kind, slot.index
-        own = {key: p[slot.first + k] for k, key in enumerate(law.parameter_info())}
+        own = _own(slot, p)
         x, rate = coordinates[kind][0][i], coordinates[kind][1][i]
         states = [z[len(rates) + k] for k in range(law.n_states)]
         exerted[kind][i] = exerted[kind][i] + law.force(x, rate, states, own)
@@ -163,12 +171,17 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
             shares[i] = shares[i] + law.more_area(x, m.rest_length[i], own)
         rates += law.state_rate(x, rate, states, own)
         rests += law.rest_state(x, own)
-    torque, force = ca.vertcat(*exerted["joint"]), ca.vertcat(*exerted["actuator"], ca.SX(0, 1))
+    force = ca.vertcat(*exerted["actuator"], ca.SX(0, 1))
     more_area = ca.vertcat(*shares, ca.SX(0, 1)) * m.area
     area = m.area + more_area
     drive = m.actuation.torque(pressure, area, force)
     at_joints, others = m.actuation.drive(pressure, area, force)
-    rows, bounds = _rubbing(m, slots, p, v0, at_joints + others)
+    for slot in slots:
+        if slot.law.loads:
+            by_drive = slot.law.force_of_drive((at_joints + others)[slot.index], _own(slot, p))
+            exerted["joint"][slot.index] += by_drive
+    torque = ca.vertcat(*exerted["joint"])
+    rows, bounds = _rubbing(m, slots, p, (q0, v0), at_joints + others)
     rubbing = rubbing_places(form, laws)
     phi = ca.SX.sym("phi", len(rubbing))
     gradient = ca.vertcat(*[rows[row] for row in rubbing], ca.SX(0, nj))
@@ -208,10 +221,15 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     ]
     symbols, places = ca.vertcat(m.p, m.inside.state), ca.vertcat(p[:base], z[:ny])
     outputs = [ca.substitute(output, symbols, places) for output in outputs]
-    return AugmentedModel(m.q, m.v, z, pressure, phi, v0, pressed, grip, pull, a, p, slots, rubbing, *outputs)
+    return AugmentedModel(m.q, m.v, z, pressure, phi, q0, v0, pressed, grip, pull, a, p, slots, rubbing, *outputs)
 
 
 Place = tuple[str, int]
+
+
+def _own(slot: Slot, p: ca.SX) -> dict[str, ca.SX]:
+    """The parameters of a law at a place, of all of a structure."""
+    return {key: p[slot.first + k] for k, key in enumerate(slot.law.parameter_info())}
 
 
 def rubbing_places(form: Structure, laws: Laws) -> tuple[Place, ...]:
@@ -229,17 +247,17 @@ def expressions(law: type[ForceEffect]) -> str:
     p = {key: ca.SX.sym(key) for key in law.parameter_info()}
     said = [law.force(x, rate, z, p), *law.state_rate(x, rate, z, p), *law.rest_state(x, p)]
     said += [law.dry_friction(x, speed, p)] if law.rubs else []
-    said += [law.friction_of_load(load, speed, p)] if law.loads else []
+    said += [law.friction_of_load(load, speed, p), law.force_of_drive(load, p)] if law.loads else []
     said += [law.more_area(x, rest, p)] if law.scales else []
     kinds = (law.name, law.sits_at, law.n_states, law.rubs, law.loads, law.scales, tuple(p))
     return repr((kinds, [str(ca.SX(part)) for part in said]))
 
 
 def _rubbing(
-    m: SymbolicModel, slots: Sequence[Slot], p: ca.SX, v0: ca.SX, drive: ca.SX
+    m: SymbolicModel, slots: Sequence[Slot], p: ca.SX, start: tuple[ca.SX, ca.SX], drive: ca.SX
 ) -> tuple[dict[Place, ca.SX], dict[Place, ca.SX]]:
-    """Places that can have dry friction: ∂/∂q (1, nj) of each, and the greatest friction at the mean of v0 and v."""
-    nj = m.q.numel()
+    """Places that can have dry friction: ∂/∂q (1, nj) of each, and the greatest friction at means over a step."""
+    nj, (q0, v0) = m.q.numel(), start
     rows: dict[Place, ca.SX] = {("joint", i): ca.SX.eye(nj)[i, :] for i in range(nj)}
     rows |= {("actuator", i): m.jacobian[i, :] for i in range(m.f.numel())}
     coordinates: dict[Place, ca.SX] = {("joint", i): m.q[i] for i in range(nj)}
@@ -252,9 +270,10 @@ def _rubbing(
         law, place = slot.law, (slot.kind, slot.index)
         if not (law.rubs or law.loads):
             continue
-        own_p = {key: p[slot.first + k] for k, key in enumerate(law.parameter_info())}
+        own_p = _own(slot, p)
         speed = ca.fabs(ca.substitute(rows[place] @ m.v, m.v, (m.v + v0) / 2))
-        more = law.dry_friction(coordinates[place], speed, own_p) if law.rubs else ca.SX(0)
+        x = ca.substitute(coordinates[place], m.q, (m.q + q0) / 2)
+        more = law.dry_friction(x, speed, own_p) if law.rubs else ca.SX(0)
         if law.loads:
             more = more + law.friction_of_load(ca.fabs(drive[slot.index]), speed, own_p)
         bounds[place] = bounds.get(place, ca.SX(0)) + more
@@ -268,7 +287,7 @@ SLIDING = {"joint": 0.02, "actuator": 0.002}
 def sliding_friction(m: AugmentedModel) -> ca.SX:
     """(nj,) torque of dry friction as a smooth function of the rates, −Gᵀ b tanh(G v / s) [N·m]; none at rest."""
     slow = ca.DM([SLIDING[kind] for kind, _ in m.rubbing])
-    rubbing = ca.substitute(m.bound, m.v0, m.v) * ca.tanh(m.rows / slow)
+    rubbing = m.bound_here * ca.tanh(m.rows / slow)
     return -ca.jacobian(m.rows, m.v).T @ rubbing
 
 

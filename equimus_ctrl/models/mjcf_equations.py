@@ -74,6 +74,12 @@ class _Builder:
             potential += _stored(stiffness, beyond)
             bias += row.T * (along + armature * ca.jtimes(row @ v, q, v))
             mass += armature * _related(form, row.T @ row)
+        for i in range(n) if form.hooks else ():
+            tether, *ends = self.parameters(f"tether {i}")
+            hook = Spot(i, ca.vertcat(*ends[:3]))
+            away = frames.position(hook) - ca.vertcat(*ends[3:])
+            bias += tether * (frames.jacobian(hook).T @ away)
+            potential += tether * ca.sumsqr(away) / 2
         off_joint = {j for j, through in form.clamped if through}
         through = ca.SX(n, 1)
         for i in range(n):

@@ -86,7 +86,7 @@ def _applied_forces(ground_truth: GroundTruth, robot: Morphology) -> _AppliedFor
                 torque[joints.index(name)] += value
             else:
                 force[actuators.index(name)] += value
-    bound = ca.substitute(m.bound, m.v0, m.v)
+    bound = m.bound_here
     outputs = ca.substitute(
         [torque, force, m.z_rate, bound, m.rest_state],
         [m.p, base.p],

@@ -148,7 +148,7 @@ def _applied_forces(truth: GroundTruth) -> _AppliedForces | None:
         assert isinstance(effect, ForceEffect) and effect.n_states == 0
         j, p = by_name[effect.location], {key: ca.SX(value) for key, value in effect.parameters().items()}
         speed = ca.fabs(v[j])
-        torque[j] += effect.force(q[j], v[j], (), p)
+        torque[j] += effect.force(q[j], v[j], (), p) + effect.force_of_drive(load[j], p)
         bound[j] += effect.dry_friction(q[j], speed, p) + effect.friction_of_load(ca.fabs(load[j]), speed, p)
         if effect.rubs or effect.loads:
             rubbing.add(j)

@@ -161,7 +161,7 @@ class AngleDamping(ForceEffect):
 @_outside_catalogue
 @dataclass(frozen=True)
 class Cogging(ForceEffect):
-    """size·sin(2π q/pitch): a torque that repeats along the angle."""
+    """size·sin(2π q/pitch): a torque that repeats along the angle; MJCF robots have it in their catalogue."""
 
     name = "cogging"
     sits_at = ("joint",)
@@ -171,10 +171,6 @@ class Cogging(ForceEffect):
         Size("size", 1e-3, 0.1, "from below the noise to 2° of hip", at="hip"),
         Size("size", 4e-4, 0.03, "from below the noise to 2° of knee", at="knee"),
         Size("pitch", 0.12, 0.35, "once to several times within the range"),
-    )
-    mjcf_sizes = (
-        Share("size", 0.01, 0.3),
-        Share("pitch", 0.1, 0.3),
     )
     size: float = parameter("N·m", 0.0, 10.0, "amplitude")
     pitch: float = parameter("rad", 0.01, 3.2, "angle of one repetition")

@@ -126,7 +126,7 @@ def _functions(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, 
     """(q, v, a, z, P, p) → missing torque; (z, q, v, p, dt) → z one step on; (q, p) → z at rest."""
     m, base = augmented_model(form, phase, laws), build(form, phase)
     turns = ca.vertcat(*[TURN[kind] for kind, _ in m.rubbing], ca.DM(0, 1))
-    rubbed = -ca.substitute(m.bound, m.v0, m.v) * ca.tanh(m.rows / turns)
+    rubbed = -m.bound_here * ca.tanh(m.rows / turns)
     a, dt = ca.SX.sym("a", m.v.numel()), ca.SX.sym("dt")
     mass = ca.substitute(base.mass, base.p, m.p[: base.p.numel()])
     missing = mass @ (a - ca.substitute(m.acceleration, m.phi, rubbed))

@@ -110,7 +110,7 @@ class _Law:
         p = {key: ca.SX.sym(key) for key in effect.parameter_info()}
         names = ca.vertcat(*p.values())
         parts = [
-            ca.SX(effect.force(x, rate, states, p)),
+            ca.SX(effect.force(x, rate, states, p)) + effect.force_of_drive(ca.SX(load), p),
             ca.SX(effect.dry_friction(x, speed, p)) + effect.friction_of_load(ca.SX(load), speed, p),
             ca.vertcat(*effect.state_rate(x, rate, states, p)),
         ]

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from equimus_ctrl.robots.mjcf.parts import with_rotors_spec
+from equimus_ctrl.robots.mjcf.parts import tether_of, with_parts_spec
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
@@ -31,7 +31,8 @@ def exported(
         late: joint → by how much its measurements are late, at least a step [s]: the delay of its sensors.
     """
     joints = tuple(c.joint for c in robot.compliances)
-    spec = with_rotors_spec(robot.xml, Assets(robot.assets), joints)
+    places = tuple(tether.place for tether in robot.tethers)
+    spec = with_parts_spec(robot.xml, Assets(robot.assets), joints, places)
     before = spec.compile()  # gives ids to what has no name
     turn = 180 / math.pi if spec.compiler.degree else 1.0
     for body in spec.bodies[1:]:
@@ -69,6 +70,11 @@ def exported(
         for sensor in _sensors(spec, name):
             sensor.delay += delay
             _buffer(sensor, model)
+    for place in places:
+        _, *ends = tether_of(place)
+        for name in ends:
+            if (site := spec.site(name)) is not None:
+                site.pos = model.site_pos[model.site(name).id]
     spec.option.gravity = model.opt.gravity
     _fill(spec, before)
     spec.compile()

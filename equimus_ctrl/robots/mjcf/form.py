@@ -20,6 +20,8 @@ FAR = 1e300
 N_LINK, N_FLOAT, N_JOINT, N_TENDON, N_LIMIT, N_EQUALITY, N_ACTUATOR, N_MOTOR = 10, 4, 9, 10, 10, 12, 10, 40
 """Parameters of each link, link with weight taken off, joint, tendon, limit, equality, and actuator with a gain and a
 bias or with a law of its own."""
+N_TETHER = 7
+"""Of a spring between a link and the room: stiffness, its end in the link's frame, its end in the room."""
 N_DRIVE = 8
 """Of a drive that may turn by itself: whether it does, its inertia, stiffness and damping of its spring, half its play,
 stiffness and damping of the play's ends, and the inverse of the inertia that its motion against the joint has."""
@@ -154,6 +156,8 @@ class TreeForm:
         floats: links from which weight is taken off.
         off: what the XML's flags switch off.
         flexible: whether drives of joints may turn by themselves, behind a spring or with play.
+        hooks: (body, link, place, turn row by row) of all that moves, its frame in the link's, where springs to points
+            of the room may hang on it; none where they may not.
     """
 
     links: tuple[LinkForm, ...]
@@ -168,6 +172,7 @@ class TreeForm:
     floats: tuple[int, ...]
     off: frozenset[str]
     flexible: bool = False
+    hooks: tuple[tuple[int, int, Vector, Vector], ...] = ()
     key: str = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -200,6 +205,7 @@ class TreeForm:
         sizes = (N_ACTUATOR if a.law == "affine" else N_MOTOR for a in self.actuators)
         yield from ((f"actuator {i}", size) for i, size in enumerate(sizes))
         yield from ((f"drive {i}", N_DRIVE) for i in range(len(self.links)) if self.flexible)
+        yield from ((f"tether {i}", N_TETHER) for i in range(len(self.links)) if self.hooks)
         yield from ((f"clamp {j}", 2) for j, _ in self.clamped)
         yield from ((f"clamp tendon {t}", 2) for t in self.clamped_tendons)
 

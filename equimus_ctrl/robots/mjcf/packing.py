@@ -16,6 +16,7 @@ from equimus_ctrl.robots.mjcf.form import (
     N_JOINT,
     N_LINK,
     N_TENDON,
+    N_TETHER,
     TENDON_FRICTION,
     TreeForm,
 )
@@ -28,17 +29,25 @@ TINY = 1e-15
 SHARP = 2000.0
 """Rate of the motion at the ends of a play, critically damped [1/s]."""
 Drive = tuple[float, float, float, float]
+Tether = tuple[float, Array, Array]
+"""Of a spring to a point of the room: stiffness, the point in its body's frame, that in the room."""
 USUAL = 0.02, 1.0
 """What MuJoCo takes where only one of a reference's two values is positive."""
 
 
-def pack(form: TreeForm, model: Any, drives: Mapping[int, Drive] | None = None) -> Array:
+def pack(
+    form: TreeForm,
+    model: Any,
+    drives: Mapping[int, Drive] | None = None,
+    tethers: Mapping[int, Tether] | None = None,
+) -> Array:
     """(n,) the parameters of an ``mujoco.MjModel`` of a form, in the order of ``TreeForm.layout``.
 
     Args:
         form: of its equations.
         model: whose.
         drives: joint → inertia of a drive that turns by itself, stiffness and damping of its spring, and their play.
+        tethers: body → a spring to a point of the room; one link has one at most.
     """
     off = form.off
     parts = [np.zeros(3) if "gravity" in off else np.array(model.opt.gravity), *_bodies(form, model)]
@@ -63,6 +72,8 @@ def pack(form: TreeForm, model: Any, drives: Mapping[int, Drive] | None = None) 
     parts += [_actuator(form, model, i) for i in range(len(form.actuators))]
     if form.flexible:
         parts.append(_drives(form, model, drives or {}).ravel())
+    if form.hooks:
+        parts.append(_tethers(form, tethers or {}).ravel())
     parts += [model.jnt_actfrcrange[j] for j, _ in form.clamped]
     parts += [model.tendon_actfrcrange[t] for t in form.clamped_tendons]
     return np.concatenate(parts)
@@ -140,6 +151,15 @@ def _drives(form: TreeForm, model: Any, drives: Mapping[int, Drive]) -> Array:
         inverse = 1 / inertia + float(model.dof_invweight0[joint])
         hard, dull = (SHARP**2 / inverse, 2 * SHARP / inverse) if play > 0 else (0.0, 0.0)
         rows[joint] = 1.0, inertia, stiffness, damping, play / 2, hard, dull, inverse
+    return rows
+
+
+def _tethers(form: TreeForm, tethers: Mapping[int, Tether]) -> Array:
+    rows = np.zeros((len(form.links), N_TETHER))
+    for body, link, place, turn in form.hooks:
+        if body in tethers and "spring" not in form.off:
+            stiffness, point, anchor = tethers[body]
+            rows[link] = [stiffness, *(np.array(place) + np.array(turn).reshape(3, 3) @ point), *anchor]
     return rows
 
 

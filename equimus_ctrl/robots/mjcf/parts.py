@@ -1,14 +1,57 @@
-"""What is done to MuJoCo's model of a robot: drives that turn by themselves, friction made hard."""
+"""What is done to MuJoCo's model of a robot: drives of their own, springs to the room, friction made hard."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import mujoco
+import numpy as np
+
 from equimus_ctrl.robots.mjcf.plan import Assets, spec_of
+from equimus_ctrl.types import Array
 
 HARD = 0.9999
 """Impedance of dry friction: what a rubbing joint at rest creeps is this near to nothing."""
+
+
+STIFF = 0.25
+"""Rate of the end of a play, in units of 1/step."""
+Place = tuple[float, float, float]
+"""Along the axes of a body, or of the room [m]."""
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """A drive that moves its joint through a spring: the joint's armature turns by itself.
+
+    Attributes:
+        joint: between whose drive and link.
+        stiffness: of the spring [N·m/rad or N/m].
+        damping: of its damper [N·m·s/rad or N·s/m].
+        play: in place of both: way over which drive and joint do not feel each other [rad or m]; 0 for none.
+    """
+
+    joint: str
+    stiffness: float
+    damping: float
+    play: float
+
+
+@dataclass(frozen=True)
+class Tether:
+    """A spring of no rest length from a site, or a body's centre of mass, to a point of the room.
+
+    Attributes:
+        place: the site or body.
+        stiffness: [N/m].
+        anchor: the point, along the room's axes [m].
+    """
+
+    place: str
+    stiffness: float
+    anchor: Place
 
 
 def rotor_of(joint: str) -> str:
@@ -16,15 +59,40 @@ def rotor_of(joint: str) -> str:
     return f"{joint} drive"
 
 
+OFF = 0.1, 0.2, 0.3
+"""Where sites that are moved begin [m]: of those at the frame of their body MuJoCo does not read where they are."""
+
+
+def tether_of(place: str) -> tuple[str, str, str]:
+    """What a spring from a place to a point of the room is called, as a tendon, and its ends as sites."""
+    return f"{place} tether", f"{place} tether end", f"{place} tether point"
+
+
 @lru_cache(maxsize=64)
-def with_rotors(xml: str, assets: Assets, joints: tuple[str, ...]) -> Any:
-    """``with_rotors_spec`` compiled; not to be changed."""
-    return with_rotors_spec(xml, assets, joints).compile()
+def with_parts(xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...]) -> Any:
+    """``with_parts_spec`` compiled; not to be changed."""
+    return with_parts_spec(xml, assets, joints, tethered).compile()
 
 
-def with_rotors_spec(xml: str, assets: Assets, joints: tuple[str, ...]) -> Any:
-    """The model with drives of their own, each tied to its joint by a tendon that can give way."""
+def with_parts_spec(xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...]) -> Any:
+    """The model with drives of their own, and with springs to points of the room.
+
+    Args:
+        xml: the model.
+        assets: files that it names.
+        joints: whose drives turn by themselves, each tied to its joint by a tendon that can give way.
+        tethered: bodies and sites with a tendon to a site of the room, of no stiffness yet.
+    """
     spec = spec_of(xml, assets)
+    for place in tethered:
+        name, end, point = tether_of(place)
+        spec.worldbody.add_site(name=end, pos=OFF)
+        if spec.site(place) is None:
+            spec.body(place).add_site(name=point, pos=OFF)
+        tendon = spec.add_tendon(name=name, springlength=[0.0, 0.0])
+        tendon.stiffness, tendon.damping, tendon.frictionloss, tendon.limited = [0.0] * 3, [0.0] * 3, 0.0, 0
+        tendon.wrap_site(end)
+        tendon.wrap_site(point if spec.site(place) is None else place)
     for name in joints:
         joint = spec.joint(name)
         # Bodies of one joint each at the same place; the rotor's mass moves with the body that carries it.
@@ -42,6 +110,40 @@ def with_rotors_spec(xml: str, assets: Assets, joints: tuple[str, ...]) -> Any:
             if actuator.target == name:
                 actuator.target = rotor_of(name)
     return spec
+
+
+def hook_of(model: Any, place: str) -> tuple[int, Array]:
+    """The body that a site is fixed to and where, or a body and its centre of mass, in the body's frame [m]."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, place)
+    if site >= 0:
+        return int(model.site_bodyid[site]), np.array(model.site_pos[site])
+    body = int(model.body(place).id)
+    return body, np.array(model.body_ipos[body])
+
+
+def loosen(model: Any, compliance: Compliance, armature: float) -> None:
+    """Give a drive that turns by itself, see ``with_parts``, its inertia, and what ties it to its joint its numbers."""
+    rotor, play = rotor_of(compliance.joint), compliance.play
+    tendon = model.tendon(rotor).id
+    model.tendon_stiffness[tendon], model.tendon_damping[tendon] = compliance.stiffness, compliance.damping
+    if play:
+        rate = STIFF / model.opt.timestep
+        model.tendon_limited[tendon] = 1
+        model.tendon_range[tendon] = -play / 2, play / 2
+        model.tendon_solref_lim[tendon] = -(rate**2), -2 * rate
+        model.tendon_solimp_lim[tendon] = HARD, HARD, 1e-3, 0.5, 2.0
+    model.dof_armature[model.joint(rotor).dofadr[0]] = armature
+    model.dof_armature[model.joint(compliance.joint).dofadr[0]] = 0.0
+
+
+def stretch(model: Any, tether: Tether) -> None:
+    """Give a spring to the room, see ``with_parts``, its stiffness and its end."""
+    name, end, point = tether_of(tether.place)
+    model.tendon_stiffness[model.tendon(name).id] = tether.stiffness
+    model.site_pos[model.site(end).id] = tether.anchor
+    own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, point)
+    if own >= 0:
+        model.site_pos[own] = hook_of(model, tether.place)[1]
 
 
 def harden(model: Any, dof: int) -> None:

@@ -27,12 +27,13 @@ INPUTS = {1: "pos", 2: "vel", 4: "ff", 8: "voltage"}
 """Bits of MuJoCo's ``actuator_ctrlspec`` of pid and dcmotor."""
 
 
-def form_of(model: Any, flexible: bool = False) -> TreeForm:
+def form_of(model: Any, flexible: bool = False, tethered: bool = False) -> TreeForm:
     """The form of an ``mujoco.MjModel``.
 
     Args:
         model: whose.
         flexible: whether drives of its joints may turn by themselves.
+        tethered: whether springs to points of the room may hang on it.
 
     Raises:
         ModelError: where it has what the equations cannot hold.
@@ -41,11 +42,10 @@ def form_of(model: Any, flexible: bool = False) -> TreeForm:
         raise ModelError(f"the equations cannot hold {wrong[0]}")
     off = switched_off(model)
     links, frames = _links(model)
-    bodies = tuple(
-        (b, link, snapped(place), snapped(turn))
-        for b, (link, place, turn) in enumerate(frames)
-        if link >= 0 and (model.body_mass[b] > 0 or model.body_inertia[b].max() > 0)
+    moving = tuple(
+        (b, link, snapped(place), snapped(turn)) for b, (link, place, turn) in enumerate(frames) if link >= 0
     )
+    bodies = tuple(own for own in moving if model.body_mass[own[0]] > 0 or model.body_inertia[own[0]].max() > 0)
     tendons = tuple(_tendon(model, t, frames) for t in range(model.ntendon))
     limits: list[LimitForm] = []
     if "limit" not in off:
@@ -70,6 +70,7 @@ def form_of(model: Any, flexible: bool = False) -> TreeForm:
         tuple(sorted({link for b, link, *_ in bodies if model.body_gravcomp[b] != 0})),
         off,
         flexible,
+        moving if tethered else (),
     )
 
 

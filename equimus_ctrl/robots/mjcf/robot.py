@@ -15,6 +15,7 @@ from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import mujoco
+import numpy as np
 
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
@@ -28,17 +29,13 @@ from equimus_ctrl.robots.mjcf.independent import independent
 from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
-from equimus_ctrl.robots.mjcf.parts import HARD, rotor_of, with_rotors
+from equimus_ctrl.robots.mjcf.parts import Compliance, Place, Tether, hook_of, loosen, stretch, with_parts
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
 
-Place = tuple[float, float, float]
-"""Along the axes of a body [m]."""
 BASE = "base"
 """The place of what concerns the whole robot."""
-STIFF = 0.25
-"""Rate of the end of a play, in units of 1/step."""
 LEAST_PLAY = 2e-9
 """A play that is none [rad or m]."""
 _FACTOR = {
@@ -73,23 +70,6 @@ TRAITS = RobotTraits(
 """Motors drive hinges and slides that nothing need hold in place; recordings are what somebody has."""
 
 
-@dataclass(frozen=True)
-class Compliance:
-    """A drive that moves its joint through a spring: the joint's armature turns by itself.
-
-    Attributes:
-        joint: between whose drive and link.
-        stiffness: of the spring [N·m/rad or N/m].
-        damping: of its damper [N·m·s/rad or N·s/m].
-        play: in place of both: way over which drive and joint do not feel each other [rad or m]; 0 for none.
-    """
-
-    joint: str
-    stiffness: float
-    damping: float
-    play: float
-
-
 @dataclass(frozen=True, eq=False)
 class MjcfRobot(Robot):
     """A robot from a MuJoCo model.
@@ -103,6 +83,7 @@ class MjcfRobot(Robot):
         values: parameters that differ from the XML, by dotted name.
         payloads: (body or site, mass [kg], place beside its centre or the site [m]) of what it carries beside.
         compliances: drives that are not rigid.
+        tethers: springs to points of the room, one to a link at most.
         gains: (actuator, factor) on the forces of actuators.
         limits: (actuator, size) to which forces of actuators are limited [N·m or N].
 
@@ -120,6 +101,7 @@ class MjcfRobot(Robot):
     values: Mapping[str, float] = field(default_factory=dict)
     payloads: tuple[tuple[str, float, Place], ...] = ()
     compliances: tuple[Compliance, ...] = ()
+    tethers: tuple[Tether, ...] = ()
     gains: tuple[tuple[str, float], ...] = ()
     limits: tuple[tuple[str, float], ...] = ()
 
@@ -132,7 +114,8 @@ class MjcfRobot(Robot):
         """SHA-256 of all that it is but its name and the file's."""
         files = [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(self.assets.items())]
         parts = (self.xml, files, sorted(self.values.items()), self.payloads, self.compliances, self.gains, self.limits)
-        return hashlib.sha256(repr(parts).encode()).hexdigest()
+        whole = (*parts, self.tethers) if self.tethers else parts
+        return hashlib.sha256(repr(whole).encode()).hexdigest()
 
     @cached_property
     def plan(self) -> Plan:
@@ -277,6 +260,28 @@ class MjcfRobot(Robot):
         """A copy that carries a mass [kg] at a site, or at the centre of mass of a body, or beside it [m]."""
         return replace(self, payloads=(*self.payloads, (place, mass, beside)))
 
+    def with_tether(self, place: str, stiffness: float, anchor: Place) -> MjcfRobot:
+        """A copy with a spring from a site or a body's centre of mass to a point of the room, see ``Tether``."""
+        return replace(self, tethers=(*self.tethers, Tether(place, stiffness, anchor)))
+
+    @property
+    def joints_without_rotor(self) -> tuple[str, ...]:
+        """Joints of drives with which nothing turns, for they have no armature."""
+        numbers, driven = self.parameters(), {drive.joint for drive in self.actuators}
+        return tuple(name for name in self.joint_names if name in driven and numbers[f"{name}.armature"] <= 0)
+
+    @property
+    def motors(self) -> tuple[str, ...]:
+        """Actuators whose command is no goal for where something is."""
+        return tuple(drive.name for drive in self.actuators if not drive.servo)
+
+    @property
+    def ends(self) -> dict[str, tuple[str, ...]]:
+        """``places`` of what sticks out: sites, or where there are none the bodies that carry no other."""
+        carrying = {int(parent) for parent in self.plan.base.body_parentid}
+        last = tuple(name for name in self.plan.bodies if self.plan.base.body(name).id not in carrying)
+        return {**self.places(), "link": () if self.plan.sites else last}
+
     def with_compliance(self, joint: str, stiffness: float, damping: float, play: float = 0.0) -> MjcfRobot:
         """A copy with a spring between a joint and its drive, see ``Compliance``.
 
@@ -334,7 +339,9 @@ class MjcfRobot(Robot):
             drives[c.joint] = float(model.dof_armature[dof]), c.stiffness, c.damping, c.play
             model.dof_armature[dof] = 0.0
         mujoco.mj_setConst(model, data)
-        return mechanics_of(model, self.xml, assets, self.joint_names, drives)
+        hooks = [(hook_of(model, tether.place), tether) for tether in self.tethers]
+        tethers = {body: (own.stiffness, point, np.array(own.anchor)) for (body, point), own in hooks}
+        return mechanics_of(model, self.xml, assets, self.joint_names, drives, tethers)
 
     @property
     def obstacles(self) -> tuple[str, ...]:
@@ -354,9 +361,9 @@ class MjcfRobot(Robot):
         return model
 
     def _base(self) -> Any:
-        """MuJoCo's model of the file, with a body for each drive that turns by itself; not to be changed."""
-        joints = tuple(c.joint for c in self.compliances)
-        return with_rotors(self.xml, Assets(self.assets), joints) if joints else self.plan.base
+        """MuJoCo's model of the file, with drives of their own and springs to the room; not to be changed."""
+        joints, places = tuple(c.joint for c in self.compliances), tuple(tether.place for tether in self.tethers)
+        return with_parts(self.xml, Assets(self.assets), joints, places) if joints or places else self.plan.base
 
     def _write_parameters(self, model: Any) -> None:
         """Put all that is not as in the file into a copy of its model, except drives that turn by themselves."""
@@ -386,16 +393,9 @@ class MjcfRobot(Robot):
         """Put all that is not as in the file into a copy of its model."""
         self._write_parameters(model)
         for c in self.compliances:
-            tendon = model.tendon(rotor_of(c.joint)).id
-            model.tendon_stiffness[tendon], model.tendon_damping[tendon] = c.stiffness, c.damping
-            if c.play:
-                rate = STIFF / model.opt.timestep
-                model.tendon_limited[tendon] = 1
-                model.tendon_range[tendon] = -c.play / 2, c.play / 2
-                model.tendon_solref_lim[tendon] = -(rate**2), -2 * rate
-                model.tendon_solimp_lim[tendon] = HARD, HARD, 1e-3, 0.5, 2.0
-            model.dof_armature[model.joint(rotor_of(c.joint)).dofadr[0]] = self.parameters()[f"{c.joint}.armature"]
-            model.dof_armature[model.joint(c.joint).dofadr[0]] = 0.0
+            loosen(model, c, self.parameters()[f"{c.joint}.armature"])
+        for tether in self.tethers:
+            stretch(model, tether)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
     def default_names(self) -> list[str]:

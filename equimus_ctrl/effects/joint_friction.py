@@ -1,0 +1,275 @@
+"""Effects of joints that motors drive: what opposes their motion.
+
+They are for MJCF robots. What MuJoCo has a field for goes there; the rest is stepped with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from equimus_ctrl.effects.base import parameter, register
+from equimus_ctrl.effects.description import Description
+from equimus_ctrl.effects.excitation import Excitation
+from equimus_ctrl.effects.force import ForceEffect, Parameters
+from equimus_ctrl.effects.native import add_constant_force
+from equimus_ctrl.effects.sizes import Share
+
+UNLIKE = 1.3
+"""Least factor between two sizes of dry friction, as forwards and backwards, that are called different."""
+
+
+@register
+@dataclass(frozen=True)
+class ViscousFriction(ForceEffect):
+    """−damping·rate."""
+
+    name = "viscous_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "friction in proportion to speed"
+    mujoco_field = ("dof_damping", None)
+    mujoco_flags = ("damper",)
+    neutral = {"damping": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("damping", 0.003, 0.5),)
+    damping: float = parameter("N·m·s/rad", 0.0, 1e4, "torque for each speed")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["damping"] * rate
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return f"Friction at {t.the} in proportion to speed, of {t['damping']}{t.one_or('', ' each')}."
+
+
+@register
+@dataclass(frozen=True)
+class QuadraticDamping(ForceEffect):
+    """−drag·rate·|rate|."""
+
+    name = "quadratic_damping"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "drag that grows with the square of speed"
+    mujoco_field = ("dof_dampingpoly", 0)
+    mujoco_flags = ("damper",)
+    neutral = {"drag": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("drag", 0.003, 0.5),)
+    drag: float = parameter("N·m·s²/rad²", 0.0, 1e4, "torque for each square of speed")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["drag"] * rate * ca.fabs(rate)
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return f"A drag at {t.the} that grows with the square of speed, of {t['drag']}{t.one_or('', ' each')}."
+
+
+@register
+@dataclass(frozen=True)
+class AsymmetricDamping(ForceEffect):
+    """−difference·|rate|/2: damping that is larger by ``difference`` forwards than backwards."""
+
+    name = "asymmetric_damping"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "viscous friction that differs between the two directions"
+    alike = False
+    neutral = {"difference": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("difference", 0.01, 0.5, "either sign"),)
+    difference: float = parameter("N·m·s/rad", -1e4, 1e4, "of the damping forwards over that backwards")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["difference"] * ca.fabs(rate) / 2
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        more = "forwards" if t.value("difference") > 0 else "backwards"
+        size = t.scaled("difference", t.unit("difference"), math.copysign(1.0, t.value("difference")))
+        return f"Viscous friction at {t.the} is larger {more}, by {size}."
+
+
+@register
+@dataclass(frozen=True)
+class AsymmetricFriction(ForceEffect):
+    """Dry friction of size ``forward`` where rate > 0 and ``backward`` where rate < 0."""
+
+    name = "asymmetric_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "dry friction that differs between the two directions"
+    alike = False
+    exclusive = "dry friction"
+    neutral = {"forward": 0.0, "backward": 0.0}  # noqa: RUF012
+    mjcf_sizes = (
+        Share("forward", 0.003, 0.3),
+        Share("backward", 0.003, 0.3),
+    )
+    forward: float = parameter("N·m", 0.0, 100.0, "size of the friction of forward motion")
+    backward: float = parameter("N·m", 0.0, 100.0, "of backward motion")
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        return [
+            {"forward": size * share, "backward": size * (2 - share)}
+            for size in excitation.sizes("N·m")
+            for share in (0.5, 0.9, 1.1, 1.5)
+        ]
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return (p["backward"] - p["forward"]) / 2
+
+    @classmethod
+    def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return (p["forward"] + p["backward"]) / 2
+
+    def write_mjcf(self, mujoco_model: Any) -> bool:
+        # Friction of the mean size, and what is left of the difference between the directions.
+        if not add_constant_force(mujoco_model, self.location, (self.backward - self.forward) / 2):
+            return False
+        mujoco_model.dof_frictionloss[mujoco_model.joint(self.location).dofadr[0]] += (self.forward + self.backward) / 2
+        return True
+
+    @classmethod
+    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
+        return max(values.values()) < UNLIKE * min(values.values())
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        sizes = f"{t['forward']} forwards and {t['backward']} backwards"
+        return f"Dry friction at {t.the} differs between directions: {sizes}."
+
+
+@register
+@dataclass(frozen=True)
+class LoadFriction(ForceEffect):
+    """Dry friction of size share·|force of the drive|, beside any other: a gear's losses."""
+
+    name = "load_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "dry friction in proportion to the drive's force"
+    exclusive = "load friction"
+    neutral = {"share": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("share", 0.01, 0.4),)
+    share: float = parameter("1", 0.0, 1.0, "of the drive's force")
+
+    @classmethod
+    def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return p["share"] * load
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        share = t.scaled("share", "%", 100.0)
+        return f"Dry friction at {t.the} of {share} of the drive's force: a gear's losses."
+
+
+@register
+@dataclass(frozen=True)
+class DirectionalLoadFriction(ForceEffect):
+    """Dry friction of size drive·|τ| while a drive's force τ drives the joint, backdrive·|τ| while it brakes it.
+
+    A gear that loses another share when it is driven backwards (Wang & Kim, "Directional efficiency in geared
+    transmissions", ICRA 2015). Of servos Duclusaud et al. tell apart what comes from the motor and from outside (M5 in
+    "Extended friction models for the physics simulation of servo actuators", 2024). What opposes the motion is between
+    −drive·τ and backdrive·τ, at rest too: that is −(drive − backdrive)/2·τ and dry friction of size
+    (drive + backdrive)/2·|τ|.
+    """
+
+    name = "directional_load_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "dry friction in proportion to the drive's force, another share when it is driven backwards"
+    alike = False
+    exclusive = "load friction"
+    in_torques = False  # in part it is a gain: least squares would prefer it to noise, with smaller masses
+    neutral = {"drive": 0.0, "backdrive": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("drive", 0.02, 0.2), Share("backdrive", 0.1, 0.6))
+    drive: float = parameter("1", 0.0, 1.0, "of the drive's force while it drives")
+    backdrive: float = parameter("1", 0.0, 1.0, "of it while it brakes")
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        few, many = 0.05, 0.2
+        return [{"drive": few, "backdrive": many}, {"drive": many, "backdrive": few}]
+
+    @classmethod
+    def friction_of_load(cls, load: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return (p["drive"] + p["backdrive"]) / 2 * load
+
+    @classmethod
+    def force_of_drive(cls, drive: ca.SX, p: Parameters) -> ca.SX:
+        return -(p["drive"] - p["backdrive"]) / 2 * drive
+
+    @classmethod
+    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
+        return max(values.values()) < UNLIKE * min(values.values())
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        drive, backdrive = (t.scaled(key, "%", 100.0) for key in ("drive", "backdrive"))
+        return (
+            f"Dry friction at {t.the} of {drive} of the drive's force while that drives, and of {backdrive} while it "
+            "is driven backwards: a gear's losses."
+        )
+
+
+@register
+@dataclass(frozen=True)
+class PositionDependentFriction(ForceEffect):
+    """Dry friction of size friction + more·(1 + cos(x − angle))/2: it is largest at one angle of a turn.
+
+    The first harmonic of friction that depends on where teeth and bearings are (Armstrong-Hélouvry, Dupont & Canudas de
+    Wit, "A survey of models, analysis tools and compensation methods for the control of machines with friction", 1994).
+    """
+
+    name = "position_dependent_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "dry friction that is larger at some angles than at others"
+    alike = False
+    exclusive = "dry friction"
+    neutral = {"friction": 0.0, "more": 0.0}  # noqa: RUF012
+    mjcf_sizes = (
+        Share("friction", 0.003, 0.1),
+        Share("more", 0.03, 0.3),
+        Share("angle", -3.0, 3.0, "linear", "none"),
+    )
+    friction: float = parameter("N·m", 0.0, 100.0, "size of the friction where it is least")
+    more: float = parameter("N·m", 0.0, 100.0, "how much more it is half a turn from there")
+    angle: float = parameter("rad", -3.2, 3.2, "where it is largest")
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        """As of any force, but of joints the hinges alone."""
+        places = super().places_on(robot)
+        return {**places, "joint": tuple(name for name in places["joint"] if not robot.slides(name))}
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        quarters = (0.0, math.pi / 2, math.pi, -math.pi / 2)
+        sizes = excitation.sizes("N·m")[1:]
+        return [{"friction": size, "more": size, "angle": angle} for size in sizes for angle in quarters]
+
+    @classmethod
+    def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
+        return p["friction"] + p["more"] * (1 + ca.cos(x - p["angle"])) / 2
+
+    @classmethod
+    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
+        return values["more"] < (UNLIKE - 1) * values["friction"]
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return (
+            f"Dry friction at {t.the} that depends on its angle: {t['friction']} where it is least, {t['more']} more "
+            f"at {t['angle']}, where it is largest."
+        )
