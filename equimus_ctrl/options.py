@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from equimus_ctrl.errors import ConfigError, unknown_name
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     Bounds = Mapping[str, tuple[float, float]]
 
 T = TypeVar("T")
+GROUPINGS = ("folder",)
+"""By what trials may be grouped."""
 
 
 @dataclass(frozen=True)
@@ -191,6 +193,8 @@ class DiagnoseOptions:
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         threads: of the simulations; all cores by default.
         budget: how long it may take; its best so far is given then. As long as it needs by default [s].
+        by: ``"folder"`` where the trials of each folder are another unit of the robot, or of another day: one model is
+            found for all, with what differs between them; None where all are alike.
 
     Raises:
         ConfigError: for a value that cannot be.
@@ -240,9 +244,18 @@ class DiagnoseOptions:
         "Give the best so far after this time, with what was not tried.",
         metavar="SECONDS",
     )
+    by: Literal["folder"] | None = option(
+        None,
+        str | None,
+        "folder: the trials of each folder are another unit of the robot, or of another day; what differs between them "
+        "is told.",
+        metavar="folder",
+    )
 
     def __post_init__(self) -> None:
         """Check the values."""
+        if self.by not in (None, *GROUPINGS):
+            raise ConfigError(unknown_name("grouping", str(self.by), GROUPINGS, "by"))
         if not 1 <= self.most <= 6:
             raise ConfigError(f"the largest number of effects is {self.most}, expected 1 to 6")
         if self.until is not None and not math.isfinite(self.until):

@@ -203,7 +203,7 @@ def _in_fewer_places(search: HypothesisMoves, state: SearchState, score: float) 
             for smaller in search.allowed_candidates(state.tried)
             if smaller.effect is part.candidate.effect
             and not smaller.each
-            and not part.candidate.each
+            and not (part.candidate.each or part.candidate.own or part.candidate.absent)
             and len(smaller.locations) == len(part.candidate.locations) - 1
             and set(smaller.locations) < set(part.candidate.locations)
         ]

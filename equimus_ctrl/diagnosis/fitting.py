@@ -233,7 +233,7 @@ class Data:
         """
         first = len(self.free.free) + sum(p.candidate.n_parameters for p in fitted.hypothesis[:k])
         own = fitted.fit.parameters.free[first : first + fitted.hypothesis[k].candidate.n_parameters]
-        counted = {free.name for free in own} if names is None else set(names)
+        counted = {free.label for free in own} if names is None else set(names)
         blind = (t for t in fitted.fit.uncertainty.trade_offs if t.correlation is None)
         return sum(bool(counted & t.weights.keys()) for t in blind) >= len(counted)
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -20,6 +21,8 @@ from equimus_ctrl.diagnosis.torque_start import worth_simulating
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.parameters import in_group
+from equimus_ctrl.identification.segments import groups_of, groups_with_own
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
@@ -338,6 +341,23 @@ class HypothesisMoves:
             hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
             begin = (self.data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
             proposals.append(Proposal(hypothesis, (begin,)))
+        return [*proposals, *self._splits_by_group(fitted)]
+
+    def _splits_by_group(self, fitted: Fitted) -> list[Proposal]:
+        """For each part the same with a size of its own in a group of trials: what differs by unit hides the rest."""
+        groups, proposals = groups_with_own(groups_of(self.data.segments)), list[Proposal]()
+        for k, part in enumerate(fitted.hypothesis):
+            candidate = part.candidate
+            taken = {*candidate.own, *product(candidate.sizes, candidate.absent)}
+            alone = len(groups_of(self.data.segments)) - len(candidate.absent) < 2
+            for name, group in () if alone else product(candidate.sizes, groups):
+                if (name, group) in taken:
+                    continue
+                own = replace(candidate, own=(*candidate.own, (name, group)))
+                split = Part(own, {**part.values, in_group(name, group): part.values[name]})
+                hypothesis = (*fitted.hypothesis[:k], split, *fitted.hypothesis[k + 1 :])
+                begin = (self.data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
+                proposals.append(Proposal(hypothesis, (begin,)))
         return proposals
 
     def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: float) -> list[Fitted]:

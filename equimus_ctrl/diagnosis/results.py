@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
+
+if TYPE_CHECKING:
+    from equimus_ctrl.diagnosis.units_compared import AnotherUnit, Difference
 
 SCHEMA = "equimus-ctrl/diagnosis/2"
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
@@ -120,6 +123,7 @@ class Finding:
         equivalent: effects that these recordings do not distinguish from it.
         law: the part at all its places where each has its own parameters: the evidence is of all of them together.
         undetermined: why its parameters are not identifiable from these recordings; "" where they are.
+        by_group: where they differ between groups of trials, the parameters in each; none where it does not act.
     """
 
     part: Part
@@ -128,6 +132,7 @@ class Finding:
     equivalent: tuple[Named, ...] = ()
     law: Part | None = None
     undetermined: str = ""
+    by_group: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
 
     @property
     def named(self) -> Named:
@@ -144,12 +149,17 @@ class Finding:
         """As JSON data."""
         return {
             **self.named.to_dict(),
-            "parameters": {key: estimate.to_dict() for key, estimate in self.parameters.items()},
+            "parameters": _estimates(self.parameters),
             "evidence": self.evidence.to_dict(),
             "equivalent": [other.to_dict() for other in self.equivalent],
             **({"also_at": list(self.also_at)} if self.also_at else {}),
             **({"undetermined": self.undetermined} if self.undetermined else {}),
+            **({"by_group": {group: _estimates(own) for group, own in self.by_group.items()}} if self.by_group else {}),
         }
+
+    def in_group(self, group: str) -> Finding:
+        """The same with its parameters in a group of trials."""
+        return replace(self, parameters=self.by_group[group], by_group={})
 
 
 @dataclass(frozen=True)
@@ -401,6 +411,9 @@ class Diagnosis:
         seconds: how long it took.
         decisions: of the stages, in order.
         not_done: stages that it was ended before or in, by its budget or by whoever asked for its best so far.
+        groups: of trials, such as units of the robot; none where all are of one.
+        differences: between them, the strongest evidence first.
+        another_unit: what of the model's parameters is not nominal; None where the nominal values fit as well.
     """
 
     verdict: Verdict
@@ -426,6 +439,9 @@ class Diagnosis:
     decisions: tuple[Decision, ...] = ()
     not_done: tuple[str, ...] = ()
     undetermined: tuple[Finding, ...] = ()
+    groups: tuple[str, ...] = ()
+    differences: tuple[Difference, ...] = ()
+    another_unit: AnotherUnit | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -465,12 +481,22 @@ class Diagnosis:
             "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],
+            "another_unit": self.another_unit.to_dict() if self.another_unit else None,
+            **self._groups(),
             "trials": {part: [s.trial.name for s in getattr(self, part)] for part in SETS},
             "decisions": [decision.to_dict() for decision in self.decisions],
             "not_done": list(self.not_done),
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
+
+    def _groups(self) -> dict[str, Any]:
+        """What differs between groups of trials; empty where there are none."""
+        if not self.groups:
+            return {}
+        whole = (*self.train, *self.validation, *self.test)
+        names = {g: list(dict.fromkeys(s.recording_name for s in whole if s.group == g)) for g in self.groups}
+        return {"groups": names, "differences": [difference.to_dict() for difference in self.differences]}
 
     def _parameters(self) -> dict[str, dict[str, Any]]:
         """Of the augmented model those that were estimated, with intervals."""
@@ -489,6 +515,10 @@ class Diagnosis:
 
     def _by_joint(self, values: Sequence[float] | Array) -> dict[str, float | None]:
         return {joint: _finite(float(v)) for joint, v in zip(self.joints, values, strict=True)}
+
+
+def _estimates(parameters: Mapping[str, Estimate]) -> dict[str, Any]:
+    return {key: estimate.to_dict() for key, estimate in parameters.items()}
 
 
 def _finite(value: float) -> float | None:

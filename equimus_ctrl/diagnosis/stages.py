@@ -1,6 +1,7 @@
 """A diagnosis, stage by stage: each takes what is known, a ``State``, and returns what is known after it.
 
-    refit → search → confirmation → unexplained → discretization → validation → other_holdout → alternatives → report
+    refit → search → groups → confirmation → unexplained → discretization → validation → other_holdout → alternatives
+    → units → report
 
 ``carried_out`` runs them in this order; ``STAGES`` has those between the refit and the report. ``other_holdout`` is a
 second diagnosis, with other trials held out, by the same stages. Where a budget ends a stage, what was known before it
@@ -34,6 +35,7 @@ from equimus_ctrl.diagnosis.findings import (
     verdict,
 )
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.groups import Apart, alone_in, rebuilt, told_apart
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
@@ -48,10 +50,13 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
 from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test, residual_analysis
+from equimus_ctrl.diagnosis.units_compared import another_unit, differences
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.parameters import in_group
 from equimus_ctrl.identification.residuals import residuals_of
+from equimus_ctrl.identification.segments import groups_of
 from equimus_ctrl.types import Array
 
 ROUNDS = 12
@@ -127,10 +132,15 @@ def refit(inputs: DiagnosisInputs) -> State:
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in inputs.settings.exclude}
     pool = candidates(model, split.train, looked_for)
     search = Search(data, pool, data.policy.applied(inputs.settings.search), _round_notify(inputs.progress))
+    with suppress(BudgetSpent):
+        if groups_of(split.train):
+            apart = told_apart(Apart(search, base), split)
+            search, base = apart.search, apart.best
+            short = _short_base(search.data, split) if short is not None else None
     state = State(inputs, search, SearchState(base, base), short, _nominal(data, split))
     excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
-    return state.decided("refit", f"{len(data.free.free)} parameters refitted", f"excess variance: {said}")
+    return state.decided("refit", f"{len(search.data.free.free)} parameters refitted", f"excess variance: {said}")
 
 
 def _round_notify(progress: Progress) -> Callable[[str, str], None]:
@@ -178,6 +188,34 @@ def _accepted(state: State) -> State:
     if state.end.stopped is not None:
         state = state.decided("search", "no further effect", state.end.stopped)
     return state
+
+
+def tell_apart(state: State) -> State:
+    """What differs between groups of trials, such as units of a robot; effects that act in one group alone."""
+    split, search, end = state.inputs.split, state.search, state.end
+    if not (groups := groups_of(split.train)):
+        return state
+    search, end = _told_apart(search, end, split)
+    state = replace(state, ranking=ranking(state.search, state.end))
+    alone = [alone_in(c, group, groups) for group in groups for c in search.pool if c.sizes]
+    after = replace(search, pool=alone).go_on(replace(end, tried=replace(end.tried, extended={})))
+    if after.best.labels != end.best.labels:
+        search, end = _told_apart(search, replace(after, tried=replace(after.tried, extended={})), split)
+    state = replace(state, search=search, end=end)
+    own = [own.label(end.best.hypothesis) for own in Apart(search, end.best).own]
+    reason = "−2Δln L exceeds the threshold, and held-out trials confirm it"
+    for label in own:
+        state = state.decided("groups", f"{label} has a value of its own", reason)
+    for part in end.best.hypothesis:
+        for group in part.candidate.absent:
+            state = state.decided("groups", f"{part.candidate.effect.name} not in {group}", "it fits as well without")
+    return state
+
+
+def _told_apart(search: Search, end: SearchState, split: Split) -> tuple[Search, SearchState]:
+    """A search and its end with the values of groups that are needed."""
+    apart = told_apart(Apart(search, end.best), split)
+    return apart.search, end if apart.best is end.best else rebuilt(apart, end)
 
 
 def confirm(state: State) -> State:
@@ -357,14 +395,29 @@ def find_alternatives(state: State) -> State:
     return replace(state, end=end, equivalent=equivalents(state.search, end, bool(state.analysis.unexplained), finely))
 
 
+def compare_units(state: State) -> State:
+    """What differs between groups of trials, with evidence; what of the model's parameters is not nominal."""
+    split, search, end = state.inputs.split, state.search, state.end
+    told = differences(search, end, split)
+    other = None if state.analysis.unexplained or state.failed else another_unit(search, end, split)
+    state = replace(state, differences=told, another_unit=other)
+    if other is not None:
+        reason = f"−2Δln L {other.gain:.4g}, at least {other.threshold:.4g}"
+        names = ", ".join(in_group(d.parameter, d.group) for d in other.departures) or "only several together"
+        state = state.decided("units", f"parameters differ from the nominal ones: {names}", reason)
+    return state
+
+
 ORDER = (
     Stage("search", find_effects, "more effects"),
+    Stage("groups", tell_apart, "what differs between groups of trials"),
     Stage("confirmation", confirm, "whether held-out trials confirm the effects", "held-out trials", 0.82),
     Stage("unexplained", explain_residuals, "what remains unexplained", "residual forces", 0.86),
     Stage("discretization", take_off_step_error, "the error of the physics step"),
     Stage("validation", validate, "whether the error on held-out trials is above the noise"),
     Stage("other_holdout", repeat_with_other_holdout, "what other held-out trials would show", settles=False),
     Stage("alternatives", find_alternatives, "what fits as well in an effect's place", "evidence", 0.94, settles=False),
+    Stage("units", compare_units, "whether parameters differ from the nominal ones", settles=False),
 )
 STAGES = tuple(stage.name for stage in ORDER)
 """What follows the refit, in order."""
@@ -428,6 +481,9 @@ def report(state: State) -> Diagnosis:
         seconds=time.perf_counter() - inputs.begun,
         decisions=state.decisions,
         not_done=tuple(stage.name for stage in skipped(state)),
+        groups=groups_of((*split.train, *split.validation)),
+        differences=state.differences,
+        another_unit=state.another_unit,
     )
 
 

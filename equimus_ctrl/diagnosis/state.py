@@ -18,6 +18,7 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
+from equimus_ctrl.diagnosis.units_compared import AnotherUnit, Difference
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.types import Array
 
@@ -85,6 +86,8 @@ class State:
         notes: what else a person ought to know.
         decisions: of the stages so far.
         failed: why the fit says nothing of other trials; "" where it does.
+        differences: between groups of trials.
+        another_unit: what of the model's parameters is not nominal; None where the nominal values fit as well.
         ended_in: the stage in which the budget ended; "" where it did not.
     """
 
@@ -101,6 +104,8 @@ class State:
     notes: tuple[str, ...] = ()
     decisions: tuple[Decision, ...] = ()
     failed: str = ""
+    differences: tuple[Difference, ...] = ()
+    another_unit: AnotherUnit | None = None
     ended_in: str = ""
 
     @property

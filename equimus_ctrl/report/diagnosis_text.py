@@ -22,7 +22,8 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.report.diagnosis_sentences import sentence
+from equimus_ctrl.report.diagnosis_sentences import sentence, sentences
+from equimus_ctrl.report.diagnosis_units import departures, differing, unit_answer
 from equimus_ctrl.report.diagnosis_words import (
     coordinates_text,
     estimate_text,
@@ -254,7 +255,7 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
         console.print(Padding(Text(text, style=style), (0, 0, 0, indent)))
 
     def listing(head: str, lines: Sequence[str]) -> None:
-        if lines:
+        if lines and head:
             say(head, style="bold")
         for line in lines:
             say(line, 2)
@@ -275,9 +276,16 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     if diagnosis.findings:
         say("Missing physics", style="bold")
     for k, finding in enumerate(diagnosis.findings):
-        say(f"{k + 1}. {sentence(finding, diagnosis.model)}", 2)
+        first_line, *more_lines = sentences(finding, diagnosis.model)
+        say(f"{k + 1}. {first_line}", 2)
+        for line in more_lines:
+            say(line, 5)
         if first_of_law(diagnosis, k):
             say(evidence(diagnosis, k), 5, "dim")
+    listing(f"Differences between {listed(diagnosis.groups)}", differing(diagnosis))
+    if text := unit_answer(diagnosis):
+        say(text, style="bold")
+    listing("", departures(diagnosis))
     listing("Unexplained residuals", remains(diagnosis))
     listing("Not distinguishable from these recordings", not_distinguishable(diagnosis))
     if diagnosis.experiment is not None:
