@@ -232,6 +232,8 @@ def _equivalent(
         ):
             continue
         other = part.candidate.label
+        if named_part(part) == named_part(end.best.hypothesis[k]):  # in other groups of trials
+            continue
         if other != label and other not in others and within(finely(alternative), finely(end.best), margin):
             others[other] = Equivalent(named_part(part), alternative)
     return tuple(others.values()), tried
@@ -252,6 +254,7 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
             search.threshold(s.candidate.n_parameters),
         )
         for s in end.tried.first
+        if not s.candidate.absent
     ]
     return tuple(sorted(ranked, key=lambda r: -max(r.fitted or 0.0, r.screened if r.fitted is None else 0.0)))
 
@@ -260,7 +263,7 @@ def detectable(search: Search, end: SearchState) -> tuple[Detectable, ...]:
     """The smallest size of each effect that would have been accepted."""
     smallest = []
     for s in end.tried.first:
-        if s.candidate.each:  # of which each place is a candidate by itself
+        if s.candidate.each or s.candidate.absent:  # of which each place, and all groups, are candidates by themselves
             continue
         size = _smallest(s, search.threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))

@@ -280,12 +280,12 @@ class HypothesisMoves:
         return list(chosen.values())
 
     def _different(self, ranking: Sequence[Screened]) -> Sequence[Screened]:
-        """Where laws are also tried with their own size at each joint, each effect once: where it is most promising.
+        """Each effect once, where it is most promising, if it is tried in more ways than at this joint and that.
 
-        That is by its gain less the information criterion's price of its parameters. Else one effect at this, that and
-        all joints would leave no other.
+        These are with its own size at each joint, and in one group of trials alone. The most promising has the largest
+        gain less the information criterion's price of its parameters. Else one effect in all ways would leave no other.
         """
-        if not any(s.candidate.each for s in ranking):
+        if not any(s.candidate.each or s.candidate.absent for s in ranking):
             return ranking
         price = float(np.log(self.data.n))
         best: dict[str, Screened] = {}

@@ -18,7 +18,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.alternatives import listed, without_parts
+from equimus_ctrl.diagnosis.alternatives import listed, simplified, without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed
@@ -37,6 +37,7 @@ from equimus_ctrl.diagnosis.findings import (
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.groups import Apart, alone_in, rebuilt, told_apart
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.policy import Thresholds
@@ -130,7 +131,7 @@ def refit(inputs: DiagnosisInputs) -> State:
         short = _short_base(data, split) if data.far_above_noise(base) else None
         base = base if short is None else data.base_from(short, base)
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in inputs.settings.exclude}
-    pool = candidates(model, split.train, looked_for)
+    pool = _in_groups(candidates(model, split.train, looked_for), groups_of(split.train))
     search = Search(data, pool, data.policy.applied(inputs.settings.search), _round_notify(inputs.progress))
     with suppress(BudgetSpent):
         if groups_of(split.train):
@@ -141,6 +142,11 @@ def refit(inputs: DiagnosisInputs) -> State:
     excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
     return state.decided("refit", f"{len(search.data.free.free)} parameters refitted", f"excess variance: {said}")
+
+
+def _in_groups(pool: Sequence[Candidate], groups: Sequence[str]) -> list[Candidate]:
+    """Candidates, those that have a size also in each group of trials alone: what all have would dilute these."""
+    return [*pool, *(alone_in(candidate, group, groups) for group in groups for candidate in pool if candidate.sizes)]
 
 
 def _round_notify(progress: Progress) -> Callable[[str, str], None]:
@@ -191,17 +197,13 @@ def _accepted(state: State) -> State:
 
 
 def tell_apart(state: State) -> State:
-    """What differs between groups of trials, such as units of a robot; effects that act in one group alone."""
+    """What differs between groups of trials, such as units of a robot."""
     split, search, end = state.inputs.split, state.search, state.end
-    if not (groups := groups_of(split.train)):
+    if not groups_of(split.train):
         return state
+    known = ranking(search, end)  # fits with other parameters free say nothing of it
     search, end = _told_apart(search, end, split)
-    state = replace(state, ranking=ranking(state.search, state.end))
-    alone = [alone_in(c, group, groups) for group in groups for c in search.pool if c.sizes]
-    after = replace(search, pool=alone).go_on(replace(end, tried=replace(end.tried, extended={})))
-    if after.best.labels != end.best.labels:
-        search, end = _told_apart(search, replace(after, tried=replace(after.tried, extended={})), split)
-    state = replace(state, search=search, end=end)
+    state = replace(state, search=search, end=end, ranking=known)
     own = [own.label(end.best.hypothesis) for own in Apart(search, end.best).own]
     reason = "−2Δln L exceeds the threshold, and held-out trials confirm it"
     for label in own:
@@ -215,7 +217,13 @@ def tell_apart(state: State) -> State:
 def _told_apart(search: Search, end: SearchState, split: Split) -> tuple[Search, SearchState]:
     """A search and its end with the values of groups that are needed."""
     apart = told_apart(Apart(search, end.best), split)
-    return apart.search, end if apart.best is end.best else rebuilt(apart, end)
+    if apart.best is end.best:
+        return search, end
+    after = rebuilt(apart, end)
+    simple = simplified(apart.search, after) if search.settings.many_minima else after
+    if simple.best is after.best:
+        return apart.search, after
+    return _told_apart(apart.search, simple, split)  # of a simpler law, fewer values may differ
 
 
 def confirm(state: State) -> State:
@@ -253,7 +261,7 @@ def explain_residuals(state: State) -> State:
             end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
             further -= 1
         analysis = residual_analysis(state.data, end.base, end.best, end.without)
-    after = replace(state, end=end, analysis=analysis, rejected=rejected, ranking=ranking(search, end))
+    after = replace(state, end=end, analysis=analysis, rejected=rejected, ranking=state.ranking or ranking(search, end))
     return _explained(after, state.end.best, reasons)
 
 
