@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.coordinates import Coordinate, written
+from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
+from equimus_ctrl.diagnosis.estimates import Estimate as Estimate
+from equimus_ctrl.diagnosis.estimates import Named as Named
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.engines.base import Engine
@@ -17,61 +20,12 @@ from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-if TYPE_CHECKING:
-    from equimus_ctrl.diagnosis.units_compared import AnotherUnit, Difference
-
 SCHEMA = "equimus-ctrl/diagnosis/2"
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "unfinished"]
 SETS: tuple[Literal["train"], Literal["validation"], Literal["test"]] = ("train", "validation", "test")
 """Of the trials: fitted, by which effects were confirmed or rejected, and not touched before the report."""
 STATES = ("nominal", "refitted", "corrected")
 """The nominal model, the refitted (re-identified) model, and the augmented model with the effects found."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A parameter of an effect with its interval.
-
-    Attributes:
-        value: SI.
-        low: lower end of the interval, −inf where there is none.
-        high: upper end.
-        unit: SI.
-    """
-
-    value: float
-    low: float
-    high: float
-    unit: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON data; null where an interval has no end."""
-        ends = {key: v if math.isfinite(v) else None for key, v in (("low", self.low), ("high", self.high))}
-        return {"value": self.value, **ends, "unit": self.unit}
-
-
-@dataclass(frozen=True)
-class Named:
-    """An effect and where it acts.
-
-    Attributes:
-        effect: its name.
-        locations: the places.
-        each: whether it has its own parameters at each of several places, instead of the same.
-    """
-
-    effect: str
-    locations: tuple[str, ...]
-    each: bool = False
-
-    def __str__(self) -> str:
-        """For people."""
-        return f"{self.effect} at {'each of ' * self.each}{' and '.join(self.locations)}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON data."""
-        named: dict[str, Any] = {"effect": self.effect, "locations": list(self.locations)}
-        return named | ({"each": True} if self.each else {})
 
 
 @dataclass(frozen=True, eq=False)

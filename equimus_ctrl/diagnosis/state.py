@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
 from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
@@ -18,7 +19,6 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
-from equimus_ctrl.diagnosis.units_compared import AnotherUnit, Difference
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.types import Array
 

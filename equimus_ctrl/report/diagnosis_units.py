@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from equimus_ctrl.diagnosis.differences import Departure, Difference
 from equimus_ctrl.diagnosis.results import Diagnosis
-from equimus_ctrl.diagnosis.units_compared import Departure, Difference
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.report.diagnosis_words import estimate_text, listed, number, power_of_ten, quantity, short
 
