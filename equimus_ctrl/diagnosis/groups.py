@@ -21,7 +21,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, carried_over, confirms
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.errors import SimulationDiverged
@@ -174,11 +174,6 @@ def absent(part: Part, groups: Sequence[str]) -> Part:
     gone = {in_group(name, group) for name, group in own if group in groups}
     values = {key: v for key, v in part.values.items() if key not in gone}
     return Part(replace(part.candidate, own=left, absent=(*part.candidate.absent, *groups)), values)
-
-
-def alone_in(candidate: Candidate, group: str, groups: Sequence[str]) -> Candidate:
-    """A candidate that acts in one group alone."""
-    return replace(candidate, absent=tuple(other for other in groups if other != group))
 
 
 def told_apart(apart: Apart, split: Split) -> Apart:

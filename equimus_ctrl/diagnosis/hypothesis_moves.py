@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
 from typing import Literal
 
 import numpy as np
 from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
+from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
@@ -21,8 +21,7 @@ from equimus_ctrl.diagnosis.torque_start import worth_simulating
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
-from equimus_ctrl.identification.parameters import in_group
-from equimus_ctrl.identification.segments import groups_of, groups_with_own
+from equimus_ctrl.identification.segments import groups_of
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
@@ -267,6 +266,10 @@ class HypothesisMoves:
             known = label in hopes and fitted.hypothesis and not self.settings.many_minima
             hope = max(hopes[label]) if known else math.inf
             chosen[label] = Proposal(hypothesis, (*begins, *earlier), hope)
+            if (split := own_in_each_group(hypothesis, groups_of(self.data.segments))) is not None:
+                sizes = list(split[-1].values.values())[len(hypothesis[-1].values) :]
+                wider = tuple((np.append(theta, sizes), starts) for theta, starts in begins)
+                chosen.setdefault(split[-1].candidate.label, Proposal(split, wider))
 
         for ranking in rankings:
             for s in self._different(ranking)[: choice.most]:
@@ -341,24 +344,9 @@ class HypothesisMoves:
             hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
             begin = (self.data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
             proposals.append(Proposal(hypothesis, (begin,)))
-        return [*proposals, *self._splits_by_group(fitted)]
-
-    def _splits_by_group(self, fitted: Fitted) -> list[Proposal]:
-        """For each part the same with a size of its own in a group of trials: what differs by unit hides the rest."""
-        groups, proposals = groups_with_own(groups_of(self.data.segments)), list[Proposal]()
-        for k, part in enumerate(fitted.hypothesis):
-            candidate = part.candidate
-            taken = {*candidate.own, *product(candidate.sizes, candidate.absent)}
-            alone = len(groups_of(self.data.segments)) - len(candidate.absent) < 2
-            for name, group in () if alone else product(candidate.sizes, groups):
-                if (name, group) in taken:
-                    continue
-                own = replace(candidate, own=(*candidate.own, (name, group)))
-                split = Part(own, {**part.values, in_group(name, group): part.values[name]})
-                hypothesis = (*fitted.hypothesis[:k], split, *fitted.hypothesis[k + 1 :])
-                begin = (self.data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
-                proposals.append(Proposal(hypothesis, (begin,)))
-        return proposals
+        own = splits_by_group(fitted.hypothesis, groups_of(self.data.segments))
+        begins = [(self.data.theta_of(fitted.fit.theta, split), fitted.fit.starts) for split in own]
+        return [*proposals, *(Proposal(split, (begin,)) for split, begin in zip(own, begins, strict=True))]
 
     def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: float) -> list[Fitted]:
         """Those that can be simulated, after a few steps, the best score first.

@@ -18,7 +18,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.alternatives import listed, simplified, without_parts
+from equimus_ctrl.diagnosis.alternatives import listed, without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed
@@ -35,9 +35,9 @@ from equimus_ctrl.diagnosis.findings import (
     verdict,
 )
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.groups import Apart, alone_in, rebuilt, told_apart
+from equimus_ctrl.diagnosis.group_splits import with_groups
+from equimus_ctrl.diagnosis.groups import Apart, told_apart
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.policy import Thresholds
@@ -51,11 +51,10 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
 from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test, residual_analysis
-from equimus_ctrl.diagnosis.units_compared import another_unit, differences
+from equimus_ctrl.diagnosis.unit_stages import compare_units, tell_apart
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
-from equimus_ctrl.identification.parameters import in_group
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.segments import groups_of
 from equimus_ctrl.types import Array
@@ -131,22 +130,17 @@ def refit(inputs: DiagnosisInputs) -> State:
         short = _short_base(data, split) if data.far_above_noise(base) else None
         base = base if short is None else data.base_from(short, base)
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in inputs.settings.exclude}
-    pool = _in_groups(candidates(model, split.train, looked_for), groups_of(split.train))
+    pool = with_groups(candidates(model, split.train, looked_for), groups_of(split.train))
     search = Search(data, pool, data.policy.applied(inputs.settings.search), _round_notify(inputs.progress))
     with suppress(BudgetSpent):
         if groups_of(split.train):
             apart = told_apart(Apart(search, base), split)
-            search, base = apart.search, apart.best
-            short = _short_base(search.data, split) if short is not None else None
+            search, base, looked, short = apart.search, apart.best, short is not None, None
+            short = _short_base(search.data, split) if looked else None
     state = State(inputs, search, SearchState(base, base), short, _nominal(data, split))
     excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
     return state.decided("refit", f"{len(search.data.free.free)} parameters refitted", f"excess variance: {said}")
-
-
-def _in_groups(pool: Sequence[Candidate], groups: Sequence[str]) -> list[Candidate]:
-    """Candidates, those that have a size also in each group of trials alone: what all have would dilute these."""
-    return [*pool, *(alone_in(candidate, group, groups) for group in groups for candidate in pool if candidate.sizes)]
 
 
 def _round_notify(progress: Progress) -> Callable[[str, str], None]:
@@ -194,36 +188,6 @@ def _accepted(state: State) -> State:
     if state.end.stopped is not None:
         state = state.decided("search", "no further effect", state.end.stopped)
     return state
-
-
-def tell_apart(state: State) -> State:
-    """What differs between groups of trials, such as units of a robot."""
-    split, search, end = state.inputs.split, state.search, state.end
-    if not groups_of(split.train):
-        return state
-    known = ranking(search, end)  # fits with other parameters free say nothing of it
-    search, end = _told_apart(search, end, split)
-    state = replace(state, search=search, end=end, ranking=known)
-    own = [own.label(end.best.hypothesis) for own in Apart(search, end.best).own]
-    reason = "−2Δln L exceeds the threshold, and held-out trials confirm it"
-    for label in own:
-        state = state.decided("groups", f"{label} has a value of its own", reason)
-    for part in end.best.hypothesis:
-        for group in part.candidate.absent:
-            state = state.decided("groups", f"{part.candidate.effect.name} not in {group}", "it fits as well without")
-    return state
-
-
-def _told_apart(search: Search, end: SearchState, split: Split) -> tuple[Search, SearchState]:
-    """A search and its end with the values of groups that are needed."""
-    apart = told_apart(Apart(search, end.best), split)
-    if apart.best is end.best:
-        return search, end
-    after = rebuilt(apart, end)
-    simple = simplified(apart.search, after) if search.settings.many_minima else after
-    if simple.best is after.best:
-        return apart.search, after
-    return _told_apart(apart.search, simple, split)  # of a simpler law, fewer values may differ
 
 
 def confirm(state: State) -> State:
@@ -401,19 +365,6 @@ def find_alternatives(state: State) -> State:
         end = step_counted(state.data, end)
     finely = cache(state.data.converge_finely)
     return replace(state, end=end, equivalent=equivalents(state.search, end, bool(state.analysis.unexplained), finely))
-
-
-def compare_units(state: State) -> State:
-    """What differs between groups of trials, with evidence; what of the model's parameters is not nominal."""
-    split, search, end = state.inputs.split, state.search, state.end
-    told = differences(search, end, split)
-    other = None if state.analysis.unexplained or state.failed else another_unit(search, end, split)
-    state = replace(state, differences=told, another_unit=other)
-    if other is not None:
-        reason = f"−2Δln L {other.gain:.4g}, at least {other.threshold:.4g}"
-        names = ", ".join(in_group(d.parameter, d.group) for d in other.departures) or "only several together"
-        state = state.decided("units", f"parameters differ from the nominal ones: {names}", reason)
-    return state
 
 
 ORDER = (
