@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,17 @@ from pendulum_runs import MOTOR, NOISE, PENDULUM, recorded
 
 import equimus_ctrl as eq
 from equimus_ctrl import workflow
+from equimus_ctrl.diagnosis.differences import AnotherUnit, Departure, Difference
+from equimus_ctrl.diagnosis.estimates import Estimate, Named
 from equimus_ctrl.diagnosis.fitting import Data, chi_squared
-from equimus_ctrl.diagnosis.groups import Apart, Own, told_apart
+from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group, with_groups
+from equimus_ctrl.diagnosis.groups import Apart, Own, absent_with_common, told_apart
 from equimus_ctrl.diagnosis.holdout import Split, choose_holdout
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of, parameters_of
+from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.units_compared import another_unit, differences
 from equimus_ctrl.effects import CoulombFriction, ViscousFriction
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.parameters import free_parameters
@@ -27,6 +33,7 @@ from equimus_ctrl.identification.segments import Segment, cut, groups_of, groups
 from equimus_ctrl.identification.simulators import simulator_for
 from equimus_ctrl.models.model import Model, model_to_dict
 from equimus_ctrl.recordings import write
+from equimus_ctrl.report import diagnosis_units
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.workflow.groups import by_folder, check_enough
 from equimus_ctrl.workflow.models import by_group
@@ -153,6 +160,100 @@ def test_the_score_test_is_the_gain_of_a_fit() -> None:
     assert gain > 10.0 and before - there == pytest.approx(gain, rel=0.15)
     back = after.without(own)
     assert back is not None and back.best.deviance == pytest.approx(apart.best.deviance, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("masses", "departs"),
+    [
+        ({"A": 0.6, "B": 0.6}, []),
+        ({"A": 0.63, "B": 0.63}, [("arm.mass", "")]),
+        ({"A": 0.6, "B": 0.66}, [("arm.mass", "B")]),
+    ],
+)
+def test_another_unit_than_the_nominal_model_is_of(masses: dict[str, float], departs: list[tuple[str, str]]) -> None:
+    """Its parameters are told where they are not nominal, in the groups in which they are not."""
+    search, split = units(masses)
+    apart = told_apart(Apart(search, search.data.base()), split)
+    other = another_unit(apart.search, SearchState(apart.best, apart.best), split)
+    if not departs:
+        assert other is None
+        return
+    assert other is not None and other.gain > other.threshold and other.validation_gain > 0
+    assert [(d.parameter, d.group) for d in other.departures] == departs
+    (only,) = other.departures
+    assert only.nominal == 0.6 and only.estimate.value == pytest.approx(masses["B"], rel=0.003)
+    told = differences(apart.search, SearchState(apart.best, apart.best), split)
+    assert [d.parameter for d in told] == (["arm.mass"] if masses["A"] != masses["B"] else [])
+    for difference in told:
+        assert difference.gain > difference.threshold and difference.log10_p_value < -10
+        for group, estimate in difference.values.items():
+            assert estimate is not None and estimate.value == pytest.approx(masses[group], rel=0.003)
+
+
+def test_candidates_of_groups() -> None:
+    """Each that has a size also in each group alone; with a size of its own in each."""
+    groups = ("A", "B", "C")
+    pool = with_groups([FRICTION.candidate], groups)
+    assert [c.absent for c in pool] == [(), ("B", "C"), ("A", "C"), ("A", "B")]
+    assert with_groups([FRICTION.candidate], ()) == [FRICTION.candidate]
+    assert own_in_each_group((FRICTION,), ()) is None
+    split = own_in_each_group((FRICTION,), ("A", "B"))
+    assert split is not None and dict(split[0].values) == {"friction": 0.3, "friction in B": 0.3}
+    assert own_in_each_group(split, ("A", "B")) is None and splits_by_group(split, ("A", "B")) == []
+    more = [hypothesis[0].candidate.own for hypothesis in splits_by_group((FRICTION,), groups)]
+    assert more == [(("friction", group),) for group in groups]
+    alone = Part(pool[1], {"friction": 0.3})
+    assert splits_by_group((alone,), groups) == []
+
+
+def test_an_effect_absent_where_it_has_the_common_size() -> None:
+    """The size of a group that is left becomes the common one."""
+    candidate = replace(FRICTION.candidate, own=(("friction", "B"),))
+    part = Part(candidate, {"friction": 0.0, "friction in B": 0.5})
+    left = absent_with_common(part, ["A"], ["A", "B"])
+    assert dict(left.values) == {"friction": 0.5} and left.candidate.own == () and left.candidate.absent == ("A",)
+    other = absent_with_common(Part(candidate, {"friction": 0.5, "friction in B": 0.0}), ["B"], ["A", "B"])
+    assert dict(other.values) == {"friction": 0.5} and other.candidate.absent == ("B",)
+    three = Part(replace(candidate, own=(("friction", "B"), ("friction", "C"))), {
+        "friction": 0.0, "friction in B": 0.5, "friction in C": 0.7,
+    })  # fmt: skip
+    kept = absent_with_common(three, ["A"], ["A", "B", "C"])
+    assert dict(kept.values) == {"friction": 0.5, "friction in C": 0.7} and kept.candidate.own == (("friction", "C"),)
+
+
+ESTIMATES = {"A": Estimate(0.31, 0.305, 0.315, "N·m"), "B": Estimate(0.52, 0.51, 0.53, "N·m"), "C": None}
+MASS = Estimate(0.72, 0.71, 0.73, "kg")
+
+
+@pytest.mark.parametrize(
+    ("groups", "departures", "findings", "answer"),
+    [
+        ((), [Departure("arm.mass", "", 0.6, MASS)], (), "The parameters are those of another unit than the nominal model."),
+        (("A", "B"), [Departure("arm.mass", "B", 0.6, MASS)], (), "The parameters of B are those of another unit than the "
+         "nominal model; A agrees with it."),
+        ((), [], (None,), "Beside the missing physics, the parameters are not the nominal ones, though which of them only "
+         "several together show."),
+    ],
+)  # fmt: skip
+def test_what_is_said_of_units(
+    groups: tuple[str, ...], departures: list[Departure], findings: tuple[Any, ...], answer: str
+) -> None:
+    differing = Difference("friction", Named("coulomb_friction", ("elbow",)), ESTIMATES, 1234.5, 38.7, -267.4, 300.0)
+    other = AnotherUnit(500.0, 40.0, 120.0, tuple(departures))
+    diagnosis: Any = SimpleNamespace(groups=groups, differences=(differing,), another_unit=other, findings=findings)
+    assert diagnosis_units.unit_answer(diagnosis) == answer
+    assert len(diagnosis_units.departures(diagnosis)) == len(departures)
+    if groups:
+        assert diagnosis_units.differing(diagnosis) == [
+            "Coulomb friction at elbow: 0.310 N·m (0.305 to 0.315) in A, 0.520 N·m (0.510 to 0.530) in B, "
+            "not seen in C; −2 log likelihood falls by 1230 (threshold 38.7), on validation trials by 300, p-value 10⁻²⁶⁷."
+        ]
+        diagnosis.differences = ()
+        assert diagnosis_units.differing(diagnosis) == ["One set of parameters fits A and B: no difference is seen."]
+    else:
+        assert diagnosis_units.differing(diagnosis) == []
+    diagnosis.another_unit = None
+    assert diagnosis_units.unit_answer(diagnosis) == "" and diagnosis_units.departures(diagnosis) == []
 
 
 def folders(root: Path, masses: dict[str, float], count: int = 2) -> list[Path]:

@@ -240,13 +240,13 @@ def _where_present(apart: Apart, groups: Sequence[str]) -> Apart:
         without = [g for g in here if size_in[g] == size_in[weakest]]
         if len(without) == len(here):
             continue
-        after = apart.with_part(k, _absent_with_common(part, without, here))
+        after = apart.with_part(k, absent_with_common(part, without, here))
         if after is not None and not _accepts(apart.search, after.best, apart.best):
             return _where_present(after, groups)
     return apart
 
 
-def _absent_with_common(part: Part, without: Sequence[str], here: Sequence[str]) -> Part:
+def absent_with_common(part: Part, without: Sequence[str], here: Sequence[str]) -> Part:
     """``absent``, the values of one of the groups left becoming the common ones where no group left has these."""
     left = [g for g in here if g not in without]
     smaller = absent(part, without)

@@ -31,11 +31,11 @@ def _difference(difference: Difference) -> str:
 
 
 def parameter(difference: Difference) -> str:
-    """Which parameter differs: ``arm.mass``, or what an effect's is and where."""
+    """Which parameter differs: ``arm.mass``, or what has it and where, and where that has several which."""
     if difference.named is None:
         return difference.parameter
-    doc = str(REGISTRY[difference.named.effect].parameter_info()[difference.parameter]["doc"])
-    text = f"{short(difference.named)}, {doc}"
+    several = len(REGISTRY[difference.named.effect].parameter_info()) > 1
+    text = short(difference.named) + (f", {difference.parameter.replace('_', ' ')}" if several else "")
     return text[:1].upper() + text[1:]
 
 
