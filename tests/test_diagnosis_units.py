@@ -288,6 +288,8 @@ def test_groups_that_cannot_be_are_refused(tmp_path: Path) -> None:
     trial = recorded(MODEL, count=1, seconds=1.0, dt=None)
     assert "not given as files" in refusal(lambda: workflow.diagnose_recordings(trial, MODEL, by="folder"))
     check_enough(["A", "B"], eq.DiagnoseOptions(until=0.7))
+    held_out = refusal(lambda: workflow.diagnose_recordings([one, two], MODEL, by="folder", validation=["B_*"]))
+    assert held_out == "all trials of B are held out; expected one at least that is fitted"
 
 
 def test_a_model_file_for_each_unit() -> None:

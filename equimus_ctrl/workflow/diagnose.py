@@ -19,7 +19,7 @@ from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
-from equimus_ctrl.workflow.groups import by_folder, check_enough
+from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
 from equimus_ctrl.workflow.identify import choose, simulator_of, with_file
 from equimus_ctrl.workflow.scores import gather
 
@@ -80,6 +80,7 @@ def diagnose_recordings(
         groups=groups,
     )
     check_settings(chosen, parts)
+    check_fitted(groups, parts.train)
     search = SearchSettings(most_parts=options.most)
     settings = DiagnosisSettings(search, options.threads, options.engine, tuple(options.exclude), options.budget)
     return diagnose(chosen, parts, settings=settings, designs=lambda: sweeps(model), progress=progress, asked=asked)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.options import DiagnoseOptions
 from equimus_ctrl.types import Recording
@@ -66,3 +67,10 @@ def check_enough(groups: Sequence[str], options: DiagnoseOptions) -> None:
             f"{few[0]} has one trial, expected at least {LEAST_TRIALS} in each folder: one is fitted, one judges; "
             "or say how much of each is fitted (until)"
         )
+
+
+def check_fitted(groups: Sequence[str], train: Sequence[Segment]) -> None:
+    """Raise ConfigError where all trials of a group are held out."""
+    for group in dict.fromkeys(groups):
+        if all(segment.group != group for segment in train):
+            raise ConfigError(f"all trials of {group} are held out; expected one at least that is fitted")
