@@ -200,6 +200,9 @@ def test_candidates_of_groups() -> None:
     split = own_in_each_group((FRICTION,), ("A", "B"))
     assert split is not None and dict(split[0].values) == {"friction": 0.3, "friction in B": 0.3}
     assert own_in_each_group(split, ("A", "B")) is None and splits_by_group(split, ("A", "B")) == []
+    three = own_in_each_group((FRICTION,), groups)
+    assert three is not None and three[0].candidate.own == (("friction", "B"), ("friction", "C"))
+    assert splits_by_group(three, groups) == []
     more = [hypothesis[0].candidate.own for hypothesis in splits_by_group((FRICTION,), groups)]
     assert more == [(("friction", group),) for group in groups]
     alone = Part(pool[1], {"friction": 0.3})

@@ -26,7 +26,7 @@ def own_in_each_group(hypothesis: Hypothesis, groups: Sequence[str]) -> Hypothes
     With one size for all, what fits units best that differ may be another law.
     """
     part = hypothesis[-1]
-    own = tuple(product(part.candidate.sizes, groups_with_own(groups)))
+    own = tuple(product(part.candidate.sizes, groups[1:]))  # the first has the common one
     if not own or part.candidate.own:
         return None
     values = {**part.values, **{in_group(name, group): part.values[name] for name, group in own}}
@@ -38,11 +38,10 @@ def splits_by_group(hypothesis: Hypothesis, groups: Sequence[str]) -> list[Hypot
     found = []
     for k, part in enumerate(hypothesis):
         candidate = part.candidate
-        taken = {*candidate.own, *product(candidate.sizes, candidate.absent)}
-        if len(groups) - len(candidate.absent) < 2:
-            continue
+        here = [group for group in groups if group not in candidate.absent]
         for name, group in product(candidate.sizes, groups_with_own(groups)):
-            if (name, group) not in taken:
+            common = [other for other in here if (name, other) not in candidate.own]
+            if group in common and len(common) > 1:
                 own = replace(candidate, own=(*candidate.own, (name, group)))
                 split = Part(own, {**part.values, in_group(name, group): part.values[name]})
                 found.append((*hypothesis[:k], split, *hypothesis[k + 1 :]))
