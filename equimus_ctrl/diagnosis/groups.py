@@ -180,7 +180,7 @@ def told_apart(apart: Apart, split: Split) -> Apart:
     """With the values of groups that are needed and confirmed, and those alone."""
     groups = groups_of(apart.data.segments)
     apart = _forward(apart, groups)
-    apart = _backward(apart, split)
+    apart = _alike_where_possible(_backward(apart, split))
     return _where_present(apart, groups)
 
 
@@ -217,6 +217,21 @@ def _backward(apart: Apart, split: Split) -> Apart:
         if confirms(apart.search, worst[0].ratio):
             return apart
         apart = worst[1]
+
+
+def _alike_where_possible(apart: Apart) -> Apart:
+    """Effects of some groups alone in all of them, where that fits as well and is needed there."""
+    for k, part in enumerate(apart.best.hypothesis):
+        if not part.candidate.absent or part.candidate.own:
+            continue
+        alike = apart.with_part(k, Part(replace(part.candidate, absent=()), part.values))
+        if alike is None or _accepts(apart.search, alike.best, apart.best):
+            continue
+        rest = tuple(other for other in apart.best.hypothesis if other is not part)
+        without = apart.fitted_with(apart.data, apart.theta, rest)
+        if without is not None and apart.search.accepts(without.best, alike.best):
+            return _alike_where_possible(alike)
+    return apart
 
 
 def confirmation(apart: Apart, without: Fitted, split: Split) -> Confirmation:

@@ -51,7 +51,7 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
 from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test, residual_analysis
-from equimus_ctrl.diagnosis.unit_stages import compare_units, tell_apart
+from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
@@ -194,7 +194,8 @@ def confirm(state: State) -> State:
     """The effects that held-out trials confirm; where they reject one, another that they do confirm."""
     said: dict[str, Confirmation] = {}
     end = confirmed(state.search, state.end, state.inputs.split, said.__setitem__)
-    after, before = replace(state, end=end), state.end.best.labels
+    search, end = still_apart(state.search, end, state.inputs.split)
+    after, before = replace(state, search=search, end=end), state.end.best.labels
     for label in sorted(before - end.best.labels):
         after = after.decided("confirmation", f"{label} rejected", str(said.get(label, "not needed beside the others")))
     for label in sorted(end.best.labels - before):
@@ -223,9 +224,17 @@ def explain_residuals(state: State) -> State:
         if end.best.hypothesis:
             labels = [part.candidate.label for part in dropped]
             end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
+            search, end = still_apart(search, end, state.inputs.split)
             further -= 1
         analysis = residual_analysis(state.data, end.base, end.best, end.without)
-    after = replace(state, end=end, analysis=analysis, rejected=rejected, ranking=state.ranking or ranking(search, end))
+    after = replace(
+        state,
+        search=search,
+        end=end,
+        analysis=analysis,
+        rejected=rejected,
+        ranking=state.ranking or ranking(search, end),
+    )
     return _explained(after, state.end.best, reasons)
 
 

@@ -34,6 +34,12 @@ def tell_apart(state: State) -> State:
     return state
 
 
+def still_apart(search: Search, end: SearchState, split: Split) -> tuple[Search, SearchState]:
+    """A search and its end without values of groups that other effects have made unnecessary; as it is without any."""
+    differ = Apart(search, end.best).own or any(part.candidate.absent for part in end.best.hypothesis)
+    return _told_apart(search, end, split) if differ else (search, end)
+
+
 def _told_apart(search: Search, end: SearchState, split: Split) -> tuple[Search, SearchState]:
     """A search and its end with the values of groups that are needed."""
     apart = told_apart(Apart(search, end.best), split)

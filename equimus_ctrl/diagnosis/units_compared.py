@@ -45,7 +45,7 @@ def differences(search: Search, end: SearchState, split: Split) -> tuple[Differe
         candidate = part.candidate
         of_part = [*(name for name, _ in candidate.own), *(candidate.sizes if candidate.absent else ())]
         found += [_of_part(apart, k, name, groups, split) for name in dict.fromkeys(of_part)]
-    return tuple(sorted((f for f in found if f is not None), key=lambda f: -f.gain))
+    return tuple(sorted((own for own in found if own is not None), key=lambda own: -own.gain))
 
 
 def _of_model(apart: Apart, name: str, groups: Sequence[str], split: Split) -> Difference | None:
@@ -78,13 +78,15 @@ def _judged(
     apart: Apart, common: Apart | None, name: str, named: Named | None, values: Mapping[str, Estimate | None],
     count: int, split: Split,
 ) -> Difference | None:  # fmt: skip
-    """A difference with its evidence against one value for all; None where that cannot be fitted."""
+    """A difference with its evidence against one value for all; None where it is not accepted, or that has no fit."""
     if common is None:
         return None
-    gain = common.best.deviance - apart.best.deviance
+    gain, search = common.best.deviance - apart.best.deviance, apart.search
+    if not search.data.thresholds.decides(lambda t: gain > search.threshold(count, t)):
+        return None
     holdout = HoldoutResiduals(apart.data, split, SearchState(apart.best, apart.best))
-    p_value = (log_p_value(max(gain, 1e-300), count) + math.log(max(len(apart.search.pool), 1))) / math.log(10)
-    threshold, there = apart.search.threshold(count), holdout.gain(common.best, apart.best)
+    p_value = (log_p_value(max(gain, 1e-300), count) + math.log(max(len(search.pool), 1))) / math.log(10)
+    threshold, there = search.threshold(count), holdout.gain(common.best, apart.best)
     return Difference(name, named, values, gain, threshold, min(p_value, 0.0), there)
 
 
