@@ -344,7 +344,7 @@ class Diagnosis:
         verdict: in one word.
         model: the nominal model.
         refitted: without any effect, its parameters fitted.
-        corrected: the augmented model, with the effects found.
+        corrected: the augmented model, with the effects found; where groups of trials differ see ``Model.in_group``.
         base: the fit of the refitted model.
         best: the fit of the augmented one.
         train: segments fitted.
