@@ -161,7 +161,8 @@ def _confirmed_alternative(
 ) -> tuple[SearchState, Confirmation] | None:
     """The end with another part in the only one's place, that fits as well and that held-out trials confirm."""
     score = search.score(state.best)
-    as_good = (a for a in state.alternatives[0] if indistinguishable(search, a, score))
+    other_laws = (a for a in state.alternatives[0] if not _same_effects(a, state.best))
+    as_good = (a for a in other_laws if indistinguishable(search, a, score))
     for alternative in sorted(as_good, key=search.score):
         confirmation = carried_over(search, holdout, state.without[0], alternative)
         if confirms(search, confirmation.ratio):
@@ -178,12 +179,12 @@ def _another(
     Validation trials may reject one part too many of a kind alone: an asymmetric friction that took an
     offset's place, say.
     """
-    looked_at = {state.best.labels}
+    rejected, looked_at = state.best, {state.best.labels}
     limit = search.score(state.without[place])
     for fitted in sorted(state.tried.fitted, key=search.score):
         if len(looked_at) > search.settings.unconfirmed or search.score(fitted) >= limit:
             break
-        if fitted.labels in looked_at or not state.tried.allows(fitted.labels):
+        if fitted.labels in looked_at or not state.tried.allows(fitted.labels) or _same_effects(fitted, rejected):
             continue
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue
@@ -201,6 +202,15 @@ def _another(
         else:
             return moved, tuple(confirmations)
     return state, ()
+
+
+def _same_effects(first: Fitted, second: Fitted) -> bool:
+    """Whether two hypotheses differ at most in which groups of trials have values of their own."""
+    one, two = (
+        {(p.candidate.effect, p.candidate.locations, p.candidate.each) for p in fitted.hypothesis}
+        for fitted in (first, second)
+    )
+    return one == two
 
 
 def carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:
