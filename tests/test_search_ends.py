@@ -113,7 +113,7 @@ def held_out_rejects(monkeypatch: pytest.MonkeyPatch, rejected: Sequence[tuple[f
         return confirmation.Confirmation("gain", float((simple.labels, rich.labels) not in rejected))
 
     monkeypatch.setattr(confirmation, "HoldoutResiduals", lambda *a: None)
-    monkeypatch.setattr(confirmation, "_carried_over", carried_over)
+    monkeypatch.setattr(confirmation, "carried_over", carried_over)
     return SimpleNamespace(validation=[1], train=(), short_segments=(), other=None)
 
 
@@ -373,7 +373,7 @@ def test_what_held_out_trials_say_of_a_part_has_a_reason(
         gain=lambda simple, rich: held_out,
         distance=lambda simple, rich: distance,
     )
-    said = confirmation._carried_over(search, holdout, fitted(1000.0), fitted(1000.0 - gain, RUB))
+    said = confirmation.carried_over(search, holdout, fitted(1000.0), fitted(1000.0 - gain, RUB))
     assert said == confirmation.Confirmation(reason, pytest.approx(ratio))
 
 

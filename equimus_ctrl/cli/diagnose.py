@@ -28,7 +28,12 @@ def diagnose(
     recordings: Annotated[list[Path], typer.Argument(help="Trials: files, or folders of them.")],
     chosen: ModelChoice,
     write_model: Annotated[
-        Path | None, typer.Option("--write-model", metavar="FILE", help="Write the corrected model, for --model.")
+        Path | None,
+        typer.Option(
+            "--write-model",
+            metavar="FILE",
+            help="Write the corrected model, for --model; with --by, one for each folder where they differ.",
+        ),
     ] = None,
     report: Annotated[
         Path | None, typer.Option("--report", metavar="DIR", help="Write report.html, record.json and figures there.")
@@ -52,6 +57,7 @@ def diagnose(
     equimus-ctrl diagnose triangle.csv --until 20 --json
     equimus-ctrl diagnose recordings --exclude creep --exclude hysteresis
     equimus-ctrl diagnose recordings --budget 60
+    equimus-ctrl diagnose unit_a unit_b --by folder --model robot.xml
     equimus-ctrl diagnose runs --model robot.xml --parameters free.toml --write-model corrected.toml
     """  # noqa: D301
     from equimus_ctrl import presets
@@ -88,7 +94,8 @@ def diagnose(
 
     print_diagnosis(console, found)
     if write_model is not None:
-        files += workflow.save_model(write_model, workflow.renamed(found.corrected, write_model.stem), chosen.model)
+        for path, corrected in workflow.by_group(write_model, found.corrected, found.groups):
+            files += workflow.save_model(path, workflow.renamed(corrected, path.stem), chosen.model)
     print_files(console, files)
     if as_json:
         print_json(record)

@@ -12,6 +12,7 @@ from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
 from equimus_ctrl.diagnosis.hypothesis_moves import EXCHANGE_MARGIN, HypothesisMoves, SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.identification.parameters import in_group
 
 Kind = tuple[str, tuple[str, ...]]
 """What a part is: its law, or what it shares with those that exclude it, and where."""
@@ -203,7 +204,8 @@ def _in_fewer_places(search: HypothesisMoves, state: SearchState, score: float) 
             for smaller in search.allowed_candidates(state.tried)
             if smaller.effect is part.candidate.effect
             and not smaller.each
-            and not part.candidate.each
+            and not smaller.absent
+            and not (part.candidate.each or part.candidate.own or part.candidate.absent)
             and len(smaller.locations) == len(part.candidate.locations) - 1
             and set(smaller.locations) < set(part.candidate.locations)
         ]
@@ -244,12 +246,24 @@ def simplified(search: HypothesisMoves, state: SearchState) -> SearchState:
 def simpler_laws(search: HypothesisMoves, state: SearchState, part: Part) -> list[Part]:
     """What has fewer parameters at the same places and excludes a part, with its values of what both have."""
     rich, found = part.candidate, list[Part]()
-    for other in search.allowed_candidates(state.tried):
-        same = other.effect.exclusive == rich.effect.exclusive is not None and other.locations == rich.locations
+    for candidate in search.allowed_candidates(state.tried):
+        if candidate.absent:  # the others stand for these, see ``_in_groups_of``
+            continue
+        same = candidate.effect.exclusive == rich.effect.exclusive is not None and candidate.locations == rich.locations
+        other = _in_groups_of(rich, candidate)
         if same and other.n_parameters < rich.n_parameters:
-            guess = other.guesses[len(other.guesses) // 2]
-            found.append(Part(other, {**guess, **_shared_values(part, other)}))
+            common = {**other.guesses[len(other.guesses) // 2], **_shared_values(part, candidate)}
+            own = {in_group(name, group): common[name] for name, group in other.own}
+            found.append(Part(other, {**common, **own, **_shared_values(part, other)}))
     return found
+
+
+def _in_groups_of(rich: Candidate, simple: Candidate) -> Candidate:
+    """A candidate with sizes of its own in those groups of trials in which another has values of its own."""
+    groups = dict.fromkeys(group for _, group in rich.own)
+    if not groups and not rich.absent:
+        return simple
+    return replace(simple, own=tuple((name, group) for name in simple.sizes for group in groups), absent=rich.absent)
 
 
 def pruned(search: HypothesisMoves, state: SearchState) -> SearchState:
@@ -307,7 +321,7 @@ def _shared_values(part: Part, other: Candidate) -> dict[str, float]:
         values = [
             part.values[p.name]
             for p in part.candidate.parameters
-            if p.key == own.key and set(p.places) & set(own.places)
+            if p.key == own.key and p.group == own.group and set(p.places) & set(own.places)
         ]
         if values:
             shared[own.name] = float(np.mean(values))

@@ -83,10 +83,10 @@ def confirmed(
         return state
     while state.best.hypothesis:
         holdout = HoldoutResiduals(search.data, split, state)
-        confirmations = [_carried_over(search, holdout, without, state.best) for without in state.without]
+        confirmations = [carried_over(search, holdout, without, state.best) for without in state.without]
         place = int(np.argmin([c.ratio for c in confirmations]))
         parts = [part.candidate.label for part in state.best.hypothesis]
-        if _confirms(search, confirmations[place].ratio):
+        if confirms(search, confirmations[place].ratio):
             if (spoils := _makes_worse(search, holdout, state)) is not None:
                 tell(parts[spoils[0]], spoils[1])
                 state = search.moved(state, state.without[spoils[0]])
@@ -99,9 +99,9 @@ def confirmed(
             return state
         tell(parts[place], confirmations[place])
         if search.settings.many_minima:
-            state, confirms = _another(search, state, place, split)
-            if confirms:
-                for part, confirmation in zip(state.best.hypothesis, confirms, strict=True):
+            state, by = _another(search, state, place, split)
+            if by:
+                for part, confirmation in zip(state.best.hypothesis, by, strict=True):
                     tell(part.candidate.label, confirmation)
                 return state
         if len(state.best.hypothesis) == 1:
@@ -126,8 +126,8 @@ def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell
             fits, tried = search.refitted(state.tried, state.best, (*rest[:k], simpler, *rest[k + 1 :]))
             state = replace(state, tried=tried)
             for simple in fits:
-                confirmation = _carried_over(search, holdout, simple, state.best)
-                if not _confirms(search, confirmation.ratio):
+                confirmation = carried_over(search, holdout, simple, state.best)
+                if not confirms(search, confirmation.ratio):
                     tell(part.candidate.label, confirmation)
                     return search.moved(state, simple)
     return None
@@ -162,10 +162,11 @@ def _confirmed_alternative(
 ) -> tuple[SearchState, Confirmation] | None:
     """The end with another part in the only one's place, that fits as well and that held-out trials confirm."""
     score = search.score(state.best)
-    as_good = (a for a in state.alternatives[0] if indistinguishable(search, a, score))
+    other_laws = (a for a in state.alternatives[0] if not _same_effects(a, state.best))
+    as_good = (a for a in other_laws if indistinguishable(search, a, score))
     for alternative in sorted(as_good, key=search.score):
-        confirmation = _carried_over(search, holdout, state.without[0], alternative)
-        if _confirms(search, confirmation.ratio):
+        confirmation = carried_over(search, holdout, state.without[0], alternative)
+        if confirms(search, confirmation.ratio):
             others = (state.best, *(a for a in state.alternatives[0] if a is not alternative))
             return replace(state, best=alternative, alternatives=(others,)), confirmation
     return None
@@ -179,12 +180,12 @@ def _another(
     Validation trials may reject one part too many of a kind alone: an asymmetric friction that took an
     offset's place, say.
     """
-    looked_at = {state.best.labels}
+    rejected, looked_at = state.best, {state.best.labels}
     limit = search.score(state.without[place])
     for fitted in sorted(state.tried.fitted, key=search.score):
         if len(looked_at) > search.settings.unconfirmed or search.score(fitted) >= limit:
             break
-        if fitted.labels in looked_at or not state.tried.allows(fitted.labels):
+        if fitted.labels in looked_at or not state.tried.allows(fitted.labels) or _same_effects(fitted, rejected):
             continue
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue
@@ -196,15 +197,24 @@ def _another(
         for without in moved.without:
             if not search.accepts(without, moved.best):
                 break
-            confirmations.append(_carried_over(search, holdout, without, moved.best))
-            if not _confirms(search, confirmations[-1].ratio):
+            confirmations.append(carried_over(search, holdout, without, moved.best))
+            if not confirms(search, confirmations[-1].ratio):
                 break
         else:
             return moved, tuple(confirmations)
     return state, ()
 
 
-def _carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:
+def _same_effects(first: Fitted, second: Fitted) -> bool:
+    """Whether two hypotheses differ at most in which groups of trials have values of their own."""
+    one, two = (
+        {(p.candidate.effect, p.candidate.locations, p.candidate.each) for p in fitted.hypothesis}
+        for fitted in (first, second)
+    )
+    return one == two
+
+
+def carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:
     """What validation trials say of the part by which a hypothesis is richer.
 
     Its gain there, over that on as many samples of the fitted trials. Where trials differ in kind, validation trials
@@ -213,7 +223,7 @@ def _carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, ric
     """
     ratio = holdout.carried_over(simple, rich)
     thresholds = search.data.thresholds
-    if _confirms(search, ratio) or search.data.free.model.robot.traits.same_kind_of_trials:
+    if confirms(search, ratio) or search.data.free.model.robot.traits.same_kind_of_trials:
         return Confirmation("gain", ratio)
     distance = holdout.distance(simple, rich)
     if thresholds.decides(lambda t: distance >= t.uninformative):
@@ -224,7 +234,7 @@ def _carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, ric
     return Confirmation("uninformative", ratio)
 
 
-def _confirms(search: Search, ratio: float) -> bool:
+def confirms(search: Search, ratio: float) -> bool:
     """Whether a gain on validation trials, over what it could be, is enough."""
     return search.data.thresholds.decides(lambda t: ratio >= t.validation_share)
 

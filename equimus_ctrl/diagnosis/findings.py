@@ -29,7 +29,8 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.identification.parameters import in_group, place_unit
+from equimus_ctrl.identification.segments import groups_of
 from equimus_ctrl.models.model import Model
 
 Finely = Callable[[Fitted], Fitted]
@@ -93,15 +94,31 @@ def findings(
     """
     found = []
     for k, part in enumerate(end.best.hypothesis):
-        estimates, evidence = _estimates(search.data, end.best, k), _evidence(search, end, holdout, k)
+        estimates, evidence = estimates_of(search.data, end.best, k), _evidence(search, end, holdout, k)
         others = tuple(other.named for other in equivalent[k]) if equivalent else ()
         candidate = part.candidate
         for places in [(place,) for place in candidate.locations] if candidate.each else [candidate.locations]:
-            own = {p.key: estimates[p.name] for p in candidate.parameters if set(p.places) & set(places)}
-            why = _undetermined(search.data, end.best, k, own, places)
+            own = {p.key: estimates[p.name] for p in candidate.common if set(p.places) & set(places)}
+            why = _undetermined(search.data, end.best, k, estimates, places)
             alone, law = (part.narrowed(places), part) if candidate.each else (part, None)
-            found.append(Finding(alone, own, evidence, others, law, why))
+            by_group = _by_group(candidate, places, estimates, groups_of(search.data.segments))
+            found.append(Finding(alone, own, evidence, others, law, why, by_group))
     return tuple(sorted(found, key=lambda f: -f.evidence.gain))
+
+
+def _by_group(
+    candidate: Candidate, places: Sequence[str], estimates: Mapping[str, Estimate], groups: Sequence[str]
+) -> dict[str, dict[str, Estimate]]:
+    """A part's parameters at some places in each group of trials, see ``Finding.by_group``."""
+    here = [p for p in candidate.common if set(p.places) & set(places)]
+    if not candidate.absent and not any(in_group(p.name, group) in estimates for p in here for group in groups):
+        return {}
+    return {
+        group: {p.key: estimates.get(in_group(p.name, group), estimates[p.name]) for p in here}
+        if group not in candidate.absent
+        else {}
+        for group in groups
+    }
 
 
 def _undetermined(data: Data, best: Fitted, k: int, estimates: Mapping[str, Estimate], places: Sequence[str]) -> str:
@@ -115,14 +132,14 @@ def _undetermined(data: Data, best: Fitted, k: int, estimates: Mapping[str, Esti
     first = len(data.free.free) + sum(p.candidate.n_parameters for p in best.hypothesis[:k])
     info = candidate.effect.parameter_info()
     here = [(i, own) for i, own in enumerate(candidate.parameters) if set(own.places) & set(places)]
-    names = {best.fit.parameters.free[first + i].name for i, _ in here}
+    names = {best.fit.parameters.free[first + i].label for i, _ in here}
     if data.aliased(best, k, names):
         return "other parameters can do the same, beyond their bounds"
     for i, own in here:
         free, side, estimate = (
             best.fit.parameters.free[first + i],
             int(best.fit.at_bound[first + i]),
-            estimates[own.key],
+            estimates[own.name],
         )
         unit = "" if free.unit == "1" else f" {free.unit}"
         seen = math.isfinite(float(best.fit.uncertainty.standard_error[first + i]))
@@ -142,7 +159,7 @@ def _covers(share: float, t: Thresholds) -> bool:
 def _evidence(search: Search, end: SearchState, holdout: HoldoutResiduals, k: int) -> Evidence:
     best, without = end.best, end.without[k]
     gain, count = without.deviance - best.deviance, best.hypothesis[k].candidate.n_parameters
-    log10_p_value = (_log_p_value(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
+    log10_p_value = (log_p_value(gain, count) + math.log(max(len(search.pool), 1))) / math.log(10)
     alone = _alone(end, best.hypothesis[k].candidate.label)
     share_alone, validation_alone = math.nan, math.nan
     if alone is not None:
@@ -167,7 +184,7 @@ def _alone(end: SearchState, label: str) -> Fitted | None:
     return min(fits, key=lambda f: f.deviance, default=None)
 
 
-def _log_p_value(gain: float, count: int) -> float:
+def log_p_value(gain: float, count: int) -> float:
     """Ln P(χ²(count) > gain), by its asymptote where it is too small to be computed."""
     exact = float(chdtrc(count, gain))
     if exact > 0.0:
@@ -175,7 +192,7 @@ def _log_p_value(gain: float, count: int) -> float:
     return (count / 2 - 1) * math.log(gain / 2) - gain / 2 - math.lgamma(count / 2)
 
 
-def _estimates(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
+def estimates_of(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
     """The parameters of a part of the hypothesis with 95 % intervals.
 
     They are clipped at the parameters' bounds, and ±inf where there is no end.
@@ -229,6 +246,8 @@ def _equivalent(
         ):
             continue
         other = part.candidate.label
+        if named_part(part) == named_part(end.best.hypothesis[k]):  # in other groups of trials
+            continue
         if other != label and other not in others and within(finely(alternative), finely(end.best), margin):
             others[other] = Equivalent(named_part(part), alternative)
     return tuple(others.values()), tried
@@ -249,6 +268,7 @@ def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:
             search.threshold(s.candidate.n_parameters),
         )
         for s in end.tried.first
+        if not s.candidate.absent
     ]
     return tuple(sorted(ranked, key=lambda r: -max(r.fitted or 0.0, r.screened if r.fitted is None else 0.0)))
 
@@ -257,7 +277,7 @@ def detectable(search: Search, end: SearchState) -> tuple[Detectable, ...]:
     """The smallest size of each effect that would have been accepted."""
     smallest = []
     for s in end.tried.first:
-        if s.candidate.each:  # of which each place is a candidate by itself
+        if s.candidate.each or s.candidate.absent:  # of which each place, and all groups, are candidates by themselves
             continue
         size = _smallest(s, search.threshold(s.candidate.n_parameters))
         key = next(iter(s.candidate.effect.parameter_info()))
@@ -309,7 +329,7 @@ def notes(end: SearchState, split: Split, excluded: Sequence[str], not_done: Seq
             "which chose too."
         )
     fit = end.best.fit
-    held = [f.name for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
+    held = [f.label for f, side in zip(fit.parameters.free, fit.at_bound, strict=True) if side]
     if held:
         said.append(
             f"{', '.join(held)} ended at a bound: they may compensate missing physics, or the bounds are too narrow."

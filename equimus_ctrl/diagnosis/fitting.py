@@ -257,7 +257,7 @@ class Data:
         if any(first <= place < last for place in self.discontinuous(fitted.hypothesis)):
             return False
         own = fitted.fit.parameters.free[first:last]
-        counted = {free.name for free in own} if names is None else set(names)
+        counted = {free.label for free in own} if names is None else set(names)
         blind = (t for t in fitted.fit.uncertainty.trade_offs if t.correlation is None)
         return sum(bool(counted & t.weights.keys()) for t in blind) >= len(counted)
 

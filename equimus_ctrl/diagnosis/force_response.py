@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
 
 from equimus_ctrl.diagnosis.linear_response import linearise
 from equimus_ctrl.engines.base import Engine, ForceResponse
 from equimus_ctrl.engines.mjcf_motion import simulated_response
-from equimus_ctrl.engines.motion import motion
+from equimus_ctrl.engines.motion import Motion, motion
+from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
+T = TypeVar("T")
 STEP = 2e-3
 """Physics step of a motion that equations are linearised along [s]."""
 
@@ -42,3 +47,48 @@ def force_response(
         return simulated_response(model, trials, starts, scale())
     step = min(dt, engine.step or dt)
     return linearise(model, [motion(model, trial, start, step) for trial, start in zip(trials, starts, strict=True)])
+
+
+@dataclass(frozen=True, eq=False)
+class _ByGroup:
+    """Responses of a model that is another in each group of trials.
+
+    Attributes:
+        rows: for each group which of the trials are its.
+        parts: for each group its response.
+    """
+
+    rows: tuple[tuple[int, ...], ...]
+    parts: tuple[ForceResponse, ...]
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return tuple(_in_order(self.rows, [part.motions for part in self.parts]))
+
+    def response(self, torques: Sequence[Array]) -> list[Array]:
+        found = [p.response([torques[k] for k in rows]) for rows, p in zip(self.rows, self.parts, strict=True)]
+        return _in_order(self.rows, found)
+
+
+def _in_order(rows: Sequence[Sequence[int]], parts: Sequence[Sequence[T]]) -> list[T]:
+    placed = {k: own for of, part in zip(rows, parts, strict=True) for k, own in zip(of, part, strict=True)}
+    return [placed[k] for k in range(len(placed))]
+
+
+def segment_response(
+    engine: Engine,
+    model: Model,
+    segments: Sequence[Segment],
+    starts: Sequence[Array],
+    scale: Callable[[], Array],
+    dt: float = STEP,
+) -> ForceResponse:
+    """``force_response`` through segments, from starts as the sensors show them, the model as it is in each group."""
+    groups = dict.fromkeys(segment.group for segment in segments)
+    rows = tuple(tuple(k for k, s in enumerate(segments) if s.group == group) for group in groups)
+    parts = []
+    for group, of in zip(groups, rows, strict=True):
+        own = model.in_group(group)
+        true = [behind_sensors([own], starts[k][None, :])[0] for k in of]
+        parts.append(force_response(engine, own, [segments[k].trial for k in of], true, scale, dt))
+    return _ByGroup(rows, tuple(parts))

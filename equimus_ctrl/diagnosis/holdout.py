@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -68,7 +68,11 @@ class Holdout:
 
 
 def choose_holdout(
-    names: Sequence[str], validation: Sequence[str] = (), test: Sequence[str] = (), by_time: bool = False
+    names: Sequence[str],
+    validation: Sequence[str] = (),
+    test: Sequence[str] = (),
+    by_time: bool = False,
+    groups: Sequence[str] = (),
 ) -> Holdout:
     """Choose trials to hold out.
 
@@ -81,6 +85,7 @@ def choose_holdout(
         validation: patterns of names of trials.
         test: the same.
         by_time: whether each trial is divided in time, so that none need be held out whole.
+        groups: of each trial the one that it belongs to; where there are several, the rule holds in each by itself.
 
     Raises:
         ConfigError: where a pattern fits no trial, a trial is in both sets, or all are in the test set.
@@ -93,6 +98,16 @@ def choose_holdout(
     fitted = [k for k in range(len(names)) if k not in unseen]
     if not fitted:
         raise ConfigError("every trial is for the test, so there is nothing to fit; name fewer")
+    if len(set(groups)) > 1:
+        parts = [
+            _every_so_manieth([k for k in fitted if groups[k] == g], unseen, bool(test)) for g in sorted({*groups})
+        ]
+        return Holdout(*(frozenset[int]().union(*of) for of in zip(*(astuple(p) for p in parts), strict=True)))
+    return _every_so_manieth(fitted, unseen, bool(test))
+
+
+def _every_so_manieth(fitted: Sequence[int], unseen: frozenset[int], test: bool) -> Holdout:
+    """Of some trials what is held out where nobody says which, see ``choose_holdout``."""
     if len(fitted) < EVERY:
         return Holdout(frozenset(fitted[-1:] if len(fitted) > 1 else ()), unseen)
     every, before = (frozenset(fitted[EVERY - back :: EVERY]) for back in (1, 2))
@@ -161,6 +176,7 @@ def split(
     window: tuple[float, float] | None = None,
     shoot: float | None = None,
     simulator: Callable[[], Simulator] | None = None,
+    groups: Sequence[str] = (),
 ) -> Split:
     """Decide which trials are fitted, which are for validation and which for the test.
 
@@ -174,6 +190,7 @@ def split(
         shoot: length of multiple-shooting intervals [s]; by default whole trials, or where nothing holds the
             robot in place see ``intervals.longest_interval``.
         simulator: makes the one that follows it there, once the recordings are checked.
+        groups: of each recording the group that it belongs to, such as a unit of the robot; none by default.
 
     Raises:
         ConfigError: where recordings cannot be used, a pattern fits none, the window is none, ``until`` leaves
@@ -184,7 +201,7 @@ def split(
     check(model, recordings)
     if window is not None and not window[0] < window[1]:
         raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
-    heldout = choose_holdout([r.name for r in recordings], validation, test, by_time=until is not None)
+    heldout = choose_holdout([r.name for r in recordings], validation, test, by_time=until is not None, groups=groups)
     edge = until
     if until is not None:
         _check_until(until, recordings, window)
@@ -197,7 +214,7 @@ def split(
             counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
             shoot = longest_interval(model, counted, window, simulator and simulator(), whole=not long)
         shoot = min(shoot or math.inf, ENOUGH) if long else shoot
-    parts = _parted(model, recordings, heldout, edge, window, shoot)
+    parts = _grouped(_parted(model, recordings, heldout, edge, window, shoot), groups)
     if until is not None and not parts.validation:
         raise ConfigError(
             f"fitted is what comes before {until:g} s, and no trial has {LEAST_SAMPLES} samples after that, too few to "
@@ -206,7 +223,16 @@ def split(
     if not heldout.other:
         return parts
     instead = Holdout(heldout.other, heldout.test)
-    return replace(parts, other=_parted(model, recordings, instead, edge, window, shoot))
+    return replace(parts, other=_grouped(_parted(model, recordings, instead, edge, window, shoot), groups))
+
+
+def _grouped(parts: Split, groups: Sequence[str]) -> Split:
+    """The same, each segment with the group of its recording."""
+    if not groups:
+        return parts
+    whole = (parts.train, parts.validation, parts.test, parts.short_segments)
+    train, validation, test, short = (tuple(replace(s, group=groups[s.recording]) for s in own) for own in whole)
+    return replace(parts, train=train, validation=validation, test=test, short_segments=short)
 
 
 def _too_long(

@@ -14,6 +14,7 @@ from equimus_ctrl.identification.parameters import (
     FreeParameters,
     default_bounds,
     free_parameters,
+    in_group,
     unit_of,
 )
 from equimus_ctrl.models.model import Model
@@ -29,11 +30,13 @@ class OwnParameter:
         name: the effect's own name of it; where each place has its own, the place's before that, as ``elbow.damping``.
         key: the effect's own name of it.
         places: where it acts.
+        group: of trials in which it has this value of its own; "" for all others.
     """
 
     name: str
     key: str
     places: tuple[str, ...]
+    group: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +50,8 @@ class Candidate:
         each: whether each place has parameters of its own, as friction in all joints of an arm has.
         most: upper bounds of parameters that recordings set, beside the effect's own, by key: a delay near the length
             of a shooting interval would stand for anything.
+        own: parameters that have a value of their own in a group of trials, each with the group.
+        absent: groups of trials in which it does not act.
     """
 
     effect: type[Effect]
@@ -54,19 +59,30 @@ class Candidate:
     guesses: tuple[Mapping[str, float], ...]
     each: bool = False
     most: Mapping[str, float] = field(default_factory=dict)
+    own: tuple[tuple[str, str], ...] = ()
+    absent: tuple[str, ...] = ()
 
     @cached_property
-    def parameters(self) -> tuple[OwnParameter, ...]:
-        """What it adds, in order."""
+    def common(self) -> tuple[OwnParameter, ...]:
+        """What it adds in all groups of trials, in order."""
         keys = self.effect.parameter_info()
         if not self.each:
             return tuple(OwnParameter(key, key, self.locations) for key in keys)
         return tuple(OwnParameter(f"{place}.{key}", key, (place,)) for place in self.locations for key in keys)
 
+    @cached_property
+    def parameters(self) -> tuple[OwnParameter, ...]:
+        """What it adds, in order: those of all groups of trials, then those of one."""
+        by_name = {p.name: p for p in self.common}
+        own = (replace(by_name[name], name=in_group(name, group), group=group) for name, group in self.own)
+        return (*self.common, *own)
+
     @property
     def label(self) -> str:
         """Such as ``dead_zone:baa``; ``a+b`` with the same parameters, ``a,b`` with its own at each."""
-        return f"{self.effect.name}:{(',' if self.each else '+').join(self.locations)}"
+        text = f"{self.effect.name}:{(',' if self.each else '+').join(self.locations)}"
+        own = "".join(f" [{in_group(name, group)}]" for name, group in self.own)
+        return text + own + "".join(f" [not in {group}]" for group in self.absent)
 
     @property
     def n_parameters(self) -> int:
@@ -75,7 +91,7 @@ class Candidate:
 
     def at(self, values: Mapping[str, float], location: str) -> dict[str, float]:
         """The effect's own parameters at one of its places."""
-        return {own.key: values[own.name] for own in self.parameters if location in own.places}
+        return {own.key: values[own.name] for own in self.common if location in own.places}
 
     def attached(self, values: Mapping[str, float]) -> tuple[Effect, ...]:
         """The effects with these values."""
@@ -86,6 +102,11 @@ class Candidate:
         nothing, first = self.effect.grows_from(), next(iter(self.effect.parameter_info()))
         return {} if nothing is None else {own.name: nothing for own in self.parameters if own.key == first}
 
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Names of the parameters that scale it, in all groups of trials; none where none does."""
+        return tuple(own.name for own in self.common if own.name in self.grows_from())
+
     def fades_to(self) -> dict[str, float]:
         """``Effect.fades_to`` of all its parameters."""
         end = self.effect.fades_to()
@@ -94,15 +115,18 @@ class Candidate:
     def alone(self, location: str) -> Candidate:
         """The same effect at one of its places."""
         guesses = tuple(self.at(guess, location) for guess in self.guesses)
-        return Candidate(self.effect, (location,), guesses, most=self.most)
+        here = {p.name: p.key for p in self.common if location in p.places}
+        own = tuple((here[name], group) for name, group in self.own if name in here)
+        return Candidate(self.effect, (location,), guesses, most=self.most, own=own, absent=self.absent)
 
     def narrowed(self, locations: tuple[str, ...]) -> Candidate:
         """The same law at fewer of the places that have parameters of their own."""
         if len(locations) == 1:
             return self.alone(locations[0])
-        kept = [own.name for own in self.parameters if set(own.places) & set(locations)]
+        kept = [own.name for own in self.common if set(own.places) & set(locations)]
         guesses = tuple({name: guess[name] for name in kept} for guess in self.guesses)
-        return Candidate(self.effect, locations, guesses, self.each, self.most)
+        own = tuple((name, group) for name, group in self.own if name in kept)
+        return Candidate(self.effect, locations, guesses, self.each, self.most, own, self.absent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +149,10 @@ class Part:
     def narrowed(self, locations: tuple[str, ...]) -> Part:
         """The same at fewer of the places that have parameters of their own."""
         smaller = self.candidate.narrowed(locations)
-        own = self.candidate.at(self.values, locations[0])
-        return Part(smaller, own if len(locations) == 1 else {o.name: self.values[o.name] for o in smaller.parameters})
+        if len(locations) > 1:
+            return Part(smaller, {o.name: self.values[o.name] for o in smaller.parameters})
+        here = [p for p in self.candidate.parameters if locations[0] in p.places]
+        return Part(smaller, {in_group(p.key, p.group): self.values[p.name] for p in here})
 
 
 Hypothesis = tuple[Part, ...]
@@ -139,7 +165,28 @@ def model_of(model: Model, hypothesis: Sequence[Part]) -> Model:
     Raises:
         ConfigError: where two effects exclude each other.
     """
-    return replace(model, effects=(*model.effects, *(e for part in hypothesis for e in part.effects)))
+    whole = replace(model, effects=(*model.effects, *(e for part in hypothesis for e in part.effects)))
+    if not any(part.candidate.own or part.candidate.absent for part in hypothesis):
+        return whole
+    values: dict[str, dict[str, float]] = {}
+    for part, prefix_of in zip(hypothesis, _prefixes(whole, hypothesis), strict=True):
+        candidate, nothing = part.candidate, part.candidate.grows_from()
+        for p in candidate.parameters:
+            for group in candidate.absent if p.name in nothing and not p.group else (p.group,) if p.group else ():
+                value = part.values[p.name] if p.group else nothing[p.name]
+                values.setdefault(group, {}).update({prefix_of[place] + p.key: value for place in p.places})
+    return whole.with_groups(values)
+
+
+def _prefixes(whole: Model, hypothesis: Sequence[Part]) -> list[dict[str, str]]:
+    """For each part, by its places, what its parameters' dotted names begin with in the model with all of them."""
+    prefixes = whole.effect_prefixes()
+    left = prefixes[len(prefixes) - sum(len(part.candidate.locations) for part in hypothesis) :]
+    found = []
+    for part in hypothesis:
+        own, left = left[: len(part.candidate.locations)], left[len(part.candidate.locations) :]
+        found.append(dict(zip(part.candidate.locations, own, strict=True)))
+    return found
 
 
 def beside(robot: Robot, part: Part, hypothesis: Hypothesis) -> Hypothesis:
@@ -218,11 +265,8 @@ def parameters_of(free: FreeParameters, hypothesis: Hypothesis) -> FreeParameter
         hypothesis: with values to start from.
     """
     whole = model_of(free.model, hypothesis)
-    prefixes = whole.effect_prefixes()[len(free.model.effects) :]
     found = list(free.free)
-    for part in hypothesis:
-        own, prefixes = prefixes[: len(part.effects)], prefixes[len(part.effects) :]
-        prefix_of = dict(zip(part.candidate.locations, own, strict=True))
+    for part, prefix_of in zip(hypothesis, _prefixes(whole, hypothesis), strict=True):
         for p in part.candidate.parameters:
             value = part.values[p.name]
             names = [prefix_of[place] + p.key for place in p.places]
@@ -231,5 +275,6 @@ def parameters_of(free: FreeParameters, hypothesis: Hypothesis) -> FreeParameter
             high = min(high, max(part.candidate.most.get(p.key, high), value))
             size = abs(value) or None
             start = float(np.clip(value, low, high))
-            found.append(FreeParameter(names[0], start, low, high, unit_of(whole, names[0]), tuple(names[1:]), size))
+            unit, also = unit_of(whole, names[0]), tuple(names[1:])
+            found.append(FreeParameter(names[0], start, low, high, unit, also, size, p.group))
     return FreeParameters(whole, tuple(found))

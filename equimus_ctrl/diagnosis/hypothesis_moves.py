@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
+from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
@@ -20,6 +21,7 @@ from equimus_ctrl.diagnosis.torque_start import worth_simulating
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.segments import groups_of
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
@@ -264,6 +266,10 @@ class HypothesisMoves:
             known = label in hopes and fitted.hypothesis and not self.settings.many_minima
             hope = max(hopes[label]) if known else math.inf
             chosen[label] = Proposal(hypothesis, (*begins, *earlier), hope)
+            if (split := own_in_each_group(hypothesis, groups_of(self.data.segments))) is not None:
+                sizes = list(split[-1].values.values())[len(hypothesis[-1].values) :]
+                wider = tuple((np.append(theta, sizes), starts) for theta, starts in begins)
+                chosen.setdefault(split[-1].candidate.label, Proposal(split, wider))
 
         for ranking in rankings:
             for s in self._different(ranking)[: choice.most]:
@@ -277,12 +283,12 @@ class HypothesisMoves:
         return list(chosen.values())
 
     def _different(self, ranking: Sequence[Screened]) -> Sequence[Screened]:
-        """Where laws are also tried with their own size at each joint, each effect once: where it is most promising.
+        """Each effect once, where it is most promising, if it is tried in more ways than at this joint and that.
 
-        That is by its gain less the information criterion's price of its parameters. Else one effect at this, that and
-        all joints would leave no other.
+        These are with its own size at each joint, and in one group of trials alone. The most promising has the largest
+        gain less the information criterion's price of its parameters. Else one effect in all ways would leave no other.
         """
-        if not any(s.candidate.each for s in ranking):
+        if not any(s.candidate.each or s.candidate.absent for s in ranking):
             return ranking
         price = float(np.log(self.data.n))
         best: dict[str, Screened] = {}
@@ -338,7 +344,9 @@ class HypothesisMoves:
             hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
             begin = (self.data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
             proposals.append(Proposal(hypothesis, (begin,)))
-        return proposals
+        own = splits_by_group(fitted.hypothesis, groups_of(self.data.segments))
+        begins = [(self.data.theta_of(fitted.fit.theta, split), fitted.fit.starts) for split in own]
+        return [*proposals, *(Proposal(split, (begin,)) for split, begin in zip(own, begins, strict=True))]
 
     def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: float) -> list[Fitted]:
         """Those that can be simulated, after a few steps, the best score first.

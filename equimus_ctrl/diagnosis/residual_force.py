@@ -11,10 +11,9 @@ import numpy as np
 from equimus_ctrl.diagnosis.explained_variance import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group, groups, harmonics, responses
-from equimus_ctrl.diagnosis.force_response import STEP, force_response
+from equimus_ctrl.diagnosis.force_response import STEP, segment_response
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.engines.motion import Motion
-from equimus_ctrl.engines.predict import behind_sensors
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.projection import Nuisance
@@ -72,15 +71,13 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
     """The linear model about a fit; None where its motion cannot be followed."""
     model = fitted.fit.model
     whitened_fit = whiten_fit(data.times, fitted.fit, noise)
-    starts = [behind_sensors([model], start[None, :])[0] for start in fitted.fit.starts]
-    trials = [segment.trial for segment in data.segments]
 
     def scale() -> Array:
         excitation = excitation_of(model, data.segments)
         return np.array([excitation[name].force for name in model.robot.joint_names])
 
     try:
-        linearised = force_response(data.simulator.engine, model, trials, starts, scale, dt)
+        linearised = segment_response(data.simulator.engine, model, data.segments, fitted.fit.starts, scale, dt)
     except SimulationDiverged:
         return None
     motions = list(linearised.motions)

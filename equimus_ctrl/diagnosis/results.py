@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from equimus_ctrl.diagnosis.coordinates import Coordinate, written
+from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
+from equimus_ctrl.diagnosis.estimates import Estimate as Estimate
+from equimus_ctrl.diagnosis.estimates import Named as Named
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.engines.base import Engine
@@ -24,52 +27,6 @@ SETS: tuple[Set, ...] = ("train", "validation", "test")
 """Of the trials: fitted, by which effects were confirmed or rejected, and not touched before the report."""
 STATES = ("nominal", "refitted", "corrected")
 """The nominal model, the refitted (re-identified) model, and the augmented model with the effects found."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A parameter of an effect with its interval.
-
-    Attributes:
-        value: SI.
-        low: lower end of the interval, −inf where there is none.
-        high: upper end.
-        unit: SI.
-    """
-
-    value: float
-    low: float
-    high: float
-    unit: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON data; null where an interval has no end."""
-        ends = {key: v if math.isfinite(v) else None for key, v in (("low", self.low), ("high", self.high))}
-        return {"value": self.value, **ends, "unit": self.unit}
-
-
-@dataclass(frozen=True)
-class Named:
-    """An effect and where it acts.
-
-    Attributes:
-        effect: its name.
-        locations: the places.
-        each: whether it has its own parameters at each of several places, instead of the same.
-    """
-
-    effect: str
-    locations: tuple[str, ...]
-    each: bool = False
-
-    def __str__(self) -> str:
-        """For people."""
-        return f"{self.effect} at {'each of ' * self.each}{' and '.join(self.locations)}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON data."""
-        named: dict[str, Any] = {"effect": self.effect, "locations": list(self.locations)}
-        return named | ({"each": True} if self.each else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +83,7 @@ class Finding:
         equivalent: effects that these recordings do not distinguish from it.
         law: the part at all its places where each has its own parameters: the evidence is of all of them together.
         undetermined: why its parameters are not identifiable from these recordings; "" where they are.
+        by_group: where they differ between groups of trials, the parameters in each; none where it does not act.
     """
 
     part: Part
@@ -134,6 +92,7 @@ class Finding:
     equivalent: tuple[Named, ...] = ()
     law: Part | None = None
     undetermined: str = ""
+    by_group: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
 
     @property
     def named(self) -> Named:
@@ -150,12 +109,17 @@ class Finding:
         """As JSON data."""
         return {
             **self.named.to_dict(),
-            "parameters": {key: estimate.to_dict() for key, estimate in self.parameters.items()},
+            "parameters": _estimates(self.parameters),
             "evidence": self.evidence.to_dict(),
             "equivalent": [other.to_dict() for other in self.equivalent],
             **({"also_at": list(self.also_at)} if self.also_at else {}),
             **({"undetermined": self.undetermined} if self.undetermined else {}),
+            **({"by_group": {group: _estimates(own) for group, own in self.by_group.items()}} if self.by_group else {}),
         }
+
+    def in_group(self, group: str) -> Finding:
+        """The same with its parameters in a group of trials."""
+        return replace(self, parameters=self.by_group[group], by_group={})
 
 
 @dataclass(frozen=True)
@@ -386,7 +350,7 @@ class Diagnosis:
         verdict: in one word.
         model: the nominal model.
         refitted: without any effect, its parameters fitted.
-        corrected: the augmented model, with the effects found.
+        corrected: the augmented model, with the effects found; where groups of trials differ see ``Model.in_group``.
         base: the fit of the refitted model.
         best: the fit of the augmented one.
         train: segments fitted.
@@ -407,6 +371,9 @@ class Diagnosis:
         seconds: how long it took.
         decisions: of the stages, in order.
         not_done: stages that it was ended before or in, by its budget or by whoever asked for its best so far.
+        groups: of trials, such as units of the robot; none where all are of one.
+        differences: between them, the strongest evidence first.
+        another_unit: what of the model's parameters is not nominal; None where the nominal values fit as well.
     """
 
     verdict: Verdict
@@ -432,6 +399,9 @@ class Diagnosis:
     decisions: tuple[Decision, ...] = ()
     not_done: tuple[str, ...] = ()
     undetermined: tuple[Finding, ...] = ()
+    groups: tuple[str, ...] = ()
+    differences: tuple[Difference, ...] = ()
+    another_unit: AnotherUnit | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -487,6 +457,8 @@ class Diagnosis:
             "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],
+            "another_unit": self.another_unit.to_dict() if self.another_unit else None,
+            **self._groups(),
             "trials": {part: [s.trial.name for s in getattr(self, part)] for part in SETS},
             "shooting_interval_s": self.interval,
             "decisions": [decision.to_dict() for decision in self.decisions],
@@ -494,6 +466,14 @@ class Diagnosis:
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
+
+    def _groups(self) -> dict[str, Any]:
+        """What differs between groups of trials; empty where there are none."""
+        if not self.groups:
+            return {}
+        whole = (*self.train, *self.validation, *self.test)
+        names = {g: list(dict.fromkeys(s.recording_name for s in whole if s.group == g)) for g in self.groups}
+        return {"groups": names, "differences": [difference.to_dict() for difference in self.differences]}
 
     def _parameters(self) -> dict[str, dict[str, Any]]:
         """Of the augmented model those that were estimated, with intervals."""
@@ -512,6 +492,10 @@ class Diagnosis:
 
     def _by_joint(self, values: Sequence[float] | Array) -> dict[str, float | None]:
         return {joint: _finite(float(v)) for joint, v in zip(self.joints, values, strict=True)}
+
+
+def _estimates(parameters: Mapping[str, Estimate]) -> dict[str, Any]:
+    return {key: estimate.to_dict() for key, estimate in parameters.items()}
 
 
 def _finite(value: float) -> float | None:

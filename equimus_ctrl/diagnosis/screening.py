@@ -391,10 +391,10 @@ def _kept(base: int, old: Hypothesis, new: Hypothesis) -> tuple[int, ...]:
     return (*range(base), *(base + i for i, own in enumerate(_adds(old)) if own in stays))
 
 
-def _adds(hypothesis: Sequence[Part]) -> list[tuple[str, tuple[str, ...], str]]:
-    """The parameters that a hypothesis adds, each by its effect, where it acts and what it is."""
+def _adds(hypothesis: Sequence[Part]) -> list[tuple[str, tuple[str, ...], str, str]]:
+    """The parameters that a hypothesis adds, each by its effect, where it acts, what it is, and in which trials."""
     parts = (part.candidate for part in hypothesis)
-    return [(candidate.effect.name, own.places, own.key) for candidate in parts for own in candidate.parameters]
+    return [(c.effect.name, own.places, own.key, own.group) for c in parts for own in c.parameters]
 
 
 def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> _FirstOrderGains:

@@ -1,6 +1,7 @@
 """A diagnosis, stage by stage: each takes what is known, a ``State``, and returns what is known after it.
 
-    refit → search → confirmation → unexplained → discretization → validation → other_holdout → alternatives → report
+    refit → search → groups → confirmation → unexplained → discretization → validation → other_holdout → alternatives
+    → units → report
 
 ``carried_out`` runs them in this order; ``STAGES`` has those between the refit and the report. ``other_holdout`` is a
 second diagnosis, with other trials held out, by the same stages. Where a budget ends a stage, what was known before it
@@ -34,6 +35,8 @@ from equimus_ctrl.diagnosis.findings import (
     verdict,
 )
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.group_splits import with_groups
+from equimus_ctrl.diagnosis.groups import Apart, told_apart
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
@@ -48,10 +51,12 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
 from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test, residual_analysis
+from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.residuals import residuals_of
+from equimus_ctrl.identification.segments import groups_of
 from equimus_ctrl.types import Array
 
 ROUNDS = 12
@@ -125,12 +130,17 @@ def refit(inputs: DiagnosisInputs) -> State:
         short = _short_base(data, split) if data.far_above_noise(base) else None
         base = base if short is None else data.base_from(short, base)
     looked_for = {name: effect for name, effect in REGISTRY.items() if name not in inputs.settings.exclude}
-    pool = candidates(model, split.train, looked_for)
+    pool = with_groups(candidates(model, split.train, looked_for), groups_of(split.train))
     search = Search(data, pool, data.policy.applied(inputs.settings.search), _round_notify(inputs.progress))
+    with suppress(BudgetSpent):
+        if groups_of(split.train):
+            apart = told_apart(Apart(search, base), split)
+            search, base, looked, short = apart.search, apart.best, short is not None, None
+            short = _short_base(search.data, split) if looked else None
     state = State(inputs, search, SearchState(base, base), short, _nominal(data, split), notes=inputs.settings.notes)
     excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
-    return state.decided("refit", f"{len(data.free.free)} parameters refitted", f"excess variance: {said}")
+    return state.decided("refit", f"{len(search.data.free.free)} parameters refitted", f"excess variance: {said}")
 
 
 def _round_notify(progress: Progress) -> Callable[[str, str], None]:
@@ -184,7 +194,8 @@ def confirm(state: State) -> State:
     """The effects that held-out trials confirm; where they reject one, another that they do confirm."""
     said: dict[str, Confirmation] = {}
     end = confirmed(state.search, state.end, state.inputs.split, said.__setitem__)
-    after, before = replace(state, end=end), state.end.best.labels
+    search, end = still_apart(state.search, end, state.inputs.split)
+    after, before = replace(state, search=search, end=end), state.end.best.labels
     for label in sorted(before - end.best.labels):
         after = after.decided("confirmation", f"{label} rejected", str(said.get(label, "not needed beside the others")))
     for label in sorted(end.best.labels - before):
@@ -213,9 +224,17 @@ def explain_residuals(state: State) -> State:
         if end.best.hypothesis:
             labels = [part.candidate.label for part in dropped]
             end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
+            search, end = still_apart(search, end, state.inputs.split)
             further -= 1
         analysis = residual_analysis(state.data, end.base, end.best, end.without)
-    after = replace(state, end=end, analysis=analysis, rejected=rejected, ranking=ranking(search, end))
+    after = replace(
+        state,
+        search=search,
+        end=end,
+        analysis=analysis,
+        rejected=rejected,
+        ranking=state.ranking or ranking(search, end),
+    )
     return _explained(after, state.end.best, reasons)
 
 
@@ -359,12 +378,14 @@ def find_alternatives(state: State) -> State:
 
 ORDER = (
     Stage("search", find_effects, "more effects"),
+    Stage("groups", tell_apart, "what differs between groups of trials"),
     Stage("confirmation", confirm, "whether held-out trials confirm the effects", "held-out trials", 0.82),
     Stage("unexplained", explain_residuals, "what remains unexplained", "residual forces", 0.86),
     Stage("discretization", take_off_step_error, "the error of the physics step"),
     Stage("validation", validate, "whether the error on held-out trials is above the noise"),
     Stage("other_holdout", repeat_with_other_holdout, "what other held-out trials would show", settles=False),
     Stage("alternatives", find_alternatives, "what fits as well in an effect's place", "evidence", 0.94, settles=False),
+    Stage("units", compare_units, "whether parameters differ from the nominal ones", settles=False),
 )
 STAGES = tuple(stage.name for stage in ORDER)
 """What follows the refit, in order."""
@@ -428,6 +449,9 @@ def report(state: State) -> Diagnosis:
         seconds=time.perf_counter() - inputs.begun,
         decisions=state.decisions,
         not_done=tuple(stage.name for stage in skipped(state)),
+        groups=groups_of((*split.train, *split.validation)),
+        differences=state.differences,
+        another_unit=state.another_unit,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from equimus_ctrl.diagnosis.differences import AnotherUnit, Difference
 from equimus_ctrl.diagnosis.experiment import Designs
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
@@ -87,6 +88,8 @@ class State:
         notes: what else a person ought to know.
         decisions: of the stages so far.
         failed: why the fit says nothing of other trials; "" where it does.
+        differences: between groups of trials.
+        another_unit: what of the model's parameters is not nominal; None where the nominal values fit as well.
         ended_in: the stage in which the budget ended; "" where it did not.
     """
 
@@ -103,6 +106,8 @@ class State:
     notes: tuple[str, ...] = ()
     decisions: tuple[Decision, ...] = ()
     failed: str = ""
+    differences: tuple[Difference, ...] = ()
+    another_unit: AnotherUnit | None = None
     ended_in: str = ""
 
     @property

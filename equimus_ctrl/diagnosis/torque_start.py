@@ -44,7 +44,7 @@ def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
         pool: the candidates.
         most: how many laws.
     """
-    screen = torque_screen(data, domain, None, pool)
+    screen = torque_screen(data, domain, None, [candidate for candidate in pool if not candidate.absent])
     chosen, price = list[Columns](), math.log(max(screen.samples, 2.0))
     now = screen.missing
     while len(chosen) < most:

@@ -14,6 +14,11 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 
+def in_group(name: str, group: str) -> str:
+    """A parameter's name in a group of trials; "" for all of them."""
+    return f"{name} in {group}" if group else name
+
+
 @dataclass(frozen=True)
 class FreeParameter:
     """One number that may change.
@@ -26,6 +31,7 @@ class FreeParameter:
         unit: SI.
         also: other parameters of the model that have the same value.
         size: the size of a change that counts, where it is known better than ``scale`` guesses.
+        group: of trials in which it has this value, others having their own; "" for all.
     """
 
     name: str
@@ -35,6 +41,7 @@ class FreeParameter:
     unit: str
     also: tuple[str, ...] = ()
     size: float | None = None
+    group: str = ""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.low) and math.isfinite(self.high)):
@@ -46,6 +53,11 @@ class FreeParameter:
                 f"{self.name} is {self.start:g} {self.unit} in the model, outside its bounds {self.low:g} to "
                 f"{self.high:g}; widen the bounds or change the model"
             )
+
+    @property
+    def label(self) -> str:
+        """For people, unlike any other's."""
+        return in_group(self.name, self.group)
 
     @property
     def scale(self) -> float:
@@ -67,8 +79,8 @@ class FreeParameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Dotted names, in the model's order."""
-        return tuple(f.name for f in self.free)
+        """Dotted names, in the model's order, with the group of trials where there is one."""
+        return tuple(f.label for f in self.free)
 
     @property
     def start(self) -> Array:
@@ -98,18 +110,21 @@ class FreeParameters:
         which searches progress slowly.
         """
         moved = np.array(theta + change)
-        place = {name: i for i, name in enumerate(self.names)}
-        for name, i in place.items():
+        place = {(f.name, f.group): i for i, f in enumerate(self.free)}
+        for (name, group), i in place.items():
             owner, _, key = name.rpartition(".")
-            k = place.get(f"{owner}.stiffness")
+            k = place.get((f"{owner}.stiffness", group))
             if key in ("rest_length", "rest") and k is not None and moved[k] > 0:
                 moved[i] = (theta[k] * moved[i] + theta[i] * change[k]) / moved[k]
         return np.clip(moved, self.low, self.high)
 
     def model_at(self, theta: Array) -> Model:
         """The model with these values (p,)."""
-        values = {name: float(v) for f, v in zip(self.free, theta, strict=True) for name in (f.name, *f.also)}
-        return self.model.with_parameters(values)
+        values: dict[str, dict[str, float]] = {"": {}}
+        for f, value in zip(self.free, theta, strict=True):
+            values.setdefault(f.group, {}).update(dict.fromkeys((f.name, *f.also), float(value)))
+        model = self.model.with_parameters(values.pop(""))
+        return model.with_groups(values) if values else model
 
 
 BASE = "base_parameters"

@@ -49,6 +49,7 @@ class Segment:
         free_start: how many components of the initial state are free: none, the angles (nj), or angles and velocities
             (2 nj). What was read off the measurements then counts as one more sample, see ``start_weights``.
         slope_span: half the time over which a start was read off [s].
+        group: of trials that it belongs to, such as those of one unit of the robot; "" where there are none.
         trust: (2 nj,) in a start that was read off, in units of that in a sample [1, s]; None for what a parabola
             through white noise deserves, see ``start_trust``.
     """
@@ -61,6 +62,7 @@ class Segment:
     free_start: int = 0
     slope_span: float = SLOPE_SPAN
     trust: Array | None = None
+    group: str = ""
 
     @property
     def start_weights(self) -> Array:
@@ -181,3 +183,14 @@ def start_trust(recording: Recording, span: float) -> Array:
         residuals.append(recording.position[np.argmin(np.abs(time - at))] - whole[: len(whole) // 2])
     noise, sizes = np.sqrt(np.mean(np.square(residuals), axis=0)), np.sqrt(np.mean(np.square(changes), axis=0))
     return np.asarray(np.maximum(np.tile(noise, 2) / (WIDE * np.maximum(sizes, 1e-300)), LEAST_TRUST))
+
+
+def groups_of(segments: Sequence[Segment]) -> tuple[str, ...]:
+    """The groups of some trials, in order; none where there is one alone."""
+    found = tuple(dict.fromkeys(s.group for s in segments))
+    return found if len(found) > 1 else ()
+
+
+def groups_with_own(groups: Sequence[str]) -> tuple[str, ...]:
+    """Groups that may get a value of their own: of two the second alone, for the first one's is the common one then."""
+    return tuple(groups[1:] if len(groups) == 2 else groups)

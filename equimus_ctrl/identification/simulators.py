@@ -29,13 +29,26 @@ class Simulator:
     def __call__(
         self, models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]
     ) -> list[Predicted]:
-        """Predictions for each segment.
+        """Predictions for each segment, each model as it is in the segment's group of trials.
 
         Args:
             models: that predict.
             segments: what was done.
             starts: for each segment (k, 2 nj) as the sensors show them, one row a model.
         """
+        if not any(model.by_group for model in models):
+            return self._simulated(models, segments, starts)
+        found: dict[int, Predicted] = {}
+        for group in dict.fromkeys(segment.group for segment in segments):
+            rows = [k for k, segment in enumerate(segments) if segment.group == group]
+            own = [model.in_group(group) for model in models]
+            predicted = self._simulated(own, [segments[k] for k in rows], [starts[k] for k in rows])
+            found |= dict(zip(rows, predicted, strict=True))
+        return [found[k] for k in range(len(segments))]
+
+    def _simulated(
+        self, models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]
+    ) -> list[Predicted]:
         true = behind_all(models, starts)
         return self.engine.simulate(models, [s.trial for s in segments], true, self.threads)
 

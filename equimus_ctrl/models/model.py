@@ -33,6 +33,9 @@ from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 FORMAT = "equimus-ctrl/model/1"
 
+GroupValues = tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
+"""For each group of trials the parameters that are others there, by dotted name."""
+
 
 @dataclass(frozen=True)
 class Model:
@@ -42,6 +45,8 @@ class Model:
         robot: what is driven.
         effects: what is attached to it.
         phase: base fixed (swing) or foot pinned (stance).
+        by_group: parameters that are others in some groups of trials, as of another unit of the robot, or on another
+            day; no model file holds them, see ``in_group``.
 
     Raises:
         ConfigError: where an effect sits at something the robot does not have, or two exclude each other.
@@ -50,6 +55,7 @@ class Model:
     robot: Robot
     effects: tuple[Effect, ...] = ()
     phase: Phase = "swing"
+    by_group: GroupValues = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "effects", tuple(self.effects))
@@ -114,7 +120,18 @@ class Model:
             known = self.parameters()
             wrong = next(name for name in left if name not in known)
             raise ModelError(unknown_name("parameter", wrong, known, self.name))
-        return Model(self.robot.with_parameters(left), tuple(effects), self.phase)
+        return replace(self, robot=self.robot.with_parameters(left), effects=tuple(effects))
+
+    def in_group(self, group: str) -> Model:
+        """The model as it is in a group of trials."""
+        own = dict(self.by_group).get(group, ())
+        return replace(self.with_parameters(dict(own)), by_group=()) if self.by_group else self
+
+    def with_groups(self, values: Mapping[str, Mapping[str, float]]) -> Model:
+        """A copy with other values of some parameters in some groups of trials, beside those that it has there."""
+        known = {group: dict(own) for group, own in self.by_group}
+        whole = {group: known.get(group, {}) | dict(values.get(group, {})) for group in {**known, **values}}
+        return replace(self, by_group=tuple((group, tuple(own.items())) for group, own in whole.items() if own))
 
 
 def nominal_model() -> Model:

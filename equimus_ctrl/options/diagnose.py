@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.options.fields import (
     NAMES,
     at_least,
@@ -25,6 +25,10 @@ from equimus_ctrl.options.offers import option
 if TYPE_CHECKING:
     from equimus_ctrl.engines.base import EngineName
     from equimus_ctrl.options.fields import Bounds, Window
+
+
+GROUPINGS = ("folder",)
+"""By what trials may be grouped."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,8 @@ class DiagnoseOptions:
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         threads: of the simulations; all cores by default.
         budget: how long it may take; its best so far is given then. As long as it needs by default [s].
+        by: ``"folder"`` where the trials of each folder are another unit of the robot, or of another day: one model is
+            found for all, with what differs between them; None where all are alike.
 
     Raises:
         ConfigError: for a value that cannot be.
@@ -98,9 +104,18 @@ class DiagnoseOptions:
         "Give the best so far after this time, with what was not tried.",
         metavar="SECONDS",
     )
+    by: Literal["folder"] | None = option(
+        None,
+        str | None,
+        "folder: the trials of each folder are another unit of the robot, or of another day; what differs between them "
+        "is told.",
+        metavar="folder",
+    )
 
     def __post_init__(self) -> None:
         """Check the values."""
+        if self.by not in (None, *GROUPINGS):
+            raise ConfigError(unknown_name("grouping", str(self.by), GROUPINGS, "by"))
         if not 1 <= self.most <= 6:
             raise ConfigError(f"the largest number of effects is {self.most}, expected 1 to 6")
         if self.until is not None and not math.isfinite(self.until):

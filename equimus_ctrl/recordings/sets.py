@@ -26,7 +26,18 @@ def read_set(
     actuators: Sequence[str] | None = None,
     limits: Limits = LEG,
 ) -> tuple[Recording, ...]:
-    """Read the trials of files and folders, in the project's format or the leg's upstream ones.
+    """Read the trials of files and folders; see ``read_with_files``."""
+    return tuple(trial for _, trial in read_with_files(paths, joints=joints, actuators=actuators, limits=limits))
+
+
+def read_with_files(
+    paths: PathLike | Iterable[PathLike],
+    *,
+    joints: Sequence[str] | None = None,
+    actuators: Sequence[str] | None = None,
+    limits: Limits = LEG,
+) -> tuple[tuple[Path, Recording], ...]:
+    """Read the trials of files and folders, in the project's format or the leg's upstream ones, each with its file.
 
     Files come in the order given, those of a folder sorted by name; static poses in a folder are passed over. A name
     that two trials share gets the folder's name in front: ``open_1_trial_00``. All trials have the same joints and
@@ -69,7 +80,7 @@ def read_set(
         tuple(first.actuators if actuators is None else actuators),
     )
     arranged = tuple(
-        _arranged(path, trial, name, *wanted, limits.missing)
+        (path, _arranged(path, trial, name, *wanted, limits.missing))
         for (path, trial), name in zip(found, _unique_names(found), strict=True)
     )
     if not limits.pressures:  # a model asks for its own; of a leg somebody picks

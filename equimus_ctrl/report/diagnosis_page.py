@@ -17,8 +17,10 @@ from equimus_ctrl.diagnosis.results import SETS, Diagnosis, ResidualForce
 from equimus_ctrl.identification.results import together
 from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures
+from equimus_ctrl.report.diagnosis_units import departures, differing, parameter, unit_answer
 from equimus_ctrl.report.diagnosis_words import (
     coordinates_text,
+    estimate_text,
     interval_digits,
     interval_text,
     number,
@@ -86,6 +88,7 @@ def page(diagnosis: Diagnosis, title: str, command_line: str = "") -> str:
         ("size", "Size of the residuals", _size(diagnosis)),
         ("where", "Localization", _where(diagnosis, figures)),
         ("findings", "Missing physics", _findings(diagnosis, figures)),
+        ("units", "Units", _units(diagnosis)),
         ("trials", "Before and after", _before_after(diagnosis, figures)),
         ("unexplained", "Unexplained residuals", _unexplained(diagnosis, figures)),
         ("confounded", "Not distinguishable", _not_distinguishable(diagnosis)),
@@ -222,6 +225,21 @@ def _findings(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     return f"{_list(sentences)}{_grouped('effect', groups, rows)}{together}{explained}{''.join(shown)}"
 
 
+def _units(diagnosis: Diagnosis) -> str:
+    """What differs between groups of trials and from the nominal model."""
+    body = _list(differing(diagnosis))
+    groups = diagnosis.groups
+    if diagnosis.differences:
+        rows = [
+            (parameter(d), *("not seen" if own is None else estimate_text(own) for own in d.values.values()))
+            for d in diagnosis.differences
+        ]
+        body += _table(("parameter", *groups), rows)
+    if answer := unit_answer(diagnosis):
+        body += f"<p>{escape(answer)}</p>{_list(departures(diagnosis))}"
+    return body
+
+
 def _before_after(diagnosis: Diagnosis, figures: dict[str, Figure]) -> str:
     which = "test" if diagnosis.test else "validation" if diagnosis.validation else "fitted"
     text = f"<p>The {which} trials with the largest residuals of the refitted model.</p>"
@@ -267,7 +285,7 @@ def _parameters(diagnosis: Diagnosis) -> str:
         columns = [free.start, float(base.theta[i]), value][: len(diagnosis_text.states(diagnosis))]
         before = (number(v * scale.factor, digits) for v in columns)
         held = {-1: "low", 0: "", 1: "high"}[int(fit.at_bound[i])]
-        rows.append((free.name, scale.unit, *before, interval_text(*interval), held))
+        rows.append((free.label, scale.unit, *before, interval_text(*interval), held))
     head = ("parameter", "unit", *(WORDS[s] for s in diagnosis_text.states(diagnosis)), "95 % interval", "at bound")
     return _table(head, rows, 2)
 

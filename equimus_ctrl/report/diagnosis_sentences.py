@@ -10,6 +10,8 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.diagnosis_words import estimate_text, listed, quantity
 from equimus_ctrl.robots.base import Robot
 
+NOT_SEEN = "It is not seen there."
+
 
 @dataclass(frozen=True, eq=False)
 class FoundEffect:
@@ -71,10 +73,22 @@ class FoundEffect:
 
 
 def sentence(finding: Finding, model: Model) -> str:
-    """The missing physics as a sentence, with its parameters and intervals.
+    """The missing physics in words, with its parameters and intervals; where groups of trials differ, group by group.
 
     Args:
         finding: what.
         model: the nominal model.
     """
+    return " ".join(sentences(finding, model))
+
+
+def sentences(finding: Finding, model: Model) -> list[str]:
+    """The same as a list, one for each group of trials where these differ."""
+    if not finding.by_group:
+        return [_sentence(finding, model)]
+    own = {g: _sentence(finding.in_group(g), model) if values else NOT_SEEN for g, values in finding.by_group.items()}
+    return [f"{group}: {text}" for group, text in own.items()]
+
+
+def _sentence(finding: Finding, model: Model) -> str:
     return finding.part.candidate.effect.sentence(FoundEffect(finding, model))

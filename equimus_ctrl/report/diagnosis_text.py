@@ -25,7 +25,8 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.report.diagnosis_sentences import sentence
+from equimus_ctrl.report.diagnosis_sentences import sentence, sentences
+from equimus_ctrl.report.diagnosis_units import departures, differing, unit_answer
 from equimus_ctrl.report.diagnosis_words import (
     MANY,
     coordinates_text,
@@ -111,6 +112,11 @@ def law_sentence(law: Law, model: Model) -> str:
     )
     effect = law.findings[0].part.candidate.effect
     return f"{upper(short(law.named, model))} ({effect.summary}): {key} {' to '.join(ends)}."
+
+
+def law_sentences(law: Law, model: Model) -> list[str]:
+    """The same as a list, one for each group of trials where these differ."""
+    return sentences(law.findings[0], model) if len(law.findings) == 1 else [law_sentence(law, model)]
 
 
 def by_place(law: Law) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -377,7 +383,7 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
         console.print(Padding(Text(text, style=style), (0, 0, 0, indent)))
 
     def listing(head: str, lines: Sequence[str]) -> None:
-        if lines:
+        if lines and head:
             say(head, style="bold")
         for line in lines:
             say(line, 2)
@@ -399,7 +405,10 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     if diagnosis.findings:
         say("Missing physics", style="bold")
     for k, law in enumerate(grouped(diagnosis.findings)):
-        say(f"{k + 1}. {law_sentence(law, diagnosis.model)}", 2)
+        first_line, *more_lines = law_sentences(law, diagnosis.model)
+        say(f"{k + 1}. {first_line}", 2)
+        for line in more_lines:
+            say(line, 5)
         if len(law.findings) > 1:
             head, rows = by_place(law)
             for place, *sizes in rows:
@@ -408,6 +417,10 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
         say(evidence(diagnosis, law.first), 5, "dim")
     if text := together(diagnosis):
         say(text, 2)
+    listing(f"Differences between {listed(diagnosis.groups)}", differing(diagnosis))
+    if text := unit_answer(diagnosis):
+        say(text, style="bold")
+    listing("", departures(diagnosis))
     listing("Unexplained residuals", remains(diagnosis))
     listing("Not distinguishable from these recordings", not_distinguishable(diagnosis))
     if diagnosis.experiment is not None:

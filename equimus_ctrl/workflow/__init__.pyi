@@ -22,7 +22,13 @@ from .mjcf import (
     parameter_rows as parameter_rows,
     read_free as read_free,
 )
-from .models import load_elastic as load_elastic, load_model as load_model, renamed as renamed, save_model as save_model
+from .models import (
+    by_group as by_group,
+    load_elastic as load_elastic,
+    load_model as load_model,
+    renamed as renamed,
+    save_model as save_model,
+)
 from .plugins import load_plugins as load_plugins
 from .prove import Proof as Proof, put_to_proof as put_to_proof
 from .runs import (

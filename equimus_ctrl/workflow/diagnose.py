@@ -20,6 +20,7 @@ from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
+from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
 from equimus_ctrl.workflow.identify import choose, simulator_of, with_file
 from equimus_ctrl.workflow.scores import gather
 
@@ -56,7 +57,14 @@ def diagnose_recordings(
     options = with_file(with_changes(DiagnoseOptions, options, changes), model)
     if options.shoot is not None and model.robot.traits.held_in_place:
         raise ConfigError("multiple shooting is for MJCF robots; a leg's trials are fitted whole")
-    trials = choose(gather(recordings, model), options.select)
+    if options.by is None:
+        trials, group_of = gather(recordings, model), dict[str, str]()
+    else:
+        trials, group_of = by_folder(recordings, model)
+    trials = choose(trials, options.select)
+    groups = [group_of[trial.name] for trial in trials] if group_of else []
+    if groups:
+        check_enough(groups, options)
     for trial in trials:
         check_columns(model, trial)
     preflight.check(model, trials)
@@ -72,8 +80,10 @@ def diagnose_recordings(
         until=options.until,
         window=options.window,
         shoot=options.shoot,
+        groups=groups,
     )
     check_settings(chosen, parts)
+    check_fitted(groups, parts.train)
     search = SearchSettings(most_parts=options.most)
     notes = (told(gains),) if gains else ()
     settings = DiagnosisSettings(

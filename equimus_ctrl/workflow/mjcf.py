@@ -15,7 +15,8 @@ from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.recordings import Limits, read_set
+from equimus_ctrl.recordings import Limits
+from equimus_ctrl.recordings.sets import read_with_files
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.editing import Edits, edited
 from equimus_ctrl.robots.mjcf.export import exported
@@ -48,17 +49,24 @@ def load_mjcf(path: Path, source: str | None = None, edits: Edits | None = None)
 
 
 def read_trials(files: Sequence[Path], robot: Robot) -> tuple[Recording, ...]:
-    """Trials of a robot: pressures within a leg's limits, or any commands of its joints and actuators in its order.
+    """Trials of a robot, see ``read_trials_with_files``."""
+    return tuple(trial for _, trial in read_trials_with_files(files, robot))
+
+
+def read_trials_with_files(files: Sequence[Path], robot: Robot) -> tuple[tuple[Path, Recording], ...]:
+    """Trials of a robot, each with the file that it was read from.
+
+    These are pressures within a leg's limits, or any commands of its joints and actuators in its order.
 
     Raises:
         RecordingError: where a file cannot be read or lacks one of them.
     """
     if robot.traits.commands_are_pressures:
-        return read_set(files)
+        return read_with_files(files)
     joints, actuators = robot.joint_names, robot.actuator_names
     hinges = [name for name in joints if not robot.slides(name)]
     limits = Limits.of_mjcf(joints, actuators, hinges, UNRECORDED)
-    return read_set(files, joints=joints, actuators=actuators, limits=limits)
+    return read_with_files(files, joints=joints, actuators=actuators, limits=limits)
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,20 @@ def renamed(model: Model, name: str) -> Model:
     return replace(model, robot=replace(model.robot, name=name))
 
 
+def by_group(path: Path, model: Model, groups: Sequence[str]) -> list[tuple[Path, Model]]:
+    """A model's file; where it differs between groups of trials a file for each, with the group's name: ``arm_B.toml``.
+
+    Args:
+        path: of the file.
+        model: to be written.
+        groups: of trials.
+    """
+    if not model.by_group:
+        return [(path, model)]
+    names = {group: f"{path.stem}_{group.replace('/', '_')}{path.suffix}" for group in groups}
+    return [(path.with_name(name), model.in_group(group)) for group, name in names.items()]
+
+
 def save_model(path: Path | str, model: Model, near: Path | None = None) -> list[Path]:
     """Write a model file, whole or not at all; of an MJCF robot also the XML with all that it has fields for.
 
