@@ -30,7 +30,8 @@ def frozen_array(values: ArrayLike, ndim: int | None = None, name: str = "array"
 class Recording:
     """One trial: commands in force and angles measured, row by row.
 
-    A command holds from its row until the next one (zero-order hold).
+    A command holds from its row until the next one (zero-order hold), or goes along a line to it where a note says
+    ``interpolation = linear``.
 
     Attributes:
         name: what the trial is called, usually the file's stem.
@@ -80,6 +81,11 @@ class Recording:
     def command_before(self) -> Array:
         """(n_actuators,) the command in force before the first row [Pa]."""
         return self.command[0] if self.before is None else self.before
+
+    @property
+    def linear(self) -> bool:
+        """Whether commands go along a line from each row to the next (first-order hold)."""
+        return self.notes.get("interpolation") == "linear"
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,7 +117,7 @@ def commands(segment: Segment) -> tuple[Array, Array, Array]:
         known = last >= 0
         since[known, a] = trial.sample_times[known] - trial.times[moved[last[known]]]
         change[known, a] = (rows[1:, a] - rows[:-1, a])[moved[last[known]]]
-    return rows[at], change, since
+    return trial.command_at(trial.sample_times), change, since
 
 
 def _classes(text: str, segments: Sequence[Segment], of: Callable[[Segment], NDArray[np.bool_]]) -> Class:

@@ -244,6 +244,7 @@ class _Block:
             place,
             position,
             reached,
+            trials[0].linear,
         )
         position = position[:, :, self.still]
         for t, result in enumerate(results):

@@ -201,7 +201,7 @@ def commands_on(own: Realised, trial: Trial) -> Array:
     dt = float(own.mujoco.opt.timestep)
     out = np.empty((steps_of(trial, dt), 2, trial.commands.shape[1]))
     whole = shaped_commands(own.effects, own.robot.actuator_names, np.vstack([trial.before, trial.commands]))
-    pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out)
+    pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out, trial.linear)
     return np.ascontiguousarray(out[:, 0])
 
 
@@ -374,8 +374,7 @@ def simulate_mjcf(
 
 def command_at(trial: Trial, times: Array) -> Array:
     """(n, na) the commands in force at instants (n,) [s]."""
-    rows = np.vstack([trial.before, trial.commands])
-    return np.asarray(rows[np.searchsorted(trial.times, times, side="right")])
+    return trial.command_at(times)
 
 
 def joint_forces(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:

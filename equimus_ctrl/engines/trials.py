@@ -50,6 +50,7 @@ class Trial:
         velocity: (nj,) of the joints at the start [rad/s or m/s]; 0 by default.
         settings: parameters of the model that are known to be others in this trial, by dotted name.
         factors: the same, in units of what the model has.
+        linear: commands go along a line from each instant to the next, in place of being held.
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
     """
 
@@ -64,6 +65,7 @@ class Trial:
     settings: Mapping[str, float] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
     activation: Array | None = None
+    linear: bool = False
 
     @cached_property
     def condition(self) -> Condition:
@@ -80,9 +82,18 @@ class Trial:
         )
 
     @property
-    def history(self) -> tuple[Same, Same, bytes]:
+    def history(self) -> tuple[Same, Same, bytes, bool]:
         """Which commands these are, the same for shooting intervals of one recording: a key."""
-        return Same(self.times), Same(self.commands), self.before.tobytes()
+        return Same(self.times), Same(self.commands), self.before.tobytes(), self.linear
+
+    def command_at(self, times: Array) -> Array:
+        """(n, na) the commands in force at instants (n,) [s]."""
+        rows = np.vstack([self.before, self.commands])
+        at = np.searchsorted(self.times, times, side="right")
+        if not self.linear:
+            return np.asarray(rows[at])
+        between = np.column_stack([np.interp(times, self.times, column) for column in self.commands.T])
+        return np.where(at[:, None] == 0, self.before, between)
 
     @classmethod
     def of(cls, recording: Recording, position: ArrayLike, window: tuple[float, float] | None = None) -> Trial:
@@ -106,6 +117,7 @@ class Trial:
             float(start),
             np.array(position, dtype=np.float64),
             np.array(time[inside]),
+            linear=recording.linear,
         )
 
     def starting_from(self, position: ArrayLike) -> Trial:

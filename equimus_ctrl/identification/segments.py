@@ -150,6 +150,7 @@ def _shooting_intervals(
             velocity=velocity,
             settings=noted(model, recording, SET),
             factors=noted(model, recording, TIMES),
+            linear=recording.linear,
         )
         measured = np.array(recording.position[chosen])
         free = 2 * len(recording.joints)

@@ -2,7 +2,8 @@
 
 Header ``time,cmd.<actuator>…,pos.<joint>…`` with optional ``vel.<joint>`` (all joints or none) and
 ``meas.<actuator>`` (all actuators or none), the columns in any order, SI units, times strictly ascending. A command
-holds from its row until the next. Lines starting with ``#`` before the header carry ``key = value`` notes;
+holds from its row until the next, or goes along a line to it (note ``interpolation = linear``). Lines starting with
+``#`` before the header carry ``key = value`` notes;
 ``before.cmd.<actuator> = value`` (all actuators or none) states the command in force before the first row. Blank lines
 are passed over. Text is UTF-8.
 """
@@ -27,7 +28,8 @@ from equimus_ctrl.types import Array, Recording
 PREFIXES = {"cmd": "actuator", "pos": "joint", "vel": "joint", "meas": "actuator"}
 BEFORE = "before.cmd."
 COMMENT = "comment"
-SETTLED = "settled"
+CHOICES = {"settled": ("yes", "no"), "interpolation": ("hold", "linear")}
+"""Notes that take one of a few words."""
 
 
 def read(path: PathLike, *, limits: Limits = LEG) -> Recording:
@@ -159,8 +161,8 @@ def _notes(sheet: Sheet, actuators: tuple[str, ...], limits: Limits) -> tuple[di
             if not key.startswith(BEFORE) or actuator not in actuators:
                 raise RecordingError(unknown_name("note", key, [BEFORE + name for name in actuators], where=place))
             before[actuator] = _before_value(place, key, value, limits)
-        elif key == SETTLED and value not in ("yes", "no"):
-            raise RecordingError(f"{place}: note '{SETTLED}' is {shorten(value)}, expected yes or no")
+        elif key in CHOICES and value not in CHOICES[key]:
+            raise RecordingError(f"{place}: note '{key}' is {shorten(value)}, expected {' or '.join(CHOICES[key])}")
         else:
             notes[key] = value
     if not before:
@@ -251,8 +253,8 @@ def _check_writable(path: Path, recording: Recording) -> None:
         _check_text(path, "note", key, forbidden="=")
         if key.startswith("before"):
             raise RecordingError(f"{path}: note {key!r} cannot be written; names that start with 'before' are reserved")
-        if key == SETTLED and value not in ("yes", "no"):
-            raise RecordingError(f"{path}: note '{SETTLED}' is {shorten(value)}, expected yes or no")
+        if key in CHOICES and value not in CHOICES[key]:
+            raise RecordingError(f"{path}: note '{key}' is {shorten(value)}, expected {' or '.join(CHOICES[key])}")
         if value:
             _check_text(path, f"text of note {key!r}", value)
 
