@@ -89,6 +89,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "validation": ("--validation step_* --validation chirp", ["step_*", "chirp"]),
     "window": ("--window 5 9", (5.0, 9.0)),
     "workers": ("--workers 2", 2),
+    "zero_per_trial": ("--zero-per-trial elbow --zero-per-trial wrist*", ["elbow", "wrist*"]),
 }
 """Field → how the command line is told, and what the library is told."""
 

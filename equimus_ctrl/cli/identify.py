@@ -156,6 +156,8 @@ def _print_trials(console: Console, done: Identified, from_poses: bool) -> None:
     print_engine(console, done.engine)
     import numpy as np
 
+    from equimus_ctrl.identification.results import zeros_sentence
+
     before, after = (np.concatenate(r) for r in (found.before, found.residuals))
     origin = "from the poses" if from_poses else "of the initial model"
     rows = [("fitted to the poses" if from_poses else "initial model", before), ("identified", after)]
@@ -172,6 +174,8 @@ def _print_trials(console: Console, done: Identified, from_poses: bool) -> None:
     if not found.converged:
         console.print("The search was stopped before it had converged.", style="yellow")
     _explain(console, found, after.size)
+    if zeros := zeros_sentence(found):
+        console.print(zeros, markup=False)
 
 
 def _rmse_table(

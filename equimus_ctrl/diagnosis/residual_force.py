@@ -72,7 +72,8 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
     """The linear model about a fit; None where its motion cannot be followed."""
     model = fitted.fit.model
     whitened_fit = whiten_fit(data.times, fitted.fit, noise)
-    starts = [behind_sensors([model], start[None, :])[0] for start in fitted.fit.starts]
+    shown = [s.parted(start[None, :])[0] for s, start in zip(data.segments, fitted.fit.starts, strict=True)]
+    starts = [behind_sensors([model], start)[0] for start in shown]
     trials = [segment.trial for segment in data.segments]
 
     def scale() -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -484,6 +484,7 @@ class Diagnosis:
             "excess_residual_variance": dict(self.excess_variance),
             "explained_share": {part: _finite(self.explained(part)) for part in SETS},
             "parameters": self._parameters(),
+            "zeros": [asdict(zero) for zero in self.best.fit.zeros],
             "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
-from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.problem import Derivatives, Point, Problem
 from equimus_ctrl.identification.residuals import DIVERGED, joint_rmse
 from equimus_ctrl.identification.segments import Segment
@@ -39,7 +39,7 @@ IDLE = 1e-9
 """A parameter with less than this share of the strongest one's effect is not moved."""
 
 Begin = tuple[Array, Sequence[Array]]
-"""Parameters (p,) and, for each segment, its start (2 nj,)."""
+"""Parameters (p,) and, for each segment, its start (2 nj + nz,)."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,23 @@ class FitSettings:
     confidence: float = 0.95
 
 
+@dataclass(frozen=True)
+class SensorZero:
+    """What a joint's sensor shows too much in one recording.
+
+    Attributes:
+        recording: its name.
+        joint: whose.
+        unit: of the value.
+        value: the mean over the recording's shooting intervals, each of which has its own.
+    """
+
+    recording: str
+    joint: str
+    unit: str
+    value: float
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Where a search ended.
@@ -65,7 +82,7 @@ class Fit:
         parameters: what was free.
         theta: (p,) the values found.
         model: the model with them.
-        starts: for each segment (2 nj,) its start as the sensors show it [rad, rad/s].
+        starts: for each segment (2 nj + nz,) its start as the sensors show it, and their zeros [rad, rad/s, rad].
         residuals: for each segment (m, nj) measured − predicted [rad].
         before: the same of the initial model.
         cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else [rad²].
@@ -118,6 +135,19 @@ class Fit:
     def rmse(self) -> Array:
         """(nj,) [rad]."""
         return joint_rmse(self.residuals)
+
+    @property
+    def zeros(self) -> tuple[SensorZero, ...]:
+        """Of all recordings and joints whose sensors' zeros were unknown."""
+        values: dict[tuple[str, int], list[float]] = {}
+        for segment, start in zip(self.problem.segments, self.starts, strict=True):
+            for j, value in zip(segment.zeros, start[len(start) - len(segment.zeros) :], strict=True):
+                values.setdefault((segment.recording_name, j), []).append(float(value))
+        joints = self.model.robot.joint_names
+        return tuple(
+            SensorZero(name, joints[j], place_unit(self.model, "rad", joints[j]), float(np.mean(own)))
+            for (name, j), own in values.items()
+        )
 
     @property
     def rmse_before(self) -> Array:

@@ -127,7 +127,7 @@ class Problem:
 
         Args:
             thetas: (p,) each.
-            starts: for each parameter set its choices, for each choice (2 nj,) for every segment.
+            starts: for each parameter set its choices, for each choice (2 nj + nz,) for every segment.
         """
         models = [self.parameters.model_at(theta) for theta in thetas]
         spread = [(i, choice) for i, choices in enumerate(starts) for choice in choices]
@@ -233,8 +233,7 @@ class Problem:
         """(free_start,) what a start's distance from the measured one weighs."""
         if self.noise is None or not segment.free_start:
             return segment.start_weights
-        nj = segment.measured.shape[1]
-        sigma = np.array([self.noise[k % nj].sigma for k in range(segment.free_start)])
+        sigma = np.array([self.noise[j].sigma for j in segment.start_joints])
         return np.asarray(segment.start_weights / sigma)
 
     def derivatives(self, point: Point) -> Derivatives:

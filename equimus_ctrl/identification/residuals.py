@@ -68,7 +68,7 @@ def residuals_of(
 def followed(
     model: Model, segments: Sequence[Segment], simulator: Simulator, improved: int = STARTS
 ) -> tuple[list[Array], list[Array]]:
-    """For each segment its start (2 nj,) and (m, nj) measured − predicted from there [rad].
+    """For each segment its start (2 nj + nz,) and (m, nj) measured − predicted from there [rad].
 
     These are DIVERGED where nothing is predicted. Starts are measured ones. Those of robots that need not start at rest
     are improved by Gauss and Newton's method over a growing part of the segment: where errors grow along it, a start as

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,7 @@ class Identified:
             "seconds": self.seconds,
             "rmse_rad": _before_and_after(joints, found.rmse_before, found.rmse),
             "parameters": parameter_rows(found.parameters, found.theta, found.uncertainty, found.at_bound),
+            "zeros": [asdict(zero) for zero in found.zeros],
             "trade_offs": [_trade(t) for t in found.uncertainty.trade_offs],
             "effective_samples": found.uncertainty.effective_samples,
             "cross_check": None,
@@ -99,6 +100,12 @@ class Identified:
             before, after = (joint_rmse([getattr(h, key) for h in self.heldout]) for key in ("before", "after"))
             data["heldout_rmse_rad"] = _before_and_after(joints, before, after)
         return data
+
+
+def zeros_sentence(found: Fit) -> str:
+    """What the sensors' unknown zeros came to, for a person; empty where there are none."""
+    said = [f"{zero.recording} {zero.joint} {zero.value:+.4g} {zero.unit}" for zero in found.zeros]
+    return f"Zeros of the sensors (what they show too much): {', '.join(said)}." if said else ""
 
 
 def together(rmse: Array) -> float:

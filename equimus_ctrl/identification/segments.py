@@ -16,6 +16,7 @@ from equimus_ctrl.engines.predict import (
     TIMES,
     behind_sensors,
     check_columns,
+    free_zeros,
     local_motion,
     measured_start,
     modelled_start,
@@ -45,12 +46,15 @@ class Segment:
         measured: (m, nj) positions of the joints at the sample times [rad or m].
         recording: which of the recordings it was cut from.
         recording_name: of that recording; trials of shooting intervals have names of their own.
-        start: (2 nj,) positions and velocities at the start as the sensors show them [rad, rad/s or m, m/s].
-        free_start: how many components of the initial state are free: none, the angles (nj), or angles and velocities
-            (2 nj). What was read off the measurements then counts as one more sample, see ``start_weights``.
+        start: (2 nj + nz,) positions and velocities at the start as the sensors show them, and how far their zeros are
+            off [rad, rad/s, rad or m, m/s, m].
+        free_start: how many components of the initial state are free: none, the angles (nj), angles and velocities
+            (2 nj), or these and the zeros. What was read off the measurements then counts as one more sample, see
+            ``start_weights``.
         slope_span: half the time over which a start was read off [s].
         trust: (2 nj,) in a start that was read off, in units of that in a sample [1, s]; None for what a parabola
             through white noise deserves, see ``start_trust``.
+        zeros: (nz) joints whose sensors' zeros are unknown.
     """
 
     trial: Trial
@@ -61,13 +65,28 @@ class Segment:
     free_start: int = 0
     slope_span: float = SLOPE_SPAN
     trust: Array | None = None
+    zeros: tuple[int, ...] = ()
 
     @property
     def start_weights(self) -> Array:
         """(free_start,) what a start's distance from the measured one weighs, in units of a sample's residual."""
         nj = self.measured.shape[1]
         trust = np.repeat([1.0, self.slope_span / 2], nj) if self.trust is None else self.trust
-        return trust[: self.free_start]
+        return np.append(trust, np.full(len(self.zeros), LEAST_TRUST))[: self.free_start]
+
+    @property
+    def start_joints(self) -> list[int]:
+        """(free_start,) of which joint each free component is."""
+        nj = self.measured.shape[1]
+        return [*range(nj), *range(nj), *self.zeros][: self.free_start]
+
+    def parted(self, starts: Array) -> tuple[Array, Array]:
+        """Starts (k, 2 nj + nz) as (k, 2 nj) what the sensors would show with a right zero, and (k, nj) their zeros."""
+        nj = self.measured.shape[1]
+        shown, offsets = np.array(starts[:, : 2 * nj]), np.zeros((len(starts), nj))
+        offsets[:, self.zeros] = starts[:, 2 * nj :]
+        shown[:, :nj] -= offsets
+        return shown, offsets
 
 
 def cut(
@@ -97,6 +116,7 @@ def cut(
     segments = []
     for index, recording in enumerate(recordings):
         check_columns(model, recording)
+        zeros = free_zeros(model, recording)
         time = recording.time
         low, high = window or (float(time[0]), float(time[-1]))
         inside = (time >= low) & (time <= high)
@@ -113,7 +133,7 @@ def cut(
             measured = np.array(recording.position[inside])
             segments.append(Segment(trial, measured, index, recording.name, start, nj if fit_start else 0))
         else:
-            segments += _shooting_intervals(model, recording, index, inside, shoot or math.inf)
+            segments += _shooting_intervals(model, recording, index, inside, shoot or math.inf, zeros)
     return segments
 
 
@@ -122,7 +142,7 @@ def _sampled(trial: Trial, times: Array) -> Trial:
 
 
 def _shooting_intervals(
-    model: Model, recording: Recording, index: int, inside: NDArray[np.bool_], length: float
+    model: Model, recording: Recording, index: int, inside: NDArray[np.bool_], length: float, zeros: tuple[int, ...]
 ) -> list[Segment]:
     """What is compared cut into intervals of about a length [s], each from its own free positions and velocities."""
     time = recording.time
@@ -153,8 +173,8 @@ def _shooting_intervals(
             linear=recording.linear,
         )
         measured = np.array(recording.position[chosen])
-        free = 2 * len(recording.joints)
-        segments.append(Segment(trial, measured, index, recording.name, start, free, span, trust))
+        whole = np.append(start, np.zeros(len(zeros)))
+        segments.append(Segment(trial, measured, index, recording.name, whole, len(whole), span, trust, zeros))
     if not segments:
         raise ConfigError(
             f"{recording.name}: no shooting interval of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "

@@ -109,6 +109,12 @@ def parameters_option() -> Any:
     return option(None, Path | None, text, metavar="FILE")
 
 
+def zero_option() -> Any:
+    """Joints whose sensors have another zero in each trial."""
+    text = "A joint whose sensor has another, unknown zero in each trial, such as 'elbow' or '*'."
+    return option((), NAMES, text, metavar="JOINT")
+
+
 def at_least(name: str, value: float | None, least: float) -> None:
     """Raise ConfigError for a value below the least."""
     if value is not None and value < least:

@@ -19,6 +19,7 @@ from equimus_ctrl.options.fields import (
     select_option,
     threads_option,
     window_option,
+    zero_option,
 )
 from equimus_ctrl.options.offers import option
 
@@ -43,6 +44,7 @@ class IdentifyOptions:
         heldout: held-out files, folders, trials or poses; those that take part in the fit are dropped.
         window: (from, to) of each trial that is compared; all of it by default [s].
         shoot: length of multiple-shooting intervals, each with a free initial state [s].
+        zero_per_trial: names or patterns of joints whose sensors have an unknown zero of their own in each trial.
         fit_start: estimate each trial's first angles too.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         dt: physics step [s].
@@ -74,6 +76,7 @@ class IdentifyOptions:
     shoot: float | None = option(
         None, float | None, "Length of multiple-shooting intervals, each with a free initial state.", metavar="SECONDS"
     )
+    zero_per_trial: Sequence[str] = zero_option()
     fit_start: bool = option(False, bool, "Estimate each trial's first angles too.", "--fit-start")
     engine: EngineName | None = engine_option()
     dt: float | None = dt_option()

@@ -15,7 +15,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.intervals import longest_interval
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.predict import check_columns
+from equimus_ctrl.engines.predict import FREE, ZERO, check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.crosscheck import cross_check
 from equimus_ctrl.identification.fit import FitSettings, fit
@@ -39,7 +39,7 @@ from equimus_ctrl.workflow.scores import gather
 if TYPE_CHECKING:
     from equimus_ctrl.options import Some
 
-TRIALS_ONLY = ("window", "shoot", "fit_start", "engine", "dt")
+TRIALS_ONLY = ("window", "shoot", "zero_per_trial", "fit_start", "engine", "dt")
 """What poses at rest have no use for."""
 FOLD_SHARE = 0.15
 """What a fold of the cross-check takes beside the search, for the share done."""
@@ -85,6 +85,22 @@ def choose(trials: Sequence[Recording], patterns: Sequence[str] | None) -> list[
     return [trial for trial in trials if any(fnmatch.fnmatchcase(trial.name, pattern) for pattern in patterns)]
 
 
+def with_free_zeros(trials: Sequence[Recording], joints: Sequence[str]) -> list[Recording]:
+    """Trials that say of some joints, by names or patterns, that their sensors' zeros are unknown, see ``free_zeros``.
+
+    Raises:
+        ConfigError: for a pattern that fits no joint.
+    """
+    marked = []
+    for trial in trials:
+        for pattern in joints:
+            if not fnmatch.filter(trial.joints, pattern):
+                raise ConfigError(unknown_name("joint", pattern, trial.joints, f"{trial.name}: zero of each trial"))
+        chosen = [name for name in trial.joints if any(fnmatch.fnmatchcase(name, p) for p in joints)]
+        marked.append(replace(trial, notes={**trial.notes, **{ZERO + name: FREE for name in chosen}}))
+    return marked
+
+
 Free = TypeVar("Free", DiagnoseOptions, IdentifyOptions)
 
 
@@ -122,10 +138,10 @@ def identify_recordings(
     """
     model = model or nominal_model()
     options = with_file(with_changes(IdentifyOptions, options, changes), model)
-    trials = choose(gather(recordings, model), options.select)
+    trials = with_free_zeros(choose(gather(recordings, model), options.select), options.zero_per_trial)
     simulator = simulator_of(options.engine, options.dt, options.threads, model, trials)
     heldout = _each_of(options.heldout)
-    others = _unseen(gather(heldout, model), trials) if heldout else []
+    others = with_free_zeros(_unseen(gather(heldout, model), trials) if heldout else [], options.zero_per_trial)
     parameters = free_parameters(model, options.free, options.bounds, options.fix)
     in_place = model.robot.traits.held_in_place
     window, shoot, folds, settings = options.window, options.shoot, options.folds, options.settings
