@@ -158,7 +158,7 @@ def _print_trials(console: Console, done: Identified, from_poses: bool) -> None:
 
     from equimus_ctrl.identification.results import zeros_sentence
 
-    before, after = (np.concatenate(r) for r in (found.before, found.residuals))
+    before, after = (np.concatenate(r)[:, : len(m.joint_names)] for r in (found.before, found.residuals))
     origin = "from the poses" if from_poses else "of the initial model"
     rows = [("fitted to the poses" if from_poses else "initial model", before), ("identified", after)]
     slides = [name for name in m.joint_names if m.slides(name)]

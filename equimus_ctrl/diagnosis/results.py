@@ -13,6 +13,8 @@ from equimus_ctrl.diagnosis.coordinates import Coordinate, written
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.results import FittedChannel, fitted_channels
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
@@ -443,6 +445,16 @@ class Diagnosis:
         """That simulated."""
         return self.best.fit.problem.simulator.engine
 
+    @property
+    def noise(self) -> Noise:
+        """Of the joints' positions."""
+        return self.best.noise[: len(self.joints)]
+
+    @property
+    def channels(self) -> tuple[FittedChannel, ...]:
+        """What was compared beside the joints' positions, and how well it fits."""
+        return fitted_channels(self.best.fit, self.best.noise)
+
     def rmse(self, state: str, part: Set) -> Array:
         """(nj,) root mean square error of a state of the model [rad or m]; nan where there are no such trials."""
         residuals = getattr(self.residuals[state], part)
@@ -452,7 +464,7 @@ class Diagnosis:
 
     def explained(self, part: Set) -> float:
         """Share of the excess residual variance that all effects together explain; nan where there are no trials."""
-        sigma = np.array([own.sigma for own in self.best.noise])
+        sigma = np.array([own.sigma for own in self.noise])
         before, after = (
             float(np.maximum((self.rmse(state, part) / sigma) ** 2 - 1.0, 0.0).mean()) for state in STATES[1:]
         )
@@ -476,10 +488,11 @@ class Diagnosis:
             "undetermined": [finding.to_dict() for finding in self.undetermined],
             "unexplained": [residual.to_dict() for residual in self.unexplained],
             "rejected": [named.to_dict() for named in self.rejected],
-            "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.best.noise, strict=True)},
+            "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.noise, strict=True)},
             "noise_correlation_s": {
-                j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.best.noise, strict=True)
+                j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.noise, strict=True)
             },
+            "channels": [asdict(channel) for channel in self.channels],
             "rmse_rad": {part: {state: self._by_joint(self.rmse(state, part)) for state in STATES} for part in SETS},
             "excess_residual_variance": dict(self.excess_variance),
             "explained_share": {part: _finite(self.explained(part)) for part in SETS},

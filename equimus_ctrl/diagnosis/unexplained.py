@@ -221,7 +221,7 @@ def _far_above_noise(
     excess, thresholds = excess_variances(residuals, noise), data.thresholds
     return tuple(
         ResidualAboveNoise(joint, float(own / excess.sum()), own, thresholds.far_off, only_on)
-        for joint, own in zip(data.free.model.robot.joint_names, map(float, excess), strict=True)
+        for joint, own in zip(data.free.model.robot.joint_names, map(float, excess), strict=False)
         if thresholds.decides(partial(_above, own))
     )
 

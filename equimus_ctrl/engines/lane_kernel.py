@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from equimus_ctrl.effects.command import followed_history
-from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, hermite, read, sample
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, hermite, inner, read, sample
 from equimus_ctrl.engines.lane_dry_friction import correct_friction as correct_friction
 from equimus_ctrl.engines.lane_functions import (
     LANES,
@@ -201,6 +201,18 @@ def measure_together(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def measure_inner(grid: Array, start: float, dt: float, times: Array, out: Array) -> None:
+    """True positions and rates of k lanes at given times (m,), written to out (k, m, 2 nj); see ``measure``."""
+    n = len(grid)
+    q, v = np.empty(n), np.empty(n)
+    for l in range(len(out)):  # noqa: E741
+        for j in range(N_JOINTS):
+            for s in range(n):
+                q[s], v[s] = grid[s, j * LANES + l], grid[s, (N_JOINTS + j) * LANES + l]
+            inner(q, v, start, dt, times, out[l, :, j], out[l, :, N_JOINTS + j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def run_trials(
     parameters: Array,
     times: Array,
@@ -222,6 +234,7 @@ def run_trials(
     out: Array,
     reached: Array,
     linear: bool,
+    motion: Array,
 ) -> None:
     """Up to LANES parameter sets through trials of one history of commands: valves, motion and sensors.
 
@@ -247,6 +260,7 @@ def run_trials(
         reached: (trials, k) written: how many samples a trial has where all is well, else the index of the first that
             could not be had.
         linear: commands go along a line from each instant to the next, in place of being held.
+        motion: (k, m, 2 nj) written: true positions and rates; with m = 0 they are not wanted.
     """
     most = steps.max()
     w, same = prepared(parameters), same_as_previous(commands, before, valve, follow)
@@ -260,6 +274,8 @@ def run_trials(
         begin(w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, same, linear)
         run_lanes(w, own, dt, rubbing, grid[: n + 1])
         measure(grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
+        if motion.shape[1] > 0:
+            measure_inner(grid[: n + 1], at, dt, sampled, motion[:, low:high])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

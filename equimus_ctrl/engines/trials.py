@@ -51,6 +51,7 @@ class Trial:
         settings: parameters of the model that are known to be others in this trial, by dotted name.
         factors: the same, in units of what the model has.
         linear: commands go along a line from each instant to the next, in place of being held.
+        inner: whether the true motion at the sample times is wanted too, see ``Predicted.motion``.
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
     """
 
@@ -66,6 +67,7 @@ class Trial:
     factors: Mapping[str, float] = field(default_factory=dict)
     activation: Array | None = None
     linear: bool = False
+    inner: bool = False
 
     @cached_property
     def condition(self) -> Condition:
@@ -132,10 +134,19 @@ class Predicted:
     Attributes:
         position: (k, m, nj) measured positions of each model [rad or m]; numbers after a divergence mean nothing.
         reached: (k,) m where all is well, else the index of the first sample that could not be had.
+        motion: (k, m, 2 nj) true positions and rates, of a trial that asks for them [rad or m, rad/s or m/s].
     """
 
     position: Array
     reached: NDArray[np.int64]
+    motion: Array | None = None
+
+    @classmethod
+    def empty(cls, models: int, trial: Trial, joints: int) -> Predicted:
+        """Room for what so many models and joints do in a trial."""
+        shape = (models, len(trial.sample_times))
+        motion = np.empty((*shape, 2 * joints)) if trial.inner else None
+        return cls(np.empty((*shape, joints)), np.zeros(models, dtype=np.int64), motion)
 
     @property
     def sound(self) -> NDArray[np.bool_]:

@@ -83,7 +83,7 @@ class Fit:
         theta: (p,) the values found.
         model: the model with them.
         starts: for each segment (2 nj + nz,) its start as the sensors show it, and their zeros [rad, rad/s, rad].
-        residuals: for each segment (m, nj) measured − predicted [rad].
+        residuals: for each segment (m, nj + ne) measured − predicted, of joints first [rad, or other units].
         before: the same of the initial model.
         cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else [rad²].
         at_bound: (p,) −1, 0, 1: where a bound holds a parameter back.
@@ -134,7 +134,7 @@ class Fit:
     @property
     def rmse(self) -> Array:
         """(nj,) [rad]."""
-        return joint_rmse(self.residuals)
+        return joint_rmse(self.residuals)[: len(self.model.robot.joint_names)]
 
     @property
     def zeros(self) -> tuple[SensorZero, ...]:
@@ -152,7 +152,7 @@ class Fit:
     @property
     def rmse_before(self) -> Array:
         """(nj,) of the initial model [rad]."""
-        return joint_rmse(self.before)
+        return joint_rmse(self.before)[: len(self.model.robot.joint_names)]
 
 
 def fit(
@@ -200,7 +200,7 @@ def _fit(
     notify: Callable[[int, float], None],
 ) -> Fit:
     parameters, segments = problem.parameters, problem.segments
-    samples = sum(s.measured.size for s in segments)
+    samples = sum(s.outputs.size for s in segments)
     p, free_starts = len(parameters.free), sum(s.free_start for s in segments)
     if not p:
         raise ConfigError(f"{parameters.model.name}: no parameter is free, so there is nothing to identify")
@@ -216,7 +216,7 @@ def _fit(
     free_before = bool(free_starts and begin and together)
     choices = [[b[1], measured] if free_before else [b[1]] for b in given]
     point = min(problem.points([b[0] for b in given], choices), key=lambda tried: tried.cost)
-    if all(np.all(r[-1] == DIVERGED) for r in point.residuals):
+    if all(np.all(r[-1] == DIVERGED * s.scales) for s, r in zip(segments, point.residuals, strict=True)):
         raise SimulationDiverged(
             f"{parameters.model.name}: the simulation diverges on every trial with the initial model"
         )

@@ -11,6 +11,7 @@ import numpy as np
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.crosscheck import CrossCheck
 from equimus_ctrl.identification.fit import Fit
+from equimus_ctrl.identification.noise import Noise, white_noise
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.residuals import joint_rmse
 from equimus_ctrl.identification.segments import Segment
@@ -83,6 +84,7 @@ class Identified:
             "seconds": self.seconds,
             "rmse_rad": _before_and_after(joints, found.rmse_before, found.rmse),
             "parameters": parameter_rows(found.parameters, found.theta, found.uncertainty, found.at_bound),
+            "channels": [asdict(channel) for channel in fitted_channels(found, white_noise(found.residuals))],
             "zeros": [asdict(zero) for zero in found.zeros],
             "trade_offs": [_trade(t) for t in found.uncertainty.trade_offs],
             "effective_samples": found.uncertainty.effective_samples,
@@ -100,6 +102,35 @@ class Identified:
             before, after = (joint_rmse([getattr(h, key) for h in self.heldout]) for key in ("before", "after"))
             data["heldout_rmse_rad"] = _before_and_after(joints, before, after)
         return data
+
+
+@dataclass(frozen=True)
+class FittedChannel:
+    """Something that is compared beside the joints' positions, such as a recorded velocity.
+
+    Attributes:
+        name: of its column.
+        unit: of what follows.
+        noise: standard deviation of its noise.
+        before: RMSE of the model that the fit began with.
+        rmse: of the fitted one.
+    """
+
+    name: str
+    unit: str
+    noise: float
+    before: float
+    rmse: float
+
+
+def fitted_channels(found: Fit, noise: Noise) -> tuple[FittedChannel, ...]:
+    """What a fit compared beside the joints' positions; all of its recordings have the same."""
+    robot, channels = found.model.robot, found.problem.segments[0].channels
+    names, nj = channels.names(robot.joint_names), len(robot.joint_names)
+    units = channels.units([robot.slides(name) for name in robot.joint_names])
+    before, after = (joint_rmse(values)[nj:].tolist() for values in (found.before, found.residuals))
+    rows = zip(names, units, noise[nj:], before, after, strict=True)
+    return tuple(FittedChannel(name, unit, own.sigma, *rmse) for name, unit, own, *rmse in rows)
 
 
 def zeros_sentence(found: Fit) -> str:

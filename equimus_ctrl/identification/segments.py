@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +26,7 @@ from equimus_ctrl.engines.predict import (
 )
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.channels import NOTHING, Channels, channels_of, measured_channels
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Recording
 
@@ -33,6 +35,8 @@ INSTANTS = 200
 """At most so many instants of a recording show how well initial states can be read off it."""
 WIDE = 3.0
 """A start that was read off has a prior of so many times the standard deviation that it seems to have."""
+LEAST_REACH = 1e-3
+"""Of what is measured and hardly moves, in its unit: residuals of it are larger than its motion."""
 LEAST_TRUST = 1e-4
 """In units of that in a sample."""
 
@@ -55,6 +59,9 @@ class Segment:
         trust: (2 nj,) in a start that was read off, in units of that in a sample [1, s]; None for what a parabola
             through white noise deserves, see ``start_trust``.
         zeros: (nz) joints whose sensors' zeros are unknown.
+        channels: what is compared beside joint positions.
+        also: (m, ne) what was measured of these; none by default.
+        reach: (ne,) how far each goes, in units of the joint that goes farthest.
     """
 
     trial: Trial
@@ -66,6 +73,25 @@ class Segment:
     slope_span: float = SLOPE_SPAN
     trust: Array | None = None
     zeros: tuple[int, ...] = ()
+    channels: Channels = NOTHING
+    also: Array | None = None
+    reach: Array | None = None
+
+    @cached_property
+    def outputs(self) -> Array:
+        """(m, nj + ne) all that is compared with predictions: positions of the joints, and what was measured beside."""
+        return self.measured if self.also is None else np.column_stack([self.measured, self.also])
+
+    @cached_property
+    def scales(self) -> Array:
+        """(nj + ne,) how large residuals of each are beside those of joints [1, 1/s or m]."""
+        return np.append(np.ones(self.measured.shape[1]), () if self.reach is None else self.reach)
+
+    def first(self, count: int) -> Segment:
+        """Its first samples alone."""
+        trial = replace(self.trial, sample_times=self.trial.sample_times[:count])
+        also = None if self.also is None else self.also[:count]
+        return replace(self, trial=trial, measured=self.measured[:count], also=also)
 
     @property
     def start_weights(self) -> Array:
@@ -116,7 +142,7 @@ def cut(
     segments = []
     for index, recording in enumerate(recordings):
         check_columns(model, recording)
-        zeros = free_zeros(model, recording)
+        zeros, channels = free_zeros(model, recording), channels_of(model, recording)
         time = recording.time
         low, high = window or (float(time[0]), float(time[-1]))
         inside = (time >= low) & (time <= high)
@@ -133,7 +159,7 @@ def cut(
             measured = np.array(recording.position[inside])
             segments.append(Segment(trial, measured, index, recording.name, start, nj if fit_start else 0))
         else:
-            segments += _shooting_intervals(model, recording, index, inside, shoot or math.inf, zeros)
+            segments += _shooting_intervals(model, recording, index, inside, shoot or math.inf, zeros, channels)
     return segments
 
 
@@ -142,7 +168,13 @@ def _sampled(trial: Trial, times: Array) -> Trial:
 
 
 def _shooting_intervals(
-    model: Model, recording: Recording, index: int, inside: NDArray[np.bool_], length: float, zeros: tuple[int, ...]
+    model: Model,
+    recording: Recording,
+    index: int,
+    inside: NDArray[np.bool_],
+    length: float,
+    zeros: tuple[int, ...],
+    channels: Channels,
 ) -> list[Segment]:
     """What is compared cut into intervals of about a length [s], each from its own free positions and velocities."""
     time = recording.time
@@ -150,6 +182,10 @@ def _shooting_intervals(
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
     span = slope_span(model, recording)
     trust = None if model.robot.traits.smooth_motion else start_trust(recording, span)
+    also, reach = None, None
+    if channels:
+        also = measured_channels(channels, recording)
+        reach = np.maximum(np.ptp(also, axis=0), LEAST_REACH) / np.ptp(recording.position, axis=0).max()
     # All intervals share these arrays, by which engines know that they share one history of commands.
     times, command, before = np.array(time), np.array(recording.command), np.array(recording.command_before)
     segments: list[Segment] = []
@@ -171,10 +207,16 @@ def _shooting_intervals(
             settings=noted(model, recording, SET),
             factors=noted(model, recording, TIMES),
             linear=recording.linear,
+            inner=bool(channels),
         )
         measured = np.array(recording.position[chosen])
         whole = np.append(start, np.zeros(len(zeros)))
-        segments.append(Segment(trial, measured, index, recording.name, whole, len(whole), span, trust, zeros))
+        segments.append(
+            Segment(
+                trial, measured, index, recording.name, whole, len(whole), span, trust, zeros, channels,
+                None if also is None else also[chosen], reach,
+            )
+        )  # fmt: skip
     if not segments:
         raise ConfigError(
             f"{recording.name}: no shooting interval of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "

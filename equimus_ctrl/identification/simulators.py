@@ -39,9 +39,13 @@ class Simulator:
         shown, offsets = zip(*(s.parted(rows) for s, rows in zip(segments, starts, strict=True)), strict=True)
         true = behind_all(models, shown)
         found = self.engine.simulate(models, [s.trial for s in segments], true, self.threads)
-        return [
+        shifted = [
             replace(own, position=own.position + offset[:, None]) if segment.zeros else own
             for segment, own, offset in zip(segments, found, offsets, strict=True)
+        ]
+        return [
+            segment.channels.added(models, segment.trial, own) if segment.channels else own
+            for segment, own in zip(segments, shifted, strict=True)
         ]
 
 

@@ -109,6 +109,12 @@ def parameters_option() -> Any:
     return option(None, Path | None, text, metavar="FILE")
 
 
+def also_option() -> Any:
+    """What is compared beside joint positions."""
+    text = "Recorded columns that are compared beside joint positions, such as 'vel.*' or 'site.tip.x'."
+    return option((), NAMES, text, metavar="COLUMN")
+
+
 def zero_option() -> Any:
     """Joints whose sensors have another zero in each trial."""
     text = "A joint whose sensor has another, unknown zero in each trial, such as 'elbow' or '*'."

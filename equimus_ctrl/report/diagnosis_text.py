@@ -156,7 +156,7 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.findings:
         text += f", augmented {number(sizes['corrected'])}"
     lines = [f"{text}."]
-    for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.best.noise, strict=True)):
+    for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.noise, strict=True)):
         unit = units.error(diagnosis.model, joint)
         said = []
         for part in SETS:
@@ -232,7 +232,7 @@ def headline(diagnosis: Diagnosis) -> str:
     else:
         of = zip(diagnosis.joints, before, shown, strict=True)
         parts = [f"{number(size * unit.factor)} {unit.unit} at the {joint}" for joint, size, unit in of]
-        size = before / np.array([own.sigma for own in diagnosis.best.noise])
+        size = before / np.array([own.sigma for own in diagnosis.noise])
     what = listed(parts)
     if len(parts) >= MANY:  # the table has all of them
         what = f"{parts[int(np.argmin(size))]} to {parts[int(np.argmax(size))]}"

@@ -20,7 +20,7 @@ from equimus_ctrl.engines.predict import check_columns
 from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
-from equimus_ctrl.workflow.identify import choose, simulator_of, with_file, with_free_zeros
+from equimus_ctrl.workflow.identify import choose, marked, simulator_of, with_file
 from equimus_ctrl.workflow.scores import gather
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def diagnose_recordings(
     options = with_file(with_changes(DiagnoseOptions, options, changes), model)
     if options.shoot is not None and model.robot.traits.held_in_place:
         raise ConfigError("multiple shooting is for MJCF robots; a leg's trials are fitted whole")
-    trials = with_free_zeros(choose(gather(recordings, model), options.select), options.zero_per_trial)
+    trials = marked(choose(gather(recordings, model), options.select), options)
     for trial in trials:
         check_columns(model, trial)
     preflight.check(model, trials)
