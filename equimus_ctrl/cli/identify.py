@@ -174,6 +174,10 @@ def _print_trials(console: Console, done: Identified, from_poses: bool) -> None:
     if not found.converged:
         console.print("The search was stopped before it had converged.", style="yellow")
     _explain(console, found, after.size)
+    for own in done.channels:
+        console.print(
+            f"{own.name}: RMSE {own.before:.4g} {own.unit} before, {own.rmse:.4g} {own.unit} after.", markup=False
+        )
     if zeros := zeros_sentence(found):
         console.print(zeros, markup=False)
 

@@ -452,8 +452,8 @@ class Diagnosis:
 
     @property
     def channels(self) -> tuple[FittedChannel, ...]:
-        """What was compared beside the joints' positions, and how well it fits."""
-        return fitted_channels(self.best.fit, self.best.noise)
+        """What was compared beside the joints' positions, on the trials fitted: refitted and augmented model."""
+        return fitted_channels(self.best.fit, self.best.noise, self.base.fit.residuals)
 
     def rmse(self, state: str, part: Set) -> Array:
         """(nj,) root mean square error of a state of the model [rad or m]; nan where there are no such trials."""

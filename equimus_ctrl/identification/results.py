@@ -71,6 +71,11 @@ class Identified:
     seconds: float
     check_seconds: float
 
+    @property
+    def channels(self) -> tuple[FittedChannel, ...]:
+        """What was compared beside the joints' positions, before and after."""
+        return fitted_channels(self.fit, white_noise(self.fit.residuals), self.fit.before)
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON data; angles in rad, and null where an interval has no end."""
         found, joints = self.fit, self.fit.model.robot.joint_names
@@ -84,7 +89,7 @@ class Identified:
             "seconds": self.seconds,
             "rmse_rad": _before_and_after(joints, found.rmse_before, found.rmse),
             "parameters": parameter_rows(found.parameters, found.theta, found.uncertainty, found.at_bound),
-            "channels": [asdict(channel) for channel in fitted_channels(found, white_noise(found.residuals))],
+            "channels": [asdict(channel) for channel in self.channels],
             "zeros": [asdict(zero) for zero in found.zeros],
             "trade_offs": [_trade(t) for t in found.uncertainty.trade_offs],
             "effective_samples": found.uncertainty.effective_samples,
@@ -112,7 +117,7 @@ class FittedChannel:
         name: of its column.
         unit: of what follows.
         noise: standard deviation of its noise.
-        before: RMSE of the model that the fit began with.
+        before: RMSE of the model that the fitted one is set against.
         rmse: of the fitted one.
     """
 
@@ -123,12 +128,18 @@ class FittedChannel:
     rmse: float
 
 
-def fitted_channels(found: Fit, noise: Noise) -> tuple[FittedChannel, ...]:
-    """What a fit compared beside the joints' positions; all of its recordings have the same."""
+def fitted_channels(found: Fit, noise: Noise, before: Sequence[Array]) -> tuple[FittedChannel, ...]:
+    """What a fit compared beside the joints' positions; all of its recordings have the same.
+
+    Args:
+        found: the fit.
+        noise: of joints and channels.
+        before: for each segment (m, nj + ne) residuals of the model that it is set against.
+    """
     robot, channels = found.model.robot, found.problem.segments[0].channels
     names, nj = channels.names(robot.joint_names), len(robot.joint_names)
     units = channels.units([robot.slides(name) for name in robot.joint_names])
-    before, after = (joint_rmse(values)[nj:].tolist() for values in (found.before, found.residuals))
+    before, after = (joint_rmse(values)[nj:].tolist() for values in (before, found.residuals))
     rows = zip(names, units, noise[nj:], before, after, strict=True)
     return tuple(FittedChannel(name, unit, own.sigma, *rmse) for name, unit, own, *rmse in rows)
 

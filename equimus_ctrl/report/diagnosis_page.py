@@ -165,7 +165,8 @@ def _size(diagnosis: Diagnosis) -> str:
     ]
     coloured = f"<p>The noise is coloured.</p>{_list(colour)}" if colour else ""
     first = f"RMSE in {shown[0].unit}" if alike else "RMSE"
-    return f"<p>{escape(text)}</p>{_grouped(first, [*groups, ('noise', [''])], rows)}{coloured}"
+    channels = _list(diagnosis_text.of_channels(diagnosis)) if diagnosis.channels else ""
+    return f"<p>{escape(text)}</p>{_grouped(first, [*groups, ('noise', [''])], rows)}{coloured}{channels}"
 
 
 def _grouped(first: str, groups: Sequence[tuple[str, Sequence[str]]], rows: Sequence[Sequence[str]]) -> str:

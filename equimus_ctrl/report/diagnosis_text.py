@@ -165,7 +165,15 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
                 said.append(f"{PARTS[part]} {' → '.join(shown)}")
         said.append(f"noise {number(own.sigma * unit.factor)}")
         lines.append(f"{joint}: RMSE in {unit.unit}: {', '.join(said)}")
-    return lines
+    return [*lines, *of_channels(diagnosis)]
+
+
+def of_channels(diagnosis: Diagnosis) -> list[str]:
+    """What was compared beside the joints' positions: errors of the refitted and the augmented model."""
+    return [
+        f"{own.name}: RMSE {number(own.before)} → {number(own.rmse)} {own.unit}, noise {number(own.noise)} {own.unit}"
+        for own in diagnosis.channels
+    ]
 
 
 def held_out(diagnosis: Diagnosis) -> str:

@@ -208,13 +208,13 @@ def _fitted(
     notify: Callable[[int, float], None],
 ) -> Fit:
     """Least squares; what is compared beside joint positions is weighed as its residuals ask for, as those are."""
-    found = fit(parameters, segments, simulator=simulator, settings=settings, notify=notify)
+    found = first = fit(parameters, segments, simulator=simulator, settings=settings, notify=notify)
     for _ in range(REWEIGHTED if any(s.channels for s in segments) else 0):
         found = fit(
             parameters, segments, simulator=simulator, settings=settings, notify=notify,
             noise=white_noise(found.residuals), begin=[(found.theta, found.starts)],
         )  # fmt: skip
-    return found
+    return replace(found, before=first.before)
 
 
 class _Share:
