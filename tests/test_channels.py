@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from mjcf_models import CRANE, refusal
@@ -19,10 +20,10 @@ from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.effects import SensorDelay, SensorOffset, SensorScale, ViscousFriction
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
+from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.engines.mjcf_motion import simulated_response
 from equimus_ctrl.engines.mjcf_sites import site_positions
 from equimus_ctrl.engines.motion import motion
-from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.channels import Channels, channels_of, unused, with_channels
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import Simulator, simulator_for
@@ -89,25 +90,37 @@ def test_true_rates_and_positions_are_those_of_an_independent_integration(engine
 
 def test_sites_are_where_the_joints_put_them() -> None:
     q = np.linspace(-2, 2, 7)[None, :, None]
-    trial = Trial("t", np.zeros(1), np.zeros((1, 1)), np.zeros(1), 0.0, np.zeros(1), np.zeros(7))
-    where = site_positions([Model(ARM)], trial, q, ["tip"])
+    where = site_positions(ARM, q, ["tip"])
     expected = np.stack([TIP * np.sin(q[0, :, 0]), np.zeros(7), -TIP * np.cos(q[0, :, 0])], axis=-1)
     np.testing.assert_allclose(where[0, :, 0], expected, atol=1e-12)
-    lost = site_positions([Model(ARM)], trial, np.full_like(q, np.nan), ["tip"])
+    lost = site_positions(ARM, np.full_like(q, np.nan), ["tip"])
     assert np.isnan(lost).all()
 
 
 def test_sites_of_a_slide_on_a_hinge_follow_both() -> None:
     """The crane's tip: a rod that slides along a turning arm."""
     q = np.array([[[0.4, 0.1]]])
-    trial = Trial("t", np.zeros(1), np.zeros((1, 3)), np.zeros(3), 0.0, np.zeros(2), np.zeros(1))
-    (((tip, floor),),) = site_positions([Model(CRANE)], trial, q, ["tip", "floor"])
+    (((tip, floor),),) = site_positions(CRANE, q, ["tip", "floor"])
     inside = np.array([0.03, 0.01, -0.5 - 0.1 - 0.2])
     c, s = math.cos(0.4), math.sin(0.4)
     np.testing.assert_allclose(
         tip, [c * inside[0] + s * inside[2], 0.01, 1 - s * inside[0] + c * inside[2]], atol=1e-12
     )
     np.testing.assert_allclose(floor, 0.0)
+
+
+def test_no_parameter_moves_a_site_along_its_link() -> None:
+    """Else sites would have to be found for each model by itself."""
+    q = np.array([[[0.4, 0.1]]])
+    expected = site_positions(CRANE, q, ["tip", "floor"])[0, 0]
+    for name, value in CRANE.parameters().items():
+        own = realise(Model(CRANE).with_parameters({name: value + 0.01})).mujoco
+        data = mujoco.MjData(own)
+        for joint, place in zip(CRANE.joint_names, q[0, 0], strict=True):
+            data.joint(joint).qpos[0] = place
+        mujoco.mj_kinematics(own, data)
+        found = [data.site(site).xpos for site in ("tip", "floor")]
+        np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=name)
 
 
 def fisher(channels: Sequence[int], noise: Sequence[float]) -> float:
@@ -174,12 +187,11 @@ def test_good_rates_make_up_for_poor_angles_and_without_them_the_interval_is_wid
 def test_changes_of_channels_are_their_differences() -> None:
     channels = Channels((1, 0), (("tip", 2), ("floor", 0), ("tip", 0)))
     rng = np.random.default_rng(0)
-    trial = Trial("t", np.zeros(1), np.zeros((1, 3)), np.zeros(3), 0.0, np.zeros(2), np.zeros(5))
     along, change, h = rng.normal(0, 0.3, (5, 4)), rng.normal(0, 1, (5, 4, 2)), 1e-5
-    found = channels.changes(Model(CRANE), trial, along, change)
+    found = channels.changes(CRANE, along, change)
     for k in range(2):
         moved = np.stack([along + h * change[:, :, k], along - h * change[:, :, k]])
-        ahead, behind = channels.of_motion([Model(CRANE)] * 2, trial, moved)
+        ahead, behind = channels.of_motion(CRANE, moved)
         np.testing.assert_allclose(found[:, :, k], (ahead - behind) / (2 * h), atol=1e-5)
 
 
@@ -190,8 +202,8 @@ def test_both_engines_agree_on_what_small_forces_change_of_all_that_is_compared(
     start, trial = np.array([0.3, 0.0]), segments[0].trial
     m = len(trial.sample_times)
     pushes = [np.random.default_rng(1).normal(0, 1, (m - 1, 1, 2)).cumsum(axis=0) / 10]
-    exact = observed(linearise(model, [motion(model, trial, start, 1e-3)]), model, segments).response(pushes)
-    stepped = observed(simulated_response(model, [trial], [start], np.ones(1)), model, segments).response(pushes)
+    exact = observed(linearise(model, [motion(model, trial, start, 1e-3)]), ARM, segments).response(pushes)
+    stepped = observed(simulated_response(model, [trial], [start], np.ones(1)), ARM, segments).response(pushes)
     assert exact[0].shape == (m, 3, 2)
     for c in range(3):
         size = np.abs(exact[0][:, c]).max()

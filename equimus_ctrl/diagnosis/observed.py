@@ -10,7 +10,7 @@ import numpy as np
 from equimus_ctrl.engines.base import ForceResponse
 from equimus_ctrl.engines.motion import Motion
 from equimus_ctrl.identification.segments import Segment
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array
 
 
@@ -20,12 +20,12 @@ class ObservedResponse:
 
     Attributes:
         inside: of the joints' positions.
-        model: what moves.
+        robot: what moves.
         segments: whose channels count.
     """
 
     inside: ForceResponse
-    model: Model
+    robot: Robot
     segments: Sequence[Segment]
 
     @property
@@ -39,9 +39,7 @@ class ObservedResponse:
         found = []
         for segment, motion, joints, change in zip(self.segments, self.motions, shown, inner, strict=True):
             whole = np.column_stack([motion.position, motion.velocity])
-            found.append(
-                np.concatenate([joints, segment.channels.changes(self.model, segment.trial, whole, change)], axis=1)
-            )
+            found.append(np.concatenate([joints, segment.channels.changes(self.robot, whole, change)], axis=1))
         return found
 
     def inner_response(self, torques: Sequence[Array]) -> list[Array]:
@@ -49,6 +47,6 @@ class ObservedResponse:
         return self.inside.inner_response(torques)
 
 
-def observed(inside: ForceResponse, model: Model, segments: Sequence[Segment]) -> ForceResponse:
+def observed(inside: ForceResponse, robot: Robot, segments: Sequence[Segment]) -> ForceResponse:
     """A response of all outputs of some segments; as it is where joints' positions are all there is."""
-    return ObservedResponse(inside, model, segments) if any(s.channels for s in segments) else inside
+    return ObservedResponse(inside, robot, segments) if any(s.channels for s in segments) else inside

@@ -85,7 +85,7 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         response = force_response(data.simulator.engine, model, trials, starts, scale, dt)
     except SimulationDiverged:
         return None
-    linearised = observed(response, model, data.segments)
+    linearised = observed(response, model.robot, data.segments)
     motions = list(linearised.motions)
     longest = max(m.time[-1] - m.time[0] for m in motions)
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))

@@ -9,44 +9,38 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.engines.mjcf import Realised, function_address, realise, scratch
+from equimus_ctrl.engines.mjcf import function_address, scratch
 from equimus_ctrl.engines.mjcf_kernel import called
-from equimus_ctrl.engines.trials import Trial
-from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 
 
-def site_names(model: Model) -> tuple[str, ...]:
-    """Sites of an MJCF robot that have names."""
-    own = realise(model).mujoco
-    names = (mujoco.mj_id2name(own, mujoco.mjtObj.mjOBJ_SITE, k) for k in range(own.nsite))
+def site_names(robot: MjcfRobot) -> tuple[str, ...]:
+    """Sites that have names."""
+    base = robot.plan.base
+    names = (mujoco.mj_id2name(base, mujoco.mjtObj.mjOBJ_SITE, k) for k in range(base.nsite))
     return tuple(name for name in names if name)
 
 
-def site_positions(models: Sequence[Model], trial: Trial, position: Array, sites: Sequence[str]) -> Array:
-    """(k, m, ns, 3) where sites are in the room [m].
+def site_positions(robot: MjcfRobot, position: Array, sites: Sequence[str]) -> Array:
+    """(k, m, ns, 3) where sites are in the room [m]. No parameter and no effect moves them along their links.
 
     Args:
-        models: k of one MJCF robot.
-        trial: in which some parameters are known to be others.
-        position: (k, m, nj) of the joints of each model [rad or m]; where it is not finite sites are not either.
+        robot: whose.
+        position: (k, m, nj) of its joints [rad or m]; where it is not finite sites are not either.
         sites: (ns) their names.
     """
+    base = robot.plan.base
+    data = scratch.data(base)
     out = np.empty((*position.shape[:2], len(sites), 3))
-    for model, own, found in zip(models, position, out, strict=True):
-        _follow(realise(model, trial), own, sites, found)
-    return out
-
-
-def _follow(own: Realised, position: Array, sites: Sequence[str], out: Array) -> None:
-    data = scratch.data(own.mujoco)
-    chosen = np.array([own.mujoco.site(name).id for name in sites], dtype=np.int64)
-    places, rotors = own.places[:, 0].copy(), own.rotors[:, [0, 2]].copy()
-    kinematics = function_address("mj_kinematics")
+    places = np.array([int(base.joint(name).qposadr[0]) for name in robot.joint_names], dtype=np.int64)
     _along(
-        kinematics, own.mujoco._address, data._address, places, rotors, chosen, np.ascontiguousarray(position),
-        data.qpos, data.site_xpos, out,
+        function_address("mj_kinematics"), base._address, data._address, places,
+        np.array([base.site(name).id for name in sites], dtype=np.int64),
+        np.ascontiguousarray(position).reshape(-1, len(places)), data.qpos, data.site_xpos,
+        out.reshape(-1, len(sites), 3),
     )  # fmt: skip
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -55,7 +49,6 @@ def _along(
     model: int,
     data: int,
     places: NDArray[np.int64],
-    rotors: NDArray[np.int64],
     sites: NDArray[np.int64],
     position: Array,
     qpos: Array,
@@ -68,8 +61,6 @@ def _along(
             continue
         for j in range(len(places)):
             qpos[places[j]] = position[k, j]
-        for r in range(len(rotors)):
-            qpos[rotors[r, 0]] = position[k, rotors[r, 1]]
         called(kinematics, model, data)
         for s in range(len(sites)):
             for axis in range(3):

@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.engines.mjcf_sites import site_names, site_positions
-from equimus_ctrl.engines.trials import Predicted, Trial
+from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
 ALSO = "also"
@@ -49,18 +51,18 @@ class Channels:
         """Of each, given which joints are slides."""
         return (*("m/s" if slides[j] else "rad/s" for j in self.velocities), *("m" for _ in self.sites))
 
-    def of_motion(self, models: Sequence[Model], trial: Trial, motion: Array) -> Array:
-        """(k, m, ne) what these would be in motions (k, m, 2 nj) of the joints."""
+    def of_motion(self, robot: Robot, motion: Array) -> Array:
+        """(k, m, ne) what these would be in motions (k, m, 2 nj) of a robot's joints."""
         nj = motion.shape[2] // 2
         names = list(dict.fromkeys(name for name, _ in self.sites))
         rates = motion[:, :, [nj + j for j in self.velocities]]
         if not names:
             return rates
-        where = site_positions(models, trial, motion[:, :, :nj], names)
+        where = site_positions(mjcf_of(robot), motion[:, :, :nj], names)
         columns = [where[:, :, names.index(name), axis] for name, axis in self.sites]
         return np.concatenate([rates, np.stack(columns, axis=-1)], axis=2)
 
-    def changes(self, model: Model, trial: Trial, motion: Array, change: Array) -> Array:
+    def changes(self, robot: Robot, motion: Array, change: Array) -> Array:
         """(m, ne, k) changes of these by small changes (m, 2 nj, k) of a motion (m, 2 nj), to first order."""
         nj = motion.shape[1] // 2
         rates = change[:, [nj + j for j in self.velocities]]
@@ -68,14 +70,14 @@ class Channels:
             return rates
         moved = np.repeat(motion[None], nj + 1, axis=0)
         moved[1:, :, :nj] += SMALL * np.eye(nj)[:, None]
-        where = replace(self, velocities=()).of_motion([model] * (nj + 1), trial, moved)
+        where = replace(self, velocities=()).of_motion(robot, moved)
         slopes = (where[1:] - where[0]) / SMALL  # (nj, m, ns)
         return np.concatenate([rates, np.einsum("jms,mjk->msk", slopes, change[:, :nj])], axis=1)
 
-    def added(self, models: Sequence[Model], trial: Trial, found: Predicted) -> Predicted:
+    def added(self, robot: Robot, found: Predicted) -> Predicted:
         """Predictions with these beside the joints' positions."""
         assert found.motion is not None  # trials with channels ask for it
-        more = self.of_motion(models, trial, found.motion)
+        more = self.of_motion(robot, found.motion)
         return replace(found, position=np.concatenate([found.position, more], axis=2))
 
 
@@ -100,7 +102,7 @@ def channels_of(model: Model, recording: Recording) -> Channels:
             raise ConfigError(unknown_name("column", word, known, f"{recording.name}: note {ALSO}"))
     velocities = [j for j, joint in enumerate(recording.joints) if VELOCITY + joint in words]
     sites = [word.removeprefix(SITE) for word in known if word in words and word.startswith(SITE)]
-    there = site_names(model) if sites else ()
+    there = site_names(mjcf_of(model.robot)) if sites else ()
     parts = [name.rpartition(".") for name in sites]
     for name, _, _ in parts:
         if name not in there:

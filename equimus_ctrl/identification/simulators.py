@@ -44,7 +44,7 @@ class Simulator:
             for segment, own, offset in zip(segments, found, offsets, strict=True)
         ]
         return [
-            segment.channels.added(models, segment.trial, own) if segment.channels else own
+            segment.channels.added(models[0].robot, own) if segment.channels else own
             for segment, own in zip(segments, shifted, strict=True)
         ]
 

@@ -56,7 +56,7 @@ def diagnose_recordings(
     options = with_file(with_changes(DiagnoseOptions, options, changes), model)
     if options.shoot is not None and model.robot.traits.held_in_place:
         raise ConfigError("multiple shooting is for MJCF robots; a leg's trials are fitted whole")
-    trials = marked(choose(gather(recordings, model), options.select), options)
+    trials = marked(model, choose(gather(recordings, model), options.select), options)
     for trial in trials:
         check_columns(model, trial)
     preflight.check(model, trials)

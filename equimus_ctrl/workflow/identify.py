@@ -108,14 +108,15 @@ def with_free_zeros(trials: Sequence[Recording], joints: Sequence[str]) -> list[
 Free = TypeVar("Free", DiagnoseOptions, IdentifyOptions)
 
 
-def marked(trials: Sequence[Recording], options: DiagnoseOptions | IdentifyOptions) -> list[Recording]:
+def marked(model: Model, trials: Sequence[Recording], options: DiagnoseOptions | IdentifyOptions) -> list[Recording]:
     """Trials with notes of what options ask to be compared beside positions, and of unknown zeros.
 
     Warns of what is recorded and takes no part.
     """
     found = with_channels(with_free_zeros(trials, options.zero_per_trial), options.also)
     if idle := unused(found):
-        checks.warn([f"recorded, and not compared with the model: {', '.join(idle)}; --also compares vel.* and site.*"])
+        hint = "" if model.robot.traits.starts_at_rest else "; --also compares vel.* and site.*"
+        checks.warn([f"recorded, and not compared with the model: {', '.join(idle)}{hint}"])
     return found
 
 
@@ -153,10 +154,10 @@ def identify_recordings(
     """
     model = model or nominal_model()
     options = with_file(with_changes(IdentifyOptions, options, changes), model)
-    trials = marked(choose(gather(recordings, model), options.select), options)
+    trials = marked(model, choose(gather(recordings, model), options.select), options)
     simulator = simulator_of(options.engine, options.dt, options.threads, model, trials)
     heldout = _each_of(options.heldout)
-    others = marked(_unseen(gather(heldout, model), trials), options) if heldout else []
+    others = marked(model, _unseen(gather(heldout, model), trials), options) if heldout else []
     parameters = free_parameters(model, options.free, options.bounds, options.fix)
     in_place = model.robot.traits.held_in_place
     window, shoot, folds, settings = options.window, options.shoot, options.folds, options.settings
@@ -188,7 +189,7 @@ def identify_recordings(
     )
     if (step := simulator.engine.discretisation) is not None:
         other = Simulator(simulator.engine.with_finer_step(), options.threads)
-        found = with_step_error(found, segments, simulator, other, 1 / step.finer)
+        found = with_step_error(found, segments, simulator, other, 1 / step.finer, found.problem.noise)
     checked = time.perf_counter()
     pairs = zip(
         judged, residuals_of(model, judged, simulator), residuals_of(found.model, judged, simulator), strict=True
