@@ -30,7 +30,8 @@ def frozen_array(values: ArrayLike, ndim: int | None = None, name: str = "array"
 class Recording:
     """One trial: commands in force and angles measured, row by row.
 
-    A command holds from its row until the next one (zero-order hold).
+    A command holds from its row until the next one (zero-order hold), or goes along a line to it where a note says
+    ``interpolation = linear``.
 
     Attributes:
         name: what the trial is called, usually the file's stem.
@@ -41,6 +42,7 @@ class Recording:
         joints: names of the position columns.
         velocity: (n, n_joints) measured joint velocities [rad/s], where the sensor gives them.
         measured: (n, n_actuators) measured pressures [Pa], where a sensor gives them.
+        sites: (n,) each, measured coordinates of sites in the room [m], such as ``tip.x``, where something sees them.
         before: (n_actuators,) command in force before the first row, long enough for the robot to have
             settled [Pa]; the first row's command where the recording does not say.
         notes: provenance and whatever else the file says of itself.
@@ -56,6 +58,7 @@ class Recording:
     measured: Array | None = None
     before: Array | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
+    sites: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for key, ndim in (("time", 1), ("command", 2), ("position", 2)):
@@ -64,6 +67,8 @@ class Recording:
             if getattr(self, key) is not None:
                 object.__setattr__(self, key, frozen_array(getattr(self, key), ndim, f"{self.name}: {key}"))
         object.__setattr__(self, "notes", dict(self.notes))
+        sites = {name: frozen_array(values, 1, f"{self.name}: site.{name}") for name, values in self.sites.items()}
+        object.__setattr__(self, "sites", sites)
         n = len(self.time)
         shapes: dict[str, tuple[Array | None, tuple[int, ...]]] = {
             "command": (self.command, (n, len(self.actuators))),
@@ -71,6 +76,7 @@ class Recording:
             "velocity": (self.velocity, (n, len(self.joints))),
             "measured": (self.measured, (n, len(self.actuators))),
             "before": (self.before, (len(self.actuators),)),
+            **{f"site.{name}": (values, (n,)) for name, values in sites.items()},
         }
         for key, (array, shape) in shapes.items():
             if array is not None and array.shape != shape:
@@ -80,6 +86,11 @@ class Recording:
     def command_before(self) -> Array:
         """(n_actuators,) the command in force before the first row [Pa]."""
         return self.command[0] if self.before is None else self.before
+
+    @property
+    def linear(self) -> bool:
+        """Whether commands go along a line from each row to the next (first-order hold)."""
+        return self.notes.get("interpolation") == "linear"
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from equimus_ctrl.effects.command import SMALL_SHARE, _decay_moments, advance_pressure, pressure_history, relax
+from equimus_ctrl.effects.command import advance_pressure, pressure_history
+from equimus_ctrl.effects.relaxation import SMALL_SHARE, decay_moments, relax
 from equimus_ctrl.types import Array
 
 INF = math.inf
@@ -66,7 +67,7 @@ def test_the_moments_of_a_decay_keep_their_digits(x: float) -> None:
     expected = [
         quad(lambda s, k=k: s**k * math.exp(-x * s), 0, 1, epsabs=0, epsrel=1e-12, limit=200)[0] for k in (0, 1)
     ]
-    found = _decay_moments(x)
+    found = decay_moments(x)
     assert found[0] == pytest.approx(math.exp(-x), rel=1e-14, abs=2e-16)
     np.testing.assert_allclose(found[1:], expected, rtol=2e-10)
 

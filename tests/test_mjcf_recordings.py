@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mjcf_models import CRANE, PENDULUM, refusal
+from scipy.integrate import solve_ivp
 
+from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis.holdout import check_settings, split
 from equimus_ctrl.effects import ViscousFriction
 from equimus_ctrl.engines.mjcf import simulate_mjcf
@@ -145,3 +148,38 @@ def test_columns_come_in_the_robots_order_whatever_the_files(tmp_path: Path) -> 
     assert (found.joints, found.actuators) == (CRANE.joint_names, CRANE.actuator_names)
     np.testing.assert_array_equal(found.command[0], [1e6, -2, 3])
     np.testing.assert_array_equal(found.position[2], [-0.2, 200])
+
+
+LOADED = """<mujoco model="loaded"><compiler angle="radian" boundmass="1e-12" boundinertia="1e-15"/><option timestep="0.001"/>
+  <worldbody><body name="arm"><joint name="pivot" axis="0 1 0" armature="0.02"/>
+    <inertial mass="1" pos="0 0 -0.3" diaginertia="0.01 0.01 0.01"/>
+    <body name="load" pos="0.02 0 -0.6"><inertial mass="1e-9" pos="0 0 0" diaginertia="1e-12 1e-12 1e-12"/></body>
+  </body></worldbody>
+  <actuator><motor name="motor" joint="pivot"/></actuator></mujoco>"""
+
+
+def test_a_load_that_was_weighed_is_known_in_its_own_trials_and_the_arm_is_estimated_from_all() -> None:
+    """The true motions are those of a pendulum with the load's moments worked out by hand."""
+    time, rng = np.arange(0, 3.0, 0.01), np.random.default_rng(2)
+    trials = []
+    for k, load in enumerate((0.0, 0.4, 1.1)):
+        torque = 1.5 * np.sin((3 + k) * time)
+        about = 0.02 + 0.01 + 1.2 * 0.3**2 + load * (0.02**2 + 0.6**2)  # of the true arm, of 1.2 kg
+
+        def rates(
+            t: float, x: np.ndarray, torque: np.ndarray = torque, load: float = load, about: float = about
+        ) -> list[float]:
+            # The pivot turns +z to +x: a mass at (x, z) pulls with −m g (x cos q + z sin q).
+            down = -9.81 * ((1.2 * -0.3 + load * -0.6) * -np.sin(x[0]) - load * 0.02 * np.cos(x[0]))
+            return [x[1], (float(np.interp(t, time, torque)) + down) / about]
+
+        angle = solve_ivp(rates, (0, time[-1]), [0.2, 0.0], t_eval=time, rtol=1e-9, atol=1e-9, max_step=5e-3).y[0]
+        notes = {"interpolation": "linear", **({"set.load.mass": str(load)} if load else {})}
+        position = (angle + rng.normal(0, 1e-3, len(time)))[:, None]
+        trials.append(Recording(f"t{k}", time, torque[:, None], position, ("motor",), ("pivot",), notes=notes))
+    model = Model(MjcfRobot("loaded", LOADED))
+    fit = workflow.identify_recordings(trials, model, free=["arm.mass"], folds=0).fit
+    assert fit.rmse[0] < 1.1e-3
+    assert fit.theta[0] == pytest.approx(1.2, abs=1.5 * fit.uncertainty.half_width[0]) and fit.theta[0] > 1.195
+    blind = [replace(t, notes={"interpolation": "linear"}) for t in trials]
+    assert workflow.identify_recordings(blind, model, free=["arm.mass"], folds=0).fit.rmse[0] > 0.05

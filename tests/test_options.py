@@ -49,6 +49,7 @@ VERBS: dict[str, tuple[Any, type[Any], Any, str, list[str]]] = {
 LIBRARY_ONLY = {("identify", "settings")}
 """Fields that are too much for a command line."""
 EXAMPLES: dict[str, tuple[str, Any]] = {
+    "also": ("--also vel.* --also site.tip.x", ["vel.*", "site.tip.x"]),
     "baselines": ("--no-baselines", False),
     "bounds": ("--bound a=1,2 --bound b=-1e-3,0", {"a": (1.0, 2.0), "b": (-1e-3, 0.0)}),
     "budget": ("--budget 60", 60.0),
@@ -90,6 +91,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "validation": ("--validation step_* --validation chirp", ["step_*", "chirp"]),
     "window": ("--window 5 9", (5.0, 9.0)),
     "workers": ("--workers 2", 2),
+    "zero_per_trial": ("--zero-per-trial elbow --zero-per-trial wrist*", ["elbow", "wrist*"]),
 }
 """Field → how the command line is told, and what the library is told."""
 

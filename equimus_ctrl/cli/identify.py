@@ -156,7 +156,9 @@ def _print_trials(console: Console, done: Identified, from_poses: bool) -> None:
     print_engine(console, done.engine)
     import numpy as np
 
-    before, after = (np.concatenate(r) for r in (found.before, found.residuals))
+    from equimus_ctrl.identification.results import zeros_sentence
+
+    before, after = (np.concatenate(r)[:, : len(m.joint_names)] for r in (found.before, found.residuals))
     origin = "from the poses" if from_poses else "of the initial model"
     rows = [("fitted to the poses" if from_poses else "initial model", before), ("identified", after)]
     slides = [name for name in m.joint_names if m.slides(name)]
@@ -172,6 +174,12 @@ def _print_trials(console: Console, done: Identified, from_poses: bool) -> None:
     if not found.converged:
         console.print("The search was stopped before it had converged.", style="yellow")
     _explain(console, found, after.size)
+    for own in done.channels:
+        console.print(
+            f"{own.name}: RMSE {own.before:.4g} {own.unit} before, {own.rmse:.4g} {own.unit} after.", markup=False
+        )
+    if zeros := zeros_sentence(found):
+        console.print(zeros, markup=False)
 
 
 def _rmse_table(

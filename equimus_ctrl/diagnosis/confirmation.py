@@ -315,7 +315,7 @@ class HoldoutResiduals:
 
     def carried_over(self, simple: Fitted, rich: Fitted) -> float:
         """The gain on validation trials, over that on as many samples of the fitted ones."""
-        share = sum(s.measured.size for s in self.split.validation) / self.data.n
+        share = sum(s.outputs.size for s in self.split.validation) / self.data.n
         return self.gain(simple, rich) / max((simple.deviance - rich.deviance) * share, 1e-300)
 
     def distance(self, simple: Fitted, rich: Fitted) -> float:

@@ -66,7 +66,8 @@ def separating(
         return None
     named, other = pair
     best: Experiment | None = None
-    sigma = np.array([noise.sigma for noise in white_noise(end.best.fit.residuals)])
+    nj = len(data.free.model.robot.joint_names)
+    sigma = np.array([noise.sigma for noise in white_noise(end.best.fit.residuals)[:nj]])
     for design in designs():
         distance = _distance(data, end.best, other.fitted, design, sigma)
         if best is None or distance > best.distance:

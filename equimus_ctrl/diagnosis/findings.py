@@ -30,6 +30,7 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.identification.parameters import in_group, place_unit
+from equimus_ctrl.identification.results import zeros_sentence
 from equimus_ctrl.identification.segments import groups_of
 from equimus_ctrl.models.model import Model
 
@@ -334,6 +335,8 @@ def notes(end: SearchState, split: Split, excluded: Sequence[str], not_done: Seq
         said.append(
             f"{', '.join(held)} ended at a bound: they may compensate missing physics, or the bounds are too narrow."
         )
+    if zeros := zeros_sentence(fit):
+        said.append(zeros)
     if not fit.converged:
         said.append("The last fit was stopped before it had converged.")
     return said

@@ -139,8 +139,8 @@ class Data:
 
     @property
     def n(self) -> int:
-        """How many numbers were measured, of all joints and samples."""
-        return sum(s.measured.size for s in self.segments)
+        """How many numbers are compared, of all joints, other channels and samples."""
+        return sum(s.outputs.size for s in self.segments)
 
     @property
     def screening_simulator(self) -> Simulator:
@@ -389,8 +389,8 @@ class Data:
         return self.thresholds.decides(lambda t: largest > times(t))
 
     def _first_noise(self) -> Noise:
-        """White, as large as the motion: each joint counts in units of how far it moves."""
-        return white_noise([s.measured - s.measured.mean(axis=0) for s in self.segments])
+        """White, as large as the motion: each joint or channel counts in units of how far it moves."""
+        return white_noise([s.outputs - s.outputs.mean(axis=0) for s in self.segments])
 
 
 def chi_squared(noise: Noise, times: Sequence[Array], values: Sequence[Array]) -> float:

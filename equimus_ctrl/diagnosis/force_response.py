@@ -69,6 +69,10 @@ class _ByGroup:
         found = [p.response([torques[k] for k in rows]) for rows, p in zip(self.rows, self.parts, strict=True)]
         return _in_order(self.rows, found)
 
+    def inner_response(self, torques: Sequence[Array]) -> list[Array]:
+        found = [p.inner_response([torques[k] for k in rows]) for rows, p in zip(self.rows, self.parts, strict=True)]
+        return _in_order(self.rows, found)
+
 
 def _in_order(rows: Sequence[Sequence[int]], parts: Sequence[Sequence[T]]) -> list[T]:
     placed = {k: own for of, part in zip(rows, parts, strict=True) for k, own in zip(of, part, strict=True)}
@@ -89,6 +93,7 @@ def segment_response(
     parts = []
     for group, of in zip(groups, rows, strict=True):
         own = model.in_group(group)
-        true = [behind_sensors([own], starts[k][None, :])[0] for k in of]
+        shown = [segments[k].parted(starts[k][None, :])[0] for k in of]
+        true = [behind_sensors([own], start)[0] for start in shown]
         parts.append(force_response(engine, own, [segments[k].trial for k in of], true, scale, dt))
     return _ByGroup(rows, tuple(parts))

@@ -139,7 +139,7 @@ class Apart:
         """What may get a value of its own, with the gain to first order, the largest first."""
         fit = self.best.fit
         whitened = whiten_fit(self.data.times, fit, self.best.noise)
-        rows = np.repeat([s.group for s in self.data.segments], [s.measured.size for s in self.data.segments])
+        rows = np.repeat([s.group for s in self.data.segments], [s.outputs.size for s in self.data.segments])
         nuisance, found = Nuisance.of(whitened.slopes), list[tuple[float, Own]]()
         residual, taken = nuisance.project_out(whitened.residual), set(self.own)
         for i, own in self._splittable():

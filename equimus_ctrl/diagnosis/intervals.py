@@ -105,17 +105,17 @@ def forgets(
     segments = [s for r in recordings for s in cut(model, [r], window=window, shoot=2 * time)]
     chosen = [segments[k] for k in _some(len(segments))]
     spread, nj = np.median([r.position.std(axis=0) for r in recordings], axis=0), len(model.robot.joint_names)
-    shift = np.concatenate([CLOSE_TO_MEASURED * spread, np.zeros(len(chosen[0].start) - nj)])
+    shift = CLOSE_TO_MEASURED * spread
     low, high = model.robot.joint_range
     # Away from the nearer end of the range, whose stop would hide the change.
     toward = [np.where(high - s.start[:nj] < s.start[:nj] - low, -1.0, 1.0) for s in chosen]
     moved = [
-        replace(s, start=s.start + shift * np.concatenate([side, np.zeros(len(shift) - nj)]))
+        replace(s, start=s.start + np.concatenate([shift * side, np.zeros(len(s.start) - nj)]))
         for s, side in zip(chosen, toward, strict=True)
     ]
     here, there = (residuals_of(model, own, simulator, 0) for own in (chosen, moved))
     left = [
-        float(np.max(np.abs(a - b)[s.trial.sample_times > s.trial.start + time] / shift[:nj], initial=0.0))
+        float(np.max(np.abs(a - b)[s.trial.sample_times > s.trial.start + time, :nj] / shift, initial=0.0))
         for s, a, b in zip(chosen, here, there, strict=True)
     ]
     return float(np.mean(np.array(left) < FORGOTTEN)) >= MOSTLY
@@ -141,4 +141,5 @@ def _errors_over(
     chosen = [segments[k] for k in _some(len(segments))]
     for improved in (0, 1):
         residuals = residuals_of(model, chosen, simulator, improved)
-        yield np.array([np.sqrt((r**2).mean(axis=0)) for r in residuals])
+        nj = len(model.robot.joint_names)
+        yield np.array([np.sqrt((r[:, :nj] ** 2).mean(axis=0)) for r in residuals])

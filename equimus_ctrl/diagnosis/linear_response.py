@@ -78,23 +78,34 @@ class Linearised:
         Raises:
             ConfigError: where their shapes are not these.
         """
+        paths = [self._path(i, torque, bool(self.delay.any())) for i, torque in enumerate(self._between(torques))]
+        if self.delay.any():
+            paths = [self._sensor_delayed(m.time, path) for m, path in zip(self.motions, paths, strict=True)]
+        return [path * self.scale[:, None] for path in paths]
+
+    def inner_response(self, torques: Sequence[Array]) -> list[Array]:
+        """The same (m, 2 nj, k) of the true positions and rates."""
+        return [self._path(i, torque, True) for i, torque in enumerate(self._between(torques))]
+
+    def _between(self, torques: Sequence[Array]) -> list[Array]:
+        """For each trial (m − 1, nj, k), constant over each interval."""
         if len(torques) != len(self.motions):
             raise ConfigError(f"torques are for {len(torques)} trials, expected {len(self.motions)}")
         nj, answers = len(self.scale), []
-        for i, (motion, torque) in enumerate(zip(self.motions, torques, strict=True)):
+        for motion, torque in zip(self.motions, torques, strict=True):
             n = len(motion.time) - 1
             if torque.ndim != 3 or torque.shape[1] != nj or len(torque) not in (n, n + 1):
                 raise ConfigError(
                     f"{motion.name}: torques have shape {torque.shape}, expected ({n}, {nj}, k) or ({n + 1}, {nj}, k)"
                 )
-            answers.append(self._path(i, torque if len(torque) == n else (torque[1:] + torque[:-1]) / 2))
+            answers.append(torque if len(torque) == n else (torque[1:] + torque[:-1]) / 2)
         return answers
 
-    def _path(self, trial: int, torque: Array) -> Array:
-        """(m, nj, k) under torques (m − 1, nj, k)."""
-        transition, delayed = self.transitions[trial], bool(self.delay.any())
+    def _path(self, trial: int, torque: Array, rates: bool) -> Array:
+        """(m, nj, k) true positions under torques (m − 1, nj, k), or (m, 2 nj, k) these and their rates."""
+        transition = self.transitions[trial]
         nj, nx, k = len(self.scale), transition.shape[1], torque.shape[2]
-        shown = np.concatenate([self.joints, self.coordinates + self.joints]) if delayed else self.joints
+        shown = np.concatenate([self.joints, self.coordinates + self.joints]) if rates else self.joints
         path = np.empty((len(transition) + 1, len(shown), k))
         path[0] = 0.0
         given, reached = np.empty((nx + nj, k)), np.zeros((nx, k))
@@ -102,9 +113,6 @@ class Linearised:
             given[:nx], given[nx:] = reached, force
             np.matmul(step, given, out=reached)
             out[:] = reached[shown]
-        if delayed:
-            path = self._sensor_delayed(self.motions[trial].time, path)
-        path *= self.scale[:, None]
         return path
 
     def _sensor_delayed(self, time: Array, path: Array) -> Array:

@@ -46,7 +46,7 @@ class Class:
 
 
 def excess_variances(residuals: Sequence[Array], noise: Noise) -> Array:
-    """(nj,) excess residual variance: mean squared residual over the noise's variance, minus 1, at least 0."""
+    """(nj + ne,) excess residual variance: mean squared residual over the noise's variance, minus 1, at least 0."""
     sigma = np.array([joint_noise.sigma for joint_noise in noise])
     return np.asarray(np.maximum((np.concatenate(residuals) ** 2).mean(axis=0) / sigma**2 - 1.0, 0.0))
 
@@ -64,7 +64,7 @@ def localise(
     """
     joints = model.robot.joint_names
     sigma = np.array([joint_noise.sigma for joint_noise in noise])
-    per_joint = excess_variances(residuals, noise)
+    per_joint = excess_variances(residuals, noise)[: len(joints)]
     whole = float(per_joint.sum())
     locations = []
     for j in np.argsort(-per_joint):
@@ -117,7 +117,7 @@ def commands(segment: Segment) -> tuple[Array, Array, Array]:
         known = last >= 0
         since[known, a] = trial.sample_times[known] - trial.times[moved[last[known]]]
         change[known, a] = (rows[1:, a] - rows[:-1, a])[moved[last[known]]]
-    return rows[at], change, since
+    return trial.command_at(trial.sample_times), change, since
 
 
 def _classes(text: str, segments: Sequence[Segment], of: Callable[[Segment], NDArray[np.bool_]]) -> Class:

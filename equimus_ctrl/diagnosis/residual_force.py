@@ -12,6 +12,7 @@ from equimus_ctrl.diagnosis.explained_variance import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group, groups, harmonics, responses
 from equimus_ctrl.diagnosis.force_response import STEP, segment_response
+from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.engines.motion import Motion
 from equimus_ctrl.errors import SimulationDiverged
@@ -77,9 +78,10 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         return np.array([excitation[name].force for name in model.robot.joint_names])
 
     try:
-        linearised = segment_response(data.simulator.engine, model, data.segments, fitted.fit.starts, scale, dt)
+        response = segment_response(data.simulator.engine, model, data.segments, fitted.fit.starts, scale, dt)
     except SimulationDiverged:
         return None
+    linearised = observed(response, model.robot, data.segments)
     motions = list(linearised.motions)
     longest = max(m.time[-1] - m.time[0] for m in motions)
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
@@ -88,7 +90,7 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
     with np.errstate(over="ignore", invalid="ignore"):
         answers = [discard_unstable(changes) for changes in responses(linearised, forces)]
     columns = [whitened_fit.columns(data.times, changes) for changes in answers]
-    edges = np.cumsum([0, *[s.measured.size for s in data.segments]])
+    edges = np.cumsum([0, *[s.outputs.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
     if len(slices) == 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +16,8 @@ from equimus_ctrl.diagnosis.estimates import Named as Named
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.engines.base import Engine
+from equimus_ctrl.identification.noise import Noise
+from equimus_ctrl.identification.results import FittedChannel, fitted_channels
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
@@ -413,6 +415,16 @@ class Diagnosis:
         """That simulated."""
         return self.best.fit.problem.simulator.engine
 
+    @property
+    def noise(self) -> Noise:
+        """Of the joints' positions."""
+        return self.best.noise[: len(self.joints)]
+
+    @property
+    def channels(self) -> tuple[FittedChannel, ...]:
+        """What was compared beside the joints' positions, on the trials fitted: refitted and augmented model."""
+        return fitted_channels(self.best.fit, self.best.noise, self.base.fit.residuals)
+
     def rmse(self, state: str, part: Set) -> Array:
         """(nj,) root mean square error of a state of the model [rad or m]; nan where there are no such trials."""
         residuals = getattr(self.residuals[state], part)
@@ -422,7 +434,7 @@ class Diagnosis:
 
     def explained(self, part: Set) -> float:
         """Share of the excess residual variance that all effects together explain; nan where there are no trials."""
-        sigma = np.array([own.sigma for own in self.best.noise])
+        sigma = np.array([own.sigma for own in self.noise])
         before, after = (
             float(np.maximum((self.rmse(state, part) / sigma) ** 2 - 1.0, 0.0).mean()) for state in STATES[1:]
         )
@@ -446,14 +458,16 @@ class Diagnosis:
             "undetermined": [finding.to_dict() for finding in self.undetermined],
             "unexplained": [residual.to_dict() for residual in self.unexplained],
             "rejected": [named.to_dict() for named in self.rejected],
-            "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.best.noise, strict=True)},
+            "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.noise, strict=True)},
             "noise_correlation_s": {
-                j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.best.noise, strict=True)
+                j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.noise, strict=True)
             },
+            "channels": [asdict(channel) for channel in self.channels],
             "rmse_rad": {part: {state: self._by_joint(self.rmse(state, part)) for state in STATES} for part in SETS},
             "excess_residual_variance": dict(self.excess_variance),
             "explained_share": {part: _finite(self.explained(part)) for part in SETS},
             "parameters": self._parameters(),
+            "zeros": [asdict(zero) for zero in self.best.fit.zeros],
             "separating_experiment": self.experiment.to_dict() if self.experiment else None,
             "detectable": [smallest.to_dict() for smallest in self.detectable],
             "ranking": [ranked.to_dict() for ranked in self.ranking],

@@ -353,7 +353,7 @@ def _changes(
     models = _models(data, guesses, [present] * len(guesses) if thetas is None else thetas)
     # Dry friction anywhere makes the engine look for it everywhere.
     rubs = [any(e.rubs for e in model.effects) for model in models]
-    changes = [np.zeros((*s.measured.shape, len(guesses))) for s in data.segments]
+    changes = [np.zeros((*s.outputs.shape, len(guesses))) for s in data.segments]
     plain = [start[None, :] for start in fitted.fit.starts]
     reference = data.screening_simulator([fitted.fit.model], data.segments, plain)
     for group in (True, False):

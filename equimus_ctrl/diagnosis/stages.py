@@ -11,7 +11,7 @@ is reported.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -138,7 +138,7 @@ def refit(inputs: DiagnosisInputs) -> State:
             search, base, looked, short = apart.search, apart.best, short is not None, None
             short = _short_base(search.data, split) if looked else None
     state = State(inputs, search, SearchState(base, base), short, _nominal(data, split), notes=inputs.settings.notes)
-    excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=True)
+    excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=False)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
     return state.decided("refit", f"{len(search.data.free.free)} parameters refitted", f"excess variance: {said}")
 
@@ -439,7 +439,10 @@ def report(state: State) -> Diagnosis:
         ranking=state.ranking or ranking(search, end),
         detectable=() if told or unexplained or state.ended_in else detectable(search, end),
         experiment=None if state.ended_in else separating(data, end, named, equivalent, inputs.designs),
-        excess_variance={name: float(excess_variances(residuals[name].train, noise).mean()) for name in STATES},
+        excess_variance={
+            name: float(excess_variances(residuals[name].train, noise[: len(end.best.fit.rmse)]).mean())
+            for name in STATES
+        },
         notes=(
             *notes(end, split, inputs.settings.exclude, [stage.decides for stage in skipped(state)]),
             *beyond_range(model, split),
@@ -458,10 +461,15 @@ def report(state: State) -> Diagnosis:
 def _residuals(state: State, holdout: HoldoutResiduals) -> dict[str, Residuals]:
     """Of each of ``STATES`` on the trials fitted, on those for validation and on those of the test set."""
     end, test, simulator = state.end, state.inputs.split.test, state.data.simulator
+    nj = len(state.inputs.data.free.model.robot.joint_names)
     models = state.inputs.data.free.model, end.base.fit.model, end.best.fit.model
+
+    def of_joints(residuals: Iterable[Array]) -> tuple[Array, ...]:
+        return tuple(r[:, :nj] for r in residuals)
+
     fitted = state.nominal, end.base.fit.residuals, end.best.fit.residuals
     return {
-        name: Residuals(train, tuple(holdout.residuals(model)), tuple(residuals_of(model, test, simulator)))
+        name: Residuals(*map(of_joints, (train, holdout.residuals(model), residuals_of(model, test, simulator))))
         for name, model, train in zip(STATES, models, fitted, strict=True)
     }
 

@@ -13,7 +13,8 @@ standard deviation of each joint's remaining forces,
     min ‖r − J δ − Σ C_k c_k‖² + ‖(θ + δ − θ₀)/s‖²
 
 s is half the way between a parameter's bounds: it is known to be within these. All sums of squares are of one Gram
-matrix, so that any set of candidates costs a few small factorisations.
+matrix, so that any set of candidates costs a few small factorisations. What unknown zeros of the sensors can do to the
+forces is projected out of r, J and C before.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from equimus_ctrl.engines.mjcf_inverse import (
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.identification.noise import noise_of_differences
 from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array
@@ -247,7 +249,8 @@ def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
     if not applies(data.free.model.robot):
         return None
     noise = np.array([own.sigma for own in noise_of_differences([s.measured for s in data.segments])])
-    motions = motions_of([s.trial for s in data.segments], [s.measured for s in data.segments], noise)
+    trials, measured, zeros = zip(*((s.trial, s.measured, s.zeros) for s in data.segments), strict=True)
+    motions = motions_of(trials, measured, noise, zeros)
     longest = max(len(m.time) for m in motions)
     motions = [m for m in motions if len(m.time) > max(longest / 2, 10 * WIDTHS[0])]
     if not motions:
@@ -347,7 +350,24 @@ def _columns_of(
             forces += columns
     missing = rows_of([one.missing for one in at])
     whole = np.stack([*slopes, *forces, missing], axis=-1)
+    if zeros := [rows_of(change) for change in _by_zeros(model, motions, at, width)]:
+        beside = Nuisance.of(np.stack(zeros, axis=-1).reshape(-1, len(zeros)))
+        whole = beside.project_out(whole.reshape(-1, whole.shape[2])).reshape(whole.shape)
     return found, whole, counts, _remaining(whole, len(slopes), found, counts)
+
+
+def _by_zeros(
+    model: Model, motions: Sequence[MeasuredMotion], at: Sequence[InverseDynamics], width: int
+) -> Iterator[list[Array]]:
+    """For each unknown zero the change of the missing forces (n, nj) of each motion by it."""
+    for k, motion in enumerate(motions):
+        for j in motion.zeros:
+            step = STEP * float(np.ptp(motion.position[:, j]))
+            moved = replace(motion, position=motion.position - step * np.eye(len(motion.noise))[j])
+            (after,) = inverse_dynamics(model, [moved], width)
+            change = [np.zeros_like(one.missing) for one in at]
+            change[k] = (after.missing - at[k].missing) / step
+            yield change
 
 
 def _only(j: int, values: Array, count: int) -> Array:

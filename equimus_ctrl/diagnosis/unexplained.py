@@ -218,10 +218,14 @@ def not_on_test(data: Data, best: Fitted, test: Sequence[Segment], residuals: Se
 def _far_above_noise(
     data: Data, residuals: Sequence[Array], noise: Noise, only_on: Literal["", "validation", "test"] = ""
 ) -> tuple[ResidualAboveNoise, ...]:
-    excess, thresholds = excess_variances(residuals, noise), data.thresholds
+    whole, thresholds = excess_variances(residuals, noise), data.thresholds
+    joints = data.free.model.robot.joint_names
+    excess = whole[: len(joints)].copy()
+    for k, j in enumerate(data.segments[0].channels.velocities):  # recorded velocities are of their joints
+        excess[j] = max(excess[j], whole[len(joints) + k])
     return tuple(
         ResidualAboveNoise(joint, float(own / excess.sum()), own, thresholds.far_off, only_on)
-        for joint, own in zip(data.free.model.robot.joint_names, map(float, excess), strict=True)
+        for joint, own in zip(joints, map(float, excess), strict=True)
         if thresholds.decides(partial(_above, own))
     )
 

@@ -124,7 +124,7 @@ def another_unit(search: Search, end: SearchState, split: Split) -> AnotherUnit 
         pair = (holdout.residuals(own) for own in (model, best.fit.model))
         first, second = (chi_squared(best.noise, times, r) for r in pair)
         there = first - second
-        share = sum(s.measured.size for s in split.validation) / data.n
+        share = sum(s.outputs.size for s in split.validation) / data.n
         if not thresholds.decides(lambda t: there >= t.validation_share * gain * share):
             return None
     return AnotherUnit(gain, search.threshold(n), there, _departures(search, best))

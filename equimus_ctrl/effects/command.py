@@ -15,10 +15,8 @@ import math
 import numpy as np
 from numba import njit
 
+from equimus_ctrl.effects.relaxation import decay_moments, relax, relax_along
 from equimus_ctrl.types import Array
-
-SMALL_SHARE = 1e-3
-"""Below this many time constants the closed forms lose digits and their series are used."""
 
 DEAD_ZONE, COUPLING, SATURATION, CUTOFF = 0, 1, 2, 3
 """The laws that act on a command's value at once, in the order in which they do."""
@@ -26,6 +24,9 @@ DEAD_ZONE, COUPLING, SATURATION, CUTOFF = 0, 1, 2, 3
 DELAY, FILL, VENT, RATE, FLOW, POWER = range(6)
 """A valve (6,): transport delay [s], time constants of filling and venting [s], greatest rate [Pa/s], greatest rate of
 filling at a command of ``REFERENCE`` [Pa/s], power of the command with which that grows."""
+
+PARTS = 16
+"""Of a line between two commands, in which a filling flow that follows the command counts as constant."""
 
 DIRECT, FILTERED, INTEGRATED, SLEWED = 0, 1, 2, 3
 """What follows a command u: a = u, da/dt = (u − a)/number, da/dt = u, |da/dt| ≤ number."""
@@ -91,54 +92,12 @@ def shape_command(laws: Array, command: Array, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _decay_moments(x: float) -> tuple[float, float, float]:
-    """(e⁻ˣ, ∫₀¹ e⁻ˣˢ ds, ∫₀¹ s e⁻ˣˢ ds)."""
-    if x < SMALL_SHARE:
-        return math.exp(-x), 1.0 - x / 2.0 + x * x / 6.0, 0.5 - x / 3.0 + x * x / 8.0
-    lost = -math.expm1(-x)
-    return 1.0 - lost, lost / x, (lost - x * (1.0 - lost)) / (x * x)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def relax(
-    pressure: float, target: float, fill: float, vent: float, rate: float, duration: float
-) -> tuple[float, float, float]:
-    """dP/dt = (target − P)/τ, at most ``rate`` in size, with τ = fill while the pressure rises, vent while it falls.
-
-    Exact for a constant target: first a ramp at the greatest rate, then an exponential.
-
-    Args:
-        pressure: at the start [Pa].
-        target: [Pa].
-        fill: [s], 0 for none.
-        vent: [s], 0 for none.
-        rate: [Pa/s], inf for no limit.
-        duration: [s].
-
-    Returns:
-        (P at the end [Pa], ∫P ds [Pa·s], ∫P s ds [Pa·s²]).
-    """
-    gap = target - pressure
-    tau = fill if gap > 0.0 else vent
-    area, moment, past = 0.0, 0.0, 0.0
-    if rate < math.inf and abs(gap) > rate * tau:
-        ramp = min(abs(gap) / rate - tau, duration)
-        climb = rate if gap > 0.0 else -rate
-        area = (pressure + 0.5 * climb * ramp) * ramp
-        moment = (0.5 * pressure + climb * ramp / 3.0) * ramp * ramp
-        if ramp == duration:
-            return pressure + climb * ramp, area, moment
-        gap -= climb * ramp
-        past = ramp
-    left = duration - past
-    if tau <= 0.0:
-        piece, first, gap_end = 0.0, 0.0, 0.0
-    else:
-        decay, mean, centre = _decay_moments(left / tau)
-        piece, first, gap_end = gap * mean * left, gap * centre * left * left, gap * decay
-    area += target * left - piece
-    moment += 0.5 * target * left * left - first + past * (target * left - piece)
-    return target - gap_end, area, moment
+def _filling(target: float, valve: Array) -> float:
+    """The greatest rate of filling at a command [Pa/s]."""
+    if valve[FLOW] == math.inf:
+        return math.inf
+    flow: float = valve[FLOW] * (max(target, 0.0) / REFERENCE) ** valve[POWER]
+    return flow
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -146,7 +105,7 @@ def _fastest(pressure: float, target: float, valve: Array) -> float:
     """The greatest rate towards a command through a valve (6,), see ``DELAY`` [Pa/s]."""
     rate: float = valve[RATE]
     if target > pressure and valve[FLOW] < math.inf:
-        rate = min(rate, valve[FLOW] * (max(target, 0.0) / REFERENCE) ** valve[POWER])
+        rate = min(rate, _filling(target, valve))
     return rate
 
 
@@ -198,6 +157,62 @@ def advance_pressure(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def advance_along(
+    times: Array, values: Array, before: float, cursor: int, start: float, dt: float, pressure: float, valve: Array
+) -> tuple[float, float, float, int]:
+    """``advance_pressure`` under commands that go along a line from each row to the next.
+
+    Before the first row ``before`` is in force, from the last row on what stands there. All is exact but a filling
+    flow, which is that at the command in the middle of each of the ``PARTS`` of a line.
+    """
+    n = len(times)
+    begin = start - valve[DELAY]
+    end, at = begin + dt, begin
+    while cursor + 1 < n and times[cursor + 1] <= at:
+        cursor += 1
+    k = cursor
+    area, moment = 0.0, 0.0
+    while True:
+        until = times[k + 1] if k + 1 < n and times[k + 1] < end else end
+        target, slope = before if k < 0 else values[k], 0.0
+        if 0 <= k < n - 1:
+            whole = times[k + 1] - times[k]
+            slope = (values[k + 1] - values[k]) / whole
+            target += slope * (at - times[k])
+            if valve[FLOW] < math.inf:
+                until = min(until, at + whole / PARTS)
+        span = until - at
+        rise = min(valve[RATE], _filling(target + 0.5 * slope * span, valve))
+        pressure, piece, first = relax_along(pressure, target, slope, valve[FILL], valve[VENT], rise, valve[RATE], span)
+        area += piece
+        moment += first + (at - begin) * piece
+        if until == end:
+            break
+        at = until
+        if k + 1 < n and until == times[k + 1]:
+            k += 1
+    mean = area / dt
+    return pressure, mean, 12.0 * (moment / (dt * dt) - 0.5 * mean), cursor
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _advance(
+    times: Array,
+    values: Array,
+    before: float,
+    cursor: int,
+    start: float,
+    dt: float,
+    pressure: float,
+    valve: Array,
+    linear: bool,
+) -> tuple[float, float, float, int]:
+    if linear:
+        return advance_along(times, values, before, cursor, start, dt, pressure, valve)
+    return advance_pressure(times, values, before, cursor, start, dt, pressure, valve)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _remembers(valve: Array) -> bool:
     """Whether the pressure behind a valve (6,) hangs on more than the command that last arrived there."""
     return bool(valve[FILL] > 0.0 or valve[VENT] > 0.0 or valve[RATE] < math.inf or valve[FLOW] < math.inf)
@@ -205,7 +220,14 @@ def _remembers(valve: Array) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pressure_history(
-    times: Array, commands: Array, before: Array, valve: Array, start: float, dt: float, out: Array
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    start: float,
+    dt: float,
+    out: Array,
+    linear: bool = False,
 ) -> None:
     """The pressures of all actuators over a grid of physics steps, settled under ``before`` until the first command.
 
@@ -217,6 +239,7 @@ def pressure_history(
         start: of the first step [s]; where it comes after times[0], the pressures have moved until then.
         dt: [s].
         out: (steps, 2, na) written: mean and slope over each step [Pa].
+        linear: commands go along a line from each row to the next, in place of being held.
     """
     n, steps = len(times), len(out)
     column = np.empty(n)
@@ -229,12 +252,12 @@ def pressure_history(
             pressure = column[cursor] if cursor >= 0 else before[i]
         elif start > times[0]:
             lead = start - times[0]
-            pressure, _, _, cursor = advance_pressure(
-                times, column, before[i], cursor, times[0], lead, pressure, valve[i]
+            pressure, _, _, cursor = _advance(
+                times, column, before[i], cursor, times[0], lead, pressure, valve[i], linear
             )
         for s in range(steps):
-            pressure, out[s, 0, i], out[s, 1, i], cursor = advance_pressure(
-                times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i]
+            pressure, out[s, 0, i], out[s, 1, i], cursor = _advance(
+                times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i], linear
             )
 
 
@@ -281,7 +304,7 @@ def follow_history(follow: Array, value: float, dt: float, own: int, out: Array)
             end, middle, rise = mean + 0.5 * slope, mean, slope
         else:
             x, behind = dt / number, number * slope / dt
-            decay, area, moment = _decay_moments(x)
+            decay, area, moment = decay_moments(x)
             off = value - (mean - 0.5 * slope - behind)
             end = mean + 0.5 * slope - behind + off * decay
             middle = mean - behind + off * area
@@ -305,6 +328,7 @@ def followed_history(
     start: float,
     dt: float,
     out: Array,
+    linear: bool = False,
 ) -> None:
     """``pressure_history``, and what follows the commands in their place.
 
@@ -318,8 +342,9 @@ def followed_history(
         start: of the first step [s].
         dt: [s].
         out: (steps, 2, na) written.
+        linear: as there.
     """
-    pressure_history(times, commands, before, valve, start, dt, out)
+    pressure_history(times, commands, before, valve, start, dt, out, linear)
     for i in range(commands.shape[1]):
         if follow[i, FOLLOW_KIND] == DIRECT:
             continue
@@ -332,7 +357,7 @@ def followed_history(
                 steps = max(math.ceil((start - times[0]) / dt), 1)
                 early = np.empty((steps, 2, commands.shape[1]))
                 own = (start - times[0]) / steps
-                pressure_history(times, commands, before, valve, times[0], own, early)
+                pressure_history(times, commands, before, valve, times[0], own, early, linear)
                 value = follow_history(follow[i], value, own, i, early)
         follow_history(follow[i], value, dt, i, out)
 

@@ -184,6 +184,34 @@ def hermite(x0: float, v0: float, x1: float, v1: float, dt: float, share: float)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def hermite_rate(x0: float, v0: float, x1: float, v1: float, dt: float, share: float) -> float:
+    """The slope of ``hermite`` there."""
+    s2 = share * share
+    return 6.0 * (s2 - share) * (x0 - x1) / dt + (3.0 * s2 - 4.0 * share + 1.0) * v0 + (3.0 * s2 - 2.0 * share) * v1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inner(q: Array, v: Array, start: float, dt: float, times: Array, position: Array, rate: Array) -> None:
+    """Where a joint is and how fast it moves at given times of a motion on a grid, whatever its sensor shows.
+
+    Args:
+        q: (n,) positions on the grid [rad or m].
+        v: (n,) their rates [rad/s or m/s].
+        start: of the grid [s].
+        dt: of the grid [s].
+        times: (m,) none before the grid, none beyond [s].
+        position: (m,) written [rad or m].
+        rate: (m,) written [rad/s or m/s].
+    """
+    for k in range(len(times)):
+        place = max((times[k] - start) / dt, 0.0)
+        step = min(int(place), len(q) - 2)
+        share = place - step
+        position[k] = hermite(q[step], v[step], q[step + 1], v[step + 1], dt, share)
+        rate[k] = hermite_rate(q[step], v[step], q[step + 1], v[step + 1], dt, share)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def follow(held: float, angle: float, play: float) -> float:
     """Where a part driven with play is when the driver, having held it at ``held``, is at ``angle`` [rad]."""
     return min(max(held, angle - 0.5 * play), angle + 0.5 * play)

@@ -43,6 +43,10 @@ class ForceResponse(Protocol):
         """For each trial (m, nj, k) the change of the measured positions by forces (m − 1, nj, k), to first order."""
         ...
 
+    def inner_response(self, torques: Sequence[Array]) -> list[Array]:
+        """The same (m, 2 nj, k) of the true positions and rates."""
+        ...
+
 
 class Engine(ABC):
     """Predicts positions for given commands, parameters and effects, many models and trials at once.

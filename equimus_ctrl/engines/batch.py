@@ -88,7 +88,7 @@ def _simulated(
             raise ConfigError(
                 f"{model.name} and {models[0].name} differ in structure or phase, so they cannot run together"
             )
-    results = [Predicted(np.empty((k, len(trial.sample_times), nj)), np.zeros(k, dtype=np.int64)) for trial in trials]
+    results = [Predicted.empty(k, trial, nj) for trial in trials]
     tasks: list[tuple[_Block, list[int]]] = []
     histories = _Histories()
     count = computer.worker_count(threads, name="threads")
@@ -224,6 +224,7 @@ class _Block:
         steps = np.maximum(np.ceil(np.array(spans) / dt - 1e-9), 1).astype(np.int64)
         position = np.empty((k, place[-1], len(self.moved)))
         reached = np.zeros((len(trials), k), np.int64)
+        motion = np.empty((k, place[-1] if any(trial.inner for trial in trials) else 0, 2 * len(self.moved)))
         self.kernel.run_trials(
             self.parameters,
             trials[0].times,
@@ -244,11 +245,17 @@ class _Block:
             place,
             position,
             reached,
+            trials[0].linear,
+            motion,
         )
         position = position[:, :, self.still]
         for t, result in enumerate(results):
             result.position[self.models] = position[:, place[t] : place[t + 1]]
             result.reached[self.models] = reached[t]
+            if result.motion is not None:
+                own = motion[:, place[t] : place[t + 1]]
+                result.motion[self.models, :, :nj] = own[:, :, self.still]
+                result.motion[self.models, :, nj:] = own[:, :, len(self.moved) :][:, :, self.still]
 
 
 def _run_of(indices: NDArray[np.int64]) -> slice | NDArray[np.int64]:

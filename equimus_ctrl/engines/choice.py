@@ -189,9 +189,18 @@ class ExtrapolatedEngine(Engine):
         pairs = zip(*(e.simulate(models, trials, starts, threads) for e in (self.fine, self.coarse)), strict=True)
         with np.errstate(all="ignore"):  # numbers after a divergence mean nothing
             return [
-                Predicted(a.position + (a.position - b.position) / (STEPS_FINER - 1), np.minimum(a.reached, b.reached))
+                Predicted(
+                    _extrapolated(a.position, b.position),
+                    np.minimum(a.reached, b.reached),
+                    None if a.motion is None or b.motion is None else _extrapolated(a.motion, b.motion),
+                )
                 for a, b in pairs
             ]
+
+
+def _extrapolated(fine: Array, coarse: Array) -> Array:
+    """Without the error of first order of a step and of a part of it (Richardson)."""
+    return fine + (fine - coarse) / (STEPS_FINER - 1)
 
 
 def engine_for(

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from equimus_ctrl.effects.command import followed_history
-from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, hermite, read, sample
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, hermite, inner, read, sample
 from equimus_ctrl.engines.lane_dry_friction import correct_friction as correct_friction
 from equimus_ctrl.engines.lane_functions import (
     LANES,
@@ -106,6 +106,7 @@ def begin(
     start: float,
     dt: float,
     same: NDArray[np.bool_],
+    linear: bool,
 ) -> None:
     """Put the lanes of the work array w at a start, and the pressures into drive (steps, 2, na·LANES).
 
@@ -123,7 +124,7 @@ def begin(
     history = np.empty((steps, 2, N_ACTUATORS))
     l = 0  # noqa: E741
     while l < k:
-        followed_history(times, commands[l], before[l], valve[l], follow[l], first[l], start, dt, history)
+        followed_history(times, commands[l], before[l], valve[l], follow[l], first[l], start, dt, history, linear)
         # Lanes that follow with the same pressures get them at once, and lanes to spare those of the last.
         end = l + 1
         while end < k and same[end] and np.array_equal(first[end], first[end - 1]):
@@ -200,6 +201,18 @@ def measure_together(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def measure_inner(grid: Array, start: float, dt: float, times: Array, out: Array) -> None:
+    """True positions and rates of k lanes at given times (m,), written to out (k, m, 2 nj); see ``measure``."""
+    n = len(grid)
+    q, v = np.empty(n), np.empty(n)
+    for l in range(len(out)):  # noqa: E741
+        for j in range(N_JOINTS):
+            for s in range(n):
+                q[s], v[s] = grid[s, j * LANES + l], grid[s, (N_JOINTS + j) * LANES + l]
+            inner(q, v, start, dt, times, out[l, :, j], out[l, :, N_JOINTS + j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def run_trials(
     parameters: Array,
     times: Array,
@@ -220,6 +233,8 @@ def run_trials(
     place: Array,
     out: Array,
     reached: Array,
+    linear: bool,
+    motion: Array,
 ) -> None:
     """Up to LANES parameter sets through trials of one history of commands: valves, motion and sensors.
 
@@ -244,6 +259,8 @@ def run_trials(
         out: (k, m, nj) written: measured positions [rad or m].
         reached: (trials, k) written: how many samples a trial has where all is well, else the index of the first that
             could not be had.
+        linear: commands go along a line from each instant to the next, in place of being held.
+        motion: (k, m, 2 nj) written: true positions and rates; with m = 0 they are not wanted.
     """
     most = steps.max()
     w, same = prepared(parameters), same_as_previous(commands, before, valve, follow)
@@ -254,9 +271,11 @@ def run_trials(
         sampled = out_times[low:high]
         own = drive[:n]
         at = start[trial]
-        begin(w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, same)
+        begin(w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, same, linear)
         run_lanes(w, own, dt, rubbing, grid[: n + 1])
         measure(grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
+        if motion.shape[1] > 0:
+            measure_inner(grid[: n + 1], at, dt, sampled, motion[:, low:high])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -275,6 +294,7 @@ def run_inner(
     dt: float,
     states: Array,
     pressures: Array,
+    linear: bool,
 ) -> None:
     """One parameter set through one trial, with what no sensor shows.
 
@@ -293,11 +313,12 @@ def run_inner(
         dt: physics step [s].
         states: (steps + 1, 2 nj + nz) written: positions, velocities and effect states on the grid.
         pressures: (steps, 2, na) written: mean and slope over each step of what the forces are made of.
+        linear: as there.
     """
     w = prepared(parameters)
     drive = np.empty((len(pressures), 2, N_ACTUATORS * LANES))
     same = same_as_previous(commands, before, valve, follow)
-    begin(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same)
+    begin(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same, linear)
     grid = np.empty((len(states), N_STATE * LANES))
     run_lanes(w, drive, dt, rubbing, grid)
     for s in range(len(states)):

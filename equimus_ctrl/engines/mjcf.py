@@ -20,7 +20,7 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import DELAY, FILL, VENT, pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_effects, force_laws
-from equimus_ctrl.effects.sensors import SENSOR_DELAY, sample, sensor_settings
+from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -201,7 +201,7 @@ def commands_on(own: Realised, trial: Trial) -> Array:
     dt = float(own.mujoco.opt.timestep)
     out = np.empty((steps_of(trial, dt), 2, trial.commands.shape[1]))
     whole = shaped_commands(own.effects, own.robot.actuator_names, np.vstack([trial.before, trial.commands]))
-    pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out)
+    pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out, trial.linear)
     return np.ascontiguousarray(out[:, 0])
 
 
@@ -299,6 +299,16 @@ def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
     return out, int(np.searchsorted(times, path.start + (path.sound - 1) * path.dt, side="right"))
 
 
+def inner_of(path: Course, times: Array) -> Array:
+    """(m, 2 nj) true positions and rates of a path at given times."""
+    nj = path.q.shape[1]
+    out = np.empty((2 * nj, len(times)))
+    with np.errstate(all="ignore"):
+        for j in range(nj):
+            inner(path.q[:, j].copy(), path.v[:, j].copy(), path.start, path.dt, times, out[j], out[nj + j])
+    return out.T
+
+
 def simulate_mjcf(
     models: Sequence[Model],
     trials: Sequence[Trial],
@@ -328,7 +338,7 @@ def simulate_mjcf(
     if dt is not None and not 0 < dt < float("inf"):
         raise ConfigError(f"the physics step is {dt:g} s, expected more than 0")
     nj, k = len(models[0].robot.joint_names), len(models)
-    results = [Predicted(np.empty((k, len(t.sample_times), nj)), np.zeros(k, dtype=np.int64)) for t in trials]
+    results = [Predicted.empty(k, trial, nj) for trial in trials]
     histories: dict[tuple[int, tuple[Effect, ...], bytes, float], Array] = {}
     count = computer.worker_count(threads, name="threads")
     parts = max(math.ceil(count / k), 1)
@@ -358,6 +368,8 @@ def simulate_mjcf(
                 start = np.concatenate([trial.position, velocity])
             path = follow(own, trial, start, command(i, own))
             results[i].position[which], results[i].reached[which] = measured_of(own, path, trial.sample_times)
+            if (motion := results[i].motion) is not None:
+                motion[which] = inner_of(path, trial.sample_times)
 
     tasks = [(which, chunk) for which in range(k) for chunk in chunks]
     with quietly():
@@ -374,8 +386,7 @@ def simulate_mjcf(
 
 def command_at(trial: Trial, times: Array) -> Array:
     """(n, na) the commands in force at instants (n,) [s]."""
-    rows = np.vstack([trial.before, trial.commands])
-    return np.asarray(rows[np.searchsorted(trial.times, times, side="right")])
+    return trial.command_at(times)
 
 
 def joint_forces(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:

@@ -49,12 +49,14 @@ class MeasuredMotion:
         time: (n,) evenly spaced [s].
         position: (n, nj) as measured [rad or m].
         noise: (nj,) standard deviation of the measurements' noise [rad or m].
+        zeros: joints whose sensors' zeros are unknown.
     """
 
     trial: Trial
     time: Array
     position: Array
     noise: Array
+    zeros: tuple[int, ...] = ()
 
     @property
     def interval(self) -> float:
@@ -303,7 +305,9 @@ def _along(
             missing[k, j] = needed[joints[j, 1]] - drives[k, j]
 
 
-def motions_of(trials: Sequence[Trial], measured: Sequence[Array], noise: Array) -> list[MeasuredMotion]:
+def motions_of(
+    trials: Sequence[Trial], measured: Sequence[Array], noise: Array, zeros: Sequence[tuple[int, ...]] = ()
+) -> list[MeasuredMotion]:
     """Recordings at even times, by linear interpolation where their own are uneven.
 
     Shooting intervals that follow one another in one recording are one.
@@ -312,6 +316,7 @@ def motions_of(trials: Sequence[Trial], measured: Sequence[Array], noise: Array)
         trials: of the segments, in order.
         measured: for each (m, nj) [rad or m].
         noise: (nj,) standard deviation of the measurements' noise [rad or m].
+        zeros: for each the joints whose sensors' zeros are unknown; none by default.
     """
     runs: list[list[int]] = []
     for k, trial in enumerate(trials):
@@ -331,5 +336,7 @@ def motions_of(trials: Sequence[Trial], measured: Sequence[Array], noise: Array)
         step = float(np.median(np.diff(time)))
         even = time[0] + step * np.arange(int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1)
         columns = [np.interp(even, time, column) for column in position.T]
-        found.append(MeasuredMotion(trials[run[0]], even, np.column_stack(columns), noise))
+        found.append(
+            MeasuredMotion(trials[run[0]], even, np.column_stack(columns), noise, zeros[run[0]] if zeros else ())
+        )
     return found

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from equimus_ctrl.computer import processors, threads
-from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, follow, measured_of, realise
+from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, follow, inner_of, measured_of, realise
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -47,10 +47,24 @@ class SimulatedResponse:
         Raises:
             ConfigError: where there are not as many as trials.
         """
+        return self._responses(torques, measured_of, 1)
+
+    def inner_response(self, torques: Sequence[Array]) -> list[Array]:
+        """The same (m, 2 nj, k) of the true positions and rates."""
+
+        def read(own: Realised, course: Course, times: Array) -> tuple[Array, int]:
+            return inner_of(course, times), measured_of(own, course, times)[1]
+
+        return self._responses(torques, read, 2)
+
+    def _responses(
+        self, torques: Sequence[Array], read: Callable[[Realised, Course, Array], tuple[Array, int]], numbers: int
+    ) -> list[Array]:
+        """Changes of what is read off courses, ``numbers`` for each joint."""
         if len(torques) != len(self.trials):
             raise ConfigError(f"torques are for {len(torques)} trials, expected {len(self.trials)}")
         found = [
-            np.zeros((len(t.sample_times), len(self.scale), torque.shape[2]))
+            np.zeros((len(t.sample_times), numbers * len(self.scale), torque.shape[2]))
             for t, torque in zip(self.trials, torques, strict=True)
         ]
         count = torques[0].shape[2]
@@ -64,7 +78,7 @@ class SimulatedResponse:
                 own = known[condition]
                 dt = float(own.mujoco.opt.timestep)
                 ctrl = commands_on(own, trial)
-                plain, _ = measured_of(own, follow(own, trial, self.starts[i], ctrl), trial.sample_times)
+                plain, _ = read(own, follow(own, trial, self.starts[i], ctrl), trial.sample_times)
                 for column in columns:
                     torque = torques[i][:, :, column]
                     size = float(np.max(np.abs(torque) / self.scale, initial=0.0))
@@ -72,9 +86,7 @@ class SimulatedResponse:
                         continue
                     factor = SMALL / size
                     force = _on_steps(trial, torque * factor, dt, len(ctrl))
-                    measured, reached = measured_of(
-                        own, follow(own, trial, self.starts[i], ctrl, force), trial.sample_times
-                    )
+                    measured, reached = read(own, follow(own, trial, self.starts[i], ctrl, force), trial.sample_times)
                     if reached == len(measured):
                         found[i][:, :, column] = (measured - plain) / factor
 

@@ -117,6 +117,7 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
         dt,
         states,
         pressures,
+        trial.linear,
     )
     if not np.all(np.abs(states[:, nv : 2 * nv]) < MAX_SPEED):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")

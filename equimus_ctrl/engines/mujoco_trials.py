@@ -104,7 +104,9 @@ def _one_trial(
             continue
         commands = shaped_commands(model.effects, m.actuator_names, given)
         valve = valve_settings(model.effects, m.actuator_names)
-        pressure_history(trial.times, commands[1:].copy(), commands[0].copy(), valve, trial.start, dt, pressure[i])
+        pressure_history(
+            trial.times, commands[1:].copy(), commands[0].copy(), valve, trial.start, dt, pressure[i], trial.linear
+        )
     if any(force_effects(model.effects) for model in models):
         runs = [
             _followed(model, robot, batch.settings, q0[i], v0[i], pressure[i, :, 0])

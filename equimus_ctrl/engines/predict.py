@@ -26,6 +26,8 @@ SLOPE_SPAN, SLOPE_SAMPLES = 0.1, 6
 """Half the time over which a start's velocities are read off by a parabola [s]; of less smooth motions in samples."""
 SET, TIMES = "set.", "times."
 """What notes begin with that give a number of the model for one recording, by itself or as a factor on it."""
+ZERO, FREE = "zero.", "free"
+"""Note that a joint's sensor has another, unknown zero in one recording: ``zero.elbow = free``."""
 SETTLED_SPAN = 0.1
 """How long at most the first measurements are averaged for the start of a trial [s]."""
 
@@ -85,6 +87,27 @@ def noted(model: Model, recording: Recording, prefix: str) -> dict[str, float]:
         except ModelError as error:
             raise ConfigError(f"{recording.name}: note {key}: {error}") from None
     return found
+
+
+def free_zeros(model: Model, recording: Recording) -> tuple[int, ...]:
+    """The joints, as indices, whose sensors have an unknown zero of their own in a recording: ``zero.elbow = free``.
+
+    Raises:
+        ConfigError: where there is no such joint, the note says something else, or trials of the robot start at rest.
+    """
+    joints, found = model.robot.joint_names, []
+    for key, text in recording.notes.items():
+        if not key.startswith(ZERO):
+            continue
+        name = key.removeprefix(ZERO)
+        if model.robot.traits.starts_at_rest:
+            raise ConfigError(f"{recording.name}: note {key!r} is for MJCF robots alone")
+        if name not in joints:
+            raise ConfigError(unknown_name("joint", name, joints, f"{recording.name}: note {key}"))
+        if text != FREE:
+            raise ConfigError(f"{recording.name}: note {key} is {text!r}, expected {FREE}")
+        found.append(joints.index(name))
+    return tuple(sorted(found))
 
 
 def measured_start(recording: Recording) -> Array:

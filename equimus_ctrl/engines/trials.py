@@ -50,6 +50,8 @@ class Trial:
         velocity: (nj,) of the joints at the start [rad/s or m/s]; 0 by default.
         settings: parameters of the model that are known to be others in this trial, by dotted name.
         factors: the same, in units of what the model has.
+        linear: commands go along a line from each instant to the next, in place of being held.
+        inner: whether the true motion at the sample times is wanted too, see ``Predicted.motion``.
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
     """
 
@@ -64,6 +66,8 @@ class Trial:
     settings: Mapping[str, float] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
     activation: Array | None = None
+    linear: bool = False
+    inner: bool = False
 
     @cached_property
     def condition(self) -> Condition:
@@ -80,9 +84,18 @@ class Trial:
         )
 
     @property
-    def history(self) -> tuple[Same, Same, bytes]:
+    def history(self) -> tuple[Same, Same, bytes, bool]:
         """Which commands these are, the same for shooting intervals of one recording: a key."""
-        return Same(self.times), Same(self.commands), self.before.tobytes()
+        return Same(self.times), Same(self.commands), self.before.tobytes(), self.linear
+
+    def command_at(self, times: Array) -> Array:
+        """(n, na) the commands in force at instants (n,) [s]."""
+        rows = np.vstack([self.before, self.commands])
+        at = np.searchsorted(self.times, times, side="right")
+        if not self.linear:
+            return np.asarray(rows[at])
+        between = np.column_stack([np.interp(times, self.times, column) for column in self.commands.T])
+        return np.where(at[:, None] == 0, self.before, between)
 
     @classmethod
     def of(cls, recording: Recording, position: ArrayLike, window: tuple[float, float] | None = None) -> Trial:
@@ -106,6 +119,7 @@ class Trial:
             float(start),
             np.array(position, dtype=np.float64),
             np.array(time[inside]),
+            linear=recording.linear,
         )
 
     def starting_from(self, position: ArrayLike) -> Trial:
@@ -120,10 +134,19 @@ class Predicted:
     Attributes:
         position: (k, m, nj) measured positions of each model [rad or m]; numbers after a divergence mean nothing.
         reached: (k,) m where all is well, else the index of the first sample that could not be had.
+        motion: (k, m, 2 nj) true positions and rates, of a trial that asks for them [rad or m, rad/s or m/s].
     """
 
     position: Array
     reached: NDArray[np.int64]
+    motion: Array | None = None
+
+    @classmethod
+    def empty(cls, models: int, trial: Trial, joints: int) -> Predicted:
+        """Room for what so many models and joints do in a trial."""
+        shape = (models, len(trial.sample_times))
+        motion = np.empty((*shape, 2 * joints)) if trial.inner else None
+        return cls(np.empty((*shape, joints)), np.zeros(models, dtype=np.int64), motion)
 
     @property
     def sound(self) -> NDArray[np.bool_]:

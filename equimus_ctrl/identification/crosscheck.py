@@ -68,9 +68,11 @@ def cross_check(
     for k in range(folds):
         heldout = set(recordings[k::folds])
         own = [s for s in segments if s.recording in heldout]
-        rest = fit(begin, [s for s in segments if s.recording not in heldout], simulator=simulator, settings=settings)
+        kept = [s for s in segments if s.recording not in heldout]
+        rest = fit(begin, kept, simulator=simulator, settings=settings, noise=found.problem.noise)
         thetas.append(rest.theta)
         unseen += residuals_of(rest.model, own, simulator)
         before += residuals_of(found.parameters.model, own, simulator)
         notify(k + 1)
-    return CrossCheck(folds, joint_rmse(unseen), joint_rmse(before), np.ptp(thetas, axis=0))
+    nj = len(found.rmse)
+    return CrossCheck(folds, joint_rmse(unseen)[:nj], joint_rmse(before)[:nj], np.ptp(thetas, axis=0))

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
-from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.problem import Derivatives, Point, Problem
 from equimus_ctrl.identification.residuals import DIVERGED, joint_rmse
 from equimus_ctrl.identification.segments import Segment
@@ -39,7 +39,7 @@ IDLE = 1e-9
 """A parameter with less than this share of the strongest one's effect is not moved."""
 
 Begin = tuple[Array, Sequence[Array]]
-"""Parameters (p,) and, for each segment, its start (2 nj,)."""
+"""Parameters (p,) and, for each segment, its start (2 nj + nz,)."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,23 @@ class FitSettings:
     confidence: float = 0.95
 
 
+@dataclass(frozen=True)
+class SensorZero:
+    """What a joint's sensor shows too much in one recording.
+
+    Attributes:
+        recording: its name.
+        joint: whose.
+        unit: of the value.
+        value: the mean over the recording's shooting intervals, each of which has its own.
+    """
+
+    recording: str
+    joint: str
+    unit: str
+    value: float
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Where a search ended.
@@ -65,8 +82,8 @@ class Fit:
         parameters: what was free.
         theta: (p,) the values found.
         model: the model with them.
-        starts: for each segment (2 nj,) its start as the sensors show it [rad, rad/s].
-        residuals: for each segment (m, nj) measured − predicted [rad].
+        starts: for each segment (2 nj + nz,) its start as the sensors show it, and their zeros [rad, rad/s, rad].
+        residuals: for each segment (m, nj + ne) measured − predicted, of joints first [rad, or other units].
         before: the same of the initial model.
         cost: sum of squares that was minimised, in units of the noise's variance where a noise was given, else [rad²].
         at_bound: (p,) −1, 0, 1: where a bound holds a parameter back.
@@ -117,12 +134,25 @@ class Fit:
     @property
     def rmse(self) -> Array:
         """(nj,) [rad]."""
-        return joint_rmse(self.residuals)
+        return joint_rmse(self.residuals)[: len(self.model.robot.joint_names)]
+
+    @property
+    def zeros(self) -> tuple[SensorZero, ...]:
+        """Of all recordings and joints whose sensors' zeros were unknown."""
+        values: dict[tuple[str, int], list[float]] = {}
+        for segment, start in zip(self.problem.segments, self.starts, strict=True):
+            for j, value in zip(segment.zeros, start[len(start) - len(segment.zeros) :], strict=True):
+                values.setdefault((segment.recording_name, j), []).append(float(value))
+        joints = self.model.robot.joint_names
+        return tuple(
+            SensorZero(name, joints[j], place_unit(self.model, "rad", joints[j]), float(np.mean(own)))
+            for (name, j), own in values.items()
+        )
 
     @property
     def rmse_before(self) -> Array:
         """(nj,) of the initial model [rad]."""
-        return joint_rmse(self.before)
+        return joint_rmse(self.before)[: len(self.model.robot.joint_names)]
 
 
 def fit(
@@ -170,7 +200,7 @@ def _fit(
     notify: Callable[[int, float], None],
 ) -> Fit:
     parameters, segments = problem.parameters, problem.segments
-    samples = sum(s.measured.size for s in segments)
+    samples = sum(s.outputs.size for s in segments)
     p, free_starts = len(parameters.free), sum(s.free_start for s in segments)
     if not p:
         raise ConfigError(f"{parameters.model.name}: no parameter is free, so there is nothing to identify")
@@ -186,7 +216,7 @@ def _fit(
     free_before = bool(free_starts and begin and together)
     choices = [[b[1], measured] if free_before else [b[1]] for b in given]
     point = min(problem.points([b[0] for b in given], choices), key=lambda tried: tried.cost)
-    if all(np.all(r[-1] == DIVERGED) for r in point.residuals):
+    if all(np.all(r[-1] == DIVERGED * s.scales) for s, r in zip(segments, point.residuals, strict=True)):
         raise SimulationDiverged(
             f"{parameters.model.name}: the simulation diverges on every trial with the initial model"
         )

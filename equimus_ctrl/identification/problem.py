@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.engines.trials import Predicted
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.residuals import FARTHEST, difference, stacked_residuals
@@ -94,7 +95,8 @@ class Problem:
         parameters: what is free.
         segments: what was measured.
         simulator: the engine.
-        noise: of the joints, whose innovations are what is squared; all residuals count alike without.
+        noise: of the joints, whose innovations are what is squared; without, all residuals of joints count
+            alike, and others by how far they go beside them.
         coarse: a faster engine, whose predictions are compared with its own alone: for derivatives.
     """
 
@@ -112,22 +114,25 @@ class Problem:
         self.simulator = simulator
         self.noise = noise
         self.evaluations = 0
+        _check_channels(self.segments)
         self._start_weights = [self._weights_of(segment) for segment in self.segments]
         shapes: dict[tuple[int, ...], list[int]] = {}
         for k, segment in enumerate(self.segments):
-            shapes.setdefault(segment.measured.shape, []).append(k)
+            shapes.setdefault(segment.outputs.shape, []).append(k)
         self._shapes = list(shapes.values())
 
     def whitened(self, segment: Segment, values: Array) -> Array:
-        """Residuals or derivatives (m, nj, ...) of a segment as they count."""
-        return values if self.noise is None else whiten(self.noise, segment.trial.sample_times, values)
+        """Residuals or derivatives (m, nj + ne, ...) of a segment as they count."""
+        if self.noise is None:
+            return np.asarray(values / segment.scales.reshape(-1, *[1] * (values.ndim - 2)))
+        return whiten(self.noise, segment.trial.sample_times, values)
 
     def points(self, thetas: Sequence[Array], starts: Sequence[Sequence[Sequence[Array]]]) -> list[Point]:
         """Simulate parameter sets (p,), each with one or more choices of starts, and take the best segment by segment.
 
         Args:
             thetas: (p,) each.
-            starts: for each parameter set its choices, for each choice (2 nj,) for every segment.
+            starts: for each parameter set its choices, for each choice (2 nj + nz,) for every segment.
         """
         models = [self.parameters.model_at(theta) for theta in thetas]
         spread = [(i, choice) for i, choices in enumerate(starts) for choice in choices]
@@ -161,7 +166,7 @@ class Problem:
         for members in self._shapes:
             whole = stacked_residuals([self.segments[k] for k in members], [found[k] for k in members])
             if self.noise is None:
-                counted = whole
+                counted = whole / np.stack([self.segments[k].scales for k in members])[:, None, None]
             elif all(joint.coloured == 0.0 for joint in self.noise):
                 counted = whole / np.array([joint.white for joint in self.noise])
             else:
@@ -233,8 +238,7 @@ class Problem:
         """(free_start,) what a start's distance from the measured one weighs."""
         if self.noise is None or not segment.free_start:
             return segment.start_weights
-        nj = segment.measured.shape[1]
-        sigma = np.array([self.noise[k % nj].sigma for k in range(segment.free_start)])
+        sigma = np.array([self.noise[j].sigma for j in segment.start_joints])
         return np.asarray(segment.start_weights / sigma)
 
     def derivatives(self, point: Point) -> Derivatives:
@@ -267,10 +271,20 @@ class Problem:
             if first and not found.sound[0]:
                 change[:, found.reached[0] :] = 0.0
             elif not first:
-                change[:, np.any(np.abs(residual) >= FARTHEST, axis=1)] = 0.0
+                change[:, np.any(np.abs(residual) >= FARTHEST * segment.scales, axis=1)] = 0.0
             by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
             by_start.append(np.moveaxis(change[p : p + segment.free_start] / by, 0, -1))
         return by_theta, by_start
+
+
+def _check_channels(segments: Sequence[Segment]) -> None:
+    """Raise ConfigError unless the same is compared in all segments: noise is estimated over all of them."""
+    for segment in segments:
+        if segment.channels != segments[0].channels:
+            raise ConfigError(
+                f"{segment.recording_name} and {segments[0].recording_name} do not compare the same columns beside "
+                "joint positions; expected all recordings to have them"
+            )
 
 
 def _triangle(matrix: Array) -> Array:

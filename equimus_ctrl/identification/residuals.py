@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -48,14 +47,15 @@ def residual_of(segment: Segment, found: Predicted, index: int) -> Array:
 
 
 def stacked_residuals(segments: Sequence[Segment], found: Sequence[Predicted]) -> Array:
-    """(w, k, m, nj) of all predictions of w segments of one shape, see ``residual_of``."""
+    """(w, k, m, nj + ne) of all predictions of w segments of one shape, see ``residual_of``."""
     position = np.stack([own.position for own in found])
-    measured = np.stack([segment.measured for segment in segments])
+    measured = np.stack([segment.outputs for segment in segments])
+    scales = np.stack([segment.scales for segment in segments])[:, None, None]
     reached = np.stack([own.reached for own in found])
     with np.errstate(invalid="ignore", over="ignore"):  # numbers after a divergence mean nothing
-        residual = np.clip(measured[:, None] - position, -FARTHEST, FARTHEST)
-    residual[np.arange(position.shape[2]) >= reached[:, :, None]] = DIVERGED
-    return np.asarray(residual)
+        residual = np.clip(measured[:, None] - position, -FARTHEST * scales, FARTHEST * scales)
+    lost = np.arange(position.shape[2]) >= reached[:, :, None]
+    return np.asarray(np.where(lost[..., None], DIVERGED * scales, residual))
 
 
 def residuals_of(
@@ -68,7 +68,7 @@ def residuals_of(
 def followed(
     model: Model, segments: Sequence[Segment], simulator: Simulator, improved: int = STARTS
 ) -> tuple[list[Array], list[Array]]:
-    """For each segment its start (2 nj,) and (m, nj) measured − predicted from there [rad].
+    """For each segment its start (2 nj + nz,) and (m, nj) measured − predicted from there [rad].
 
     These are DIVERGED where nothing is predicted. Starts are measured ones. Those of robots that need not start at rest
     are improved by Gauss and Newton's method over a growing part of the segment: where errors grow along it, a start as
@@ -91,8 +91,8 @@ def followed(
         for share in PARTS:
             parts = [_part(s, share) for s in segments]
             grown = _better_starts(model, parts, simulator, grown, _from(model, parts, simulator, grown))[0]
-        tried = zip(starts, residuals, grown, _from(model, segments, simulator, grown), strict=True)
-        best = [(x, r) if _squares(r) <= _squares(q) else (y, q) for x, r, y, q in tried]
+        tried = zip(segments, starts, residuals, grown, _from(model, segments, simulator, grown), strict=True)
+        best = [(x, r) if _squares(s, r) <= _squares(s, q) else (y, q) for s, x, r, y, q in tried]
         starts, residuals = [x for x, _ in best], [r for _, r in best]
     for _ in range(improved):
         starts, residuals = _better_starts(model, segments, simulator, starts, residuals)
@@ -106,13 +106,12 @@ def _from(model: Model, segments: Sequence[Segment], simulator: Simulator, start
 
 def _part(segment: Segment, share: float) -> Segment:
     """The first share of a segment."""
-    count = min(max(round(share * len(segment.measured)), LEAST_SAMPLES), len(segment.measured))
-    trial = replace(segment.trial, sample_times=segment.trial.sample_times[:count])
-    return replace(segment, trial=trial, measured=segment.measured[:count])
+    return segment.first(min(max(round(share * len(segment.measured)), LEAST_SAMPLES), len(segment.measured)))
 
 
-def _squares(residual: Array) -> float:
-    return float((residual**2).sum())
+def _squares(segment: Segment, residual: Array) -> float:
+    """Sum of squares, each in units of how far what is measured goes beside the joints."""
+    return float(((residual / segment.scales) ** 2).sum())
 
 
 def _better_starts(
@@ -123,14 +122,16 @@ def _better_starts(
     rows = [np.vstack([start, start + by * np.eye(n)]) for start in starts]
     found = simulator([model] * (n + 1), segments, rows)
     tried = []
-    for start, residual, f in zip(starts, residuals, found, strict=True):
+    for segment, start, residual, f in zip(segments, starts, residuals, found, strict=True):
+        weights = 1.0 / segment.scales
         slopes: Array = np.zeros((*residual.shape, n))
         reached = int(f.reached.min())  # numbers after a divergence mean nothing
         with np.errstate(invalid="ignore", over="ignore"):
             slopes[:reached] = np.moveaxis(f.position[1:, :reached] - f.position[0, :reached], 0, -1) / by
             step: Array = np.zeros(n)
             if np.all(np.isfinite(slopes)):
-                step[:] = np.linalg.lstsq(slopes.reshape(residual.size, n), residual.ravel(), rcond=1e-9)[0]
+                weighted = (slopes * weights[:, None]).reshape(residual.size, n)
+                step[:] = np.linalg.lstsq(weighted, (residual * weights).ravel(), rcond=1e-9)[0]
         if not np.all(np.isfinite(step)):
             step = np.zeros(n)
         tried.append(np.array([start + share * step for share in (1.0, 0.3)]))
@@ -138,7 +139,7 @@ def _better_starts(
     moved, left = [], []
     for segment, start, residual, rows_tried, f in zip(segments, starts, residuals, tried, found, strict=True):
         choices = [(residual, start), *((residual_of(segment, f, k), rows_tried[k]) for k in range(2))]
-        best = min(choices, key=lambda choice: _squares(choice[0]))
+        best = min(choices, key=lambda choice, own=segment: _squares(own, choice[0]))  # type: ignore[misc]
         left.append(best[0])
         moved.append(best[1])
     return moved, left

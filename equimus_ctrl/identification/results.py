@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.identification.crosscheck import CrossCheck
 from equimus_ctrl.identification.fit import Fit
+from equimus_ctrl.identification.noise import Noise, white_noise
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.residuals import joint_rmse
 from equimus_ctrl.identification.segments import Segment
@@ -70,6 +71,11 @@ class Identified:
     seconds: float
     check_seconds: float
 
+    @property
+    def channels(self) -> tuple[FittedChannel, ...]:
+        """What was compared beside the joints' positions, before and after."""
+        return fitted_channels(self.fit, white_noise(self.fit.residuals), self.fit.before)
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON data; angles in rad, and null where an interval has no end."""
         found, joints = self.fit, self.fit.model.robot.joint_names
@@ -83,6 +89,8 @@ class Identified:
             "seconds": self.seconds,
             "rmse_rad": _before_and_after(joints, found.rmse_before, found.rmse),
             "parameters": parameter_rows(found.parameters, found.theta, found.uncertainty, found.at_bound),
+            "channels": [asdict(channel) for channel in self.channels],
+            "zeros": [asdict(zero) for zero in found.zeros],
             "trade_offs": [_trade(t) for t in found.uncertainty.trade_offs],
             "effective_samples": found.uncertainty.effective_samples,
             "cross_check": None,
@@ -99,6 +107,47 @@ class Identified:
             before, after = (joint_rmse([getattr(h, key) for h in self.heldout]) for key in ("before", "after"))
             data["heldout_rmse_rad"] = _before_and_after(joints, before, after)
         return data
+
+
+@dataclass(frozen=True)
+class FittedChannel:
+    """Something that is compared beside the joints' positions, such as a recorded velocity.
+
+    Attributes:
+        name: of its column.
+        unit: of what follows.
+        noise: standard deviation of its noise.
+        before: RMSE of the model that the fitted one is set against.
+        rmse: of the fitted one.
+    """
+
+    name: str
+    unit: str
+    noise: float
+    before: float
+    rmse: float
+
+
+def fitted_channels(found: Fit, noise: Noise, before: Sequence[Array]) -> tuple[FittedChannel, ...]:
+    """What a fit compared beside the joints' positions; all of its recordings have the same.
+
+    Args:
+        found: the fit.
+        noise: of joints and channels.
+        before: for each segment (m, nj + ne) residuals of the model that it is set against.
+    """
+    robot, channels = found.model.robot, found.problem.segments[0].channels
+    names, nj = channels.names(robot.joint_names), len(robot.joint_names)
+    units = channels.units([robot.slides(name) for name in robot.joint_names])
+    before, after = (joint_rmse(values)[nj:].tolist() for values in (before, found.residuals))
+    rows = zip(names, units, noise[nj:], before, after, strict=True)
+    return tuple(FittedChannel(name, unit, own.sigma, *rmse) for name, unit, own, *rmse in rows)
+
+
+def zeros_sentence(found: Fit) -> str:
+    """What the sensors' unknown zeros came to, for a person; empty where there are none."""
+    said = [f"{zero.recording} {zero.joint} {zero.value:+.4g} {zero.unit}" for zero in found.zeros]
+    return f"Zeros of the sensors (what they show too much): {', '.join(said)}." if said else ""
 
 
 def together(rmse: Array) -> float:

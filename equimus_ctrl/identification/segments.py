@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +17,7 @@ from equimus_ctrl.engines.predict import (
     TIMES,
     behind_sensors,
     check_columns,
+    free_zeros,
     local_motion,
     measured_start,
     modelled_start,
@@ -24,6 +26,7 @@ from equimus_ctrl.engines.predict import (
 )
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.channels import NOTHING, Channels, channels_of, measured_channels
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Recording
 
@@ -32,6 +35,8 @@ INSTANTS = 200
 """At most so many instants of a recording show how well initial states can be read off it."""
 WIDE = 3.0
 """A start that was read off has a prior of so many times the standard deviation that it seems to have."""
+LEAST_REACH = 1e-3
+"""Of what is measured and hardly moves, in its unit: residuals of it are larger than its motion."""
 LEAST_TRUST = 1e-4
 """In units of that in a sample."""
 
@@ -45,13 +50,19 @@ class Segment:
         measured: (m, nj) positions of the joints at the sample times [rad or m].
         recording: which of the recordings it was cut from.
         recording_name: of that recording; trials of shooting intervals have names of their own.
-        start: (2 nj,) positions and velocities at the start as the sensors show them [rad, rad/s or m, m/s].
-        free_start: how many components of the initial state are free: none, the angles (nj), or angles and velocities
-            (2 nj). What was read off the measurements then counts as one more sample, see ``start_weights``.
+        start: (2 nj + nz,) positions and velocities at the start as the sensors show them, and how far their zeros are
+            off [rad, rad/s, rad or m, m/s, m].
+        free_start: how many components of the initial state are free: none, the angles (nj), angles and velocities
+            (2 nj), or these and the zeros. What was read off the measurements then counts as one more sample, see
+            ``start_weights``.
         slope_span: half the time over which a start was read off [s].
-        group: of trials that it belongs to, such as those of one unit of the robot; "" where there are none.
         trust: (2 nj,) in a start that was read off, in units of that in a sample [1, s]; None for what a parabola
             through white noise deserves, see ``start_trust``.
+        zeros: (nz) joints whose sensors' zeros are unknown.
+        channels: what is compared beside joint positions.
+        also: (m, ne) what was measured of these; none by default.
+        reach: (ne,) how far each goes, in units of the joint that goes farthest.
+        group: of trials that it belongs to, such as those of one unit of the robot; "" where there are none.
     """
 
     trial: Trial
@@ -62,14 +73,48 @@ class Segment:
     free_start: int = 0
     slope_span: float = SLOPE_SPAN
     trust: Array | None = None
+    zeros: tuple[int, ...] = ()
+    channels: Channels = NOTHING
+    also: Array | None = None
+    reach: Array | None = None
     group: str = ""
+
+    @cached_property
+    def outputs(self) -> Array:
+        """(m, nj + ne) all that is compared with predictions: positions of the joints, and what was measured beside."""
+        return self.measured if self.also is None else np.column_stack([self.measured, self.also])
+
+    @cached_property
+    def scales(self) -> Array:
+        """(nj + ne,) how large residuals of each are beside those of joints [1, 1/s or m]."""
+        return np.append(np.ones(self.measured.shape[1]), () if self.reach is None else self.reach)
+
+    def first(self, count: int) -> Segment:
+        """Its first samples alone."""
+        trial = replace(self.trial, sample_times=self.trial.sample_times[:count])
+        also = None if self.also is None else self.also[:count]
+        return replace(self, trial=trial, measured=self.measured[:count], also=also)
 
     @property
     def start_weights(self) -> Array:
         """(free_start,) what a start's distance from the measured one weighs, in units of a sample's residual."""
         nj = self.measured.shape[1]
         trust = np.repeat([1.0, self.slope_span / 2], nj) if self.trust is None else self.trust
-        return trust[: self.free_start]
+        return np.append(trust, np.full(len(self.zeros), LEAST_TRUST))[: self.free_start]
+
+    @property
+    def start_joints(self) -> list[int]:
+        """(free_start,) of which joint each free component is."""
+        nj = self.measured.shape[1]
+        return [*range(nj), *range(nj), *self.zeros][: self.free_start]
+
+    def parted(self, starts: Array) -> tuple[Array, Array]:
+        """Starts (k, 2 nj + nz) as (k, 2 nj) what the sensors would show with a right zero, and (k, nj) their zeros."""
+        nj = self.measured.shape[1]
+        shown, offsets = np.array(starts[:, : 2 * nj]), np.zeros((len(starts), nj))
+        offsets[:, self.zeros] = starts[:, 2 * nj :]
+        shown[:, :nj] -= offsets
+        return shown, offsets
 
 
 def cut(
@@ -99,6 +144,7 @@ def cut(
     segments = []
     for index, recording in enumerate(recordings):
         check_columns(model, recording)
+        zeros, channels = free_zeros(model, recording), channels_of(model, recording)
         time = recording.time
         low, high = window or (float(time[0]), float(time[-1]))
         inside = (time >= low) & (time <= high)
@@ -115,7 +161,7 @@ def cut(
             measured = np.array(recording.position[inside])
             segments.append(Segment(trial, measured, index, recording.name, start, nj if fit_start else 0))
         else:
-            segments += _shooting_intervals(model, recording, index, inside, shoot or math.inf)
+            segments += _shooting_intervals(model, recording, index, inside, shoot or math.inf, zeros, channels)
     return segments
 
 
@@ -124,7 +170,13 @@ def _sampled(trial: Trial, times: Array) -> Trial:
 
 
 def _shooting_intervals(
-    model: Model, recording: Recording, index: int, inside: NDArray[np.bool_], length: float
+    model: Model,
+    recording: Recording,
+    index: int,
+    inside: NDArray[np.bool_],
+    length: float,
+    zeros: tuple[int, ...],
+    channels: Channels,
 ) -> list[Segment]:
     """What is compared cut into intervals of about a length [s], each from its own free positions and velocities."""
     time = recording.time
@@ -132,6 +184,10 @@ def _shooting_intervals(
     edges = np.linspace(low, high, max(round((high - low) / length), 1) + 1)
     span = slope_span(model, recording)
     trust = None if model.robot.traits.smooth_motion else start_trust(recording, span)
+    also, reach = None, None
+    if channels:
+        also = measured_channels(channels, recording)
+        reach = np.maximum(np.ptp(also, axis=0), LEAST_REACH) / np.ptp(recording.position, axis=0).max()
     # All intervals share these arrays, by which engines know that they share one history of commands.
     times, command, before = np.array(time), np.array(recording.command), np.array(recording.command_before)
     segments: list[Segment] = []
@@ -152,10 +208,17 @@ def _shooting_intervals(
             velocity=velocity,
             settings=noted(model, recording, SET),
             factors=noted(model, recording, TIMES),
+            linear=recording.linear,
+            inner=bool(channels),
         )
         measured = np.array(recording.position[chosen])
-        free = 2 * len(recording.joints)
-        segments.append(Segment(trial, measured, index, recording.name, start, free, span, trust))
+        whole = np.append(start, np.zeros(len(zeros)))
+        segments.append(
+            Segment(
+                trial, measured, index, recording.name, whole, len(whole), span, trust, zeros, channels,
+                None if also is None else also[chosen], reach,
+            )
+        )  # fmt: skip
     if not segments:
         raise ConfigError(
             f"{recording.name}: no shooting interval of {length:g} s holds {LEAST_SAMPLES} samples; expected at least "

@@ -139,8 +139,9 @@ def sensitivity(
     for done, segment in enumerate(segments):
         (found,) = simulator(models, [segment], [np.tile(segment.start, (len(models), 1))])
         with np.errstate(invalid="ignore", over="ignore"):  # what diverges counts for nothing below
-            squares += ((found.position - segment.measured) ** 2).sum(axis=1)
-            change += ((found.position[pairs[:, 1]] - found.position[pairs[:, 0]]) ** 2).sum(axis=1)
+            position = found.position[:, :, :nj]
+            squares += ((position - segment.measured) ** 2).sum(axis=1)
+            change += ((position[pairs[:, 1]] - position[pairs[:, 0]]) ** 2).sum(axis=1)
         if not found.sound[0]:
             raise SimulationDiverged(
                 f"{segment.trial.name}: the simulation of {model.name} diverges with the nominal model"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.engines.choice import STEP, ReducedEngine, engine_for
@@ -34,7 +34,7 @@ class Simulator:
         Args:
             models: that predict.
             segments: what was done.
-            starts: for each segment (k, 2 nj) as the sensors show them, one row a model.
+            starts: for each segment (k, 2 nj + nz), see ``Segment.start``, one row a model.
         """
         if not any(model.by_group for model in models):
             return self._simulated(models, segments, starts)
@@ -49,8 +49,17 @@ class Simulator:
     def _simulated(
         self, models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]
     ) -> list[Predicted]:
-        true = behind_all(models, starts)
-        return self.engine.simulate(models, [s.trial for s in segments], true, self.threads)
+        shown, offsets = zip(*(s.parted(rows) for s, rows in zip(segments, starts, strict=True)), strict=True)
+        true = behind_all(models, shown)
+        found = self.engine.simulate(models, [s.trial for s in segments], true, self.threads)
+        shifted = [
+            replace(own, position=own.position + offset[:, None]) if segment.zeros else own
+            for segment, own, offset in zip(segments, found, offsets, strict=True)
+        ]
+        return [
+            segment.channels.added(models[0].robot, own) if segment.channels else own
+            for segment, own in zip(segments, shifted, strict=True)
+        ]
 
 
 def reduced_simulator(dt: float | None = None, threads: int | None = None, longest: float = STEP) -> Simulator:

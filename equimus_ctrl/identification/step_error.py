@@ -44,7 +44,7 @@ def with_step_error(
     except SimulationDiverged:
         return fit
     times = [s.trial.sample_times for s in segments]
-    whitened_fit = whiten_fit(times, fit, noise or tuple(JointNoise(1.0) for _ in fit.model.robot.joint_names))
+    whitened_fit = whiten_fit(times, fit, noise or tuple(map(JointNoise, segments[0].scales)))
     column = whitened_fit.columns(times, changes)[:, 0]
     moved = np.linalg.lstsq(whitened_fit.slopes, column, rcond=UNSEEN)[0] * fit.parameters.scale
     more = np.abs(moved) / abs(ratio - 1.0)

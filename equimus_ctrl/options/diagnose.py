@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.options.fields import (
     NAMES,
+    also_option,
     at_least,
     bounds_option,
     engine_option,
@@ -19,6 +20,7 @@ from equimus_ctrl.options.fields import (
     select_option,
     threads_option,
     window_option,
+    zero_option,
 )
 from equimus_ctrl.options.offers import option
 
@@ -48,6 +50,8 @@ class DiagnoseOptions:
         window: (from, to) of each trial that counts at all [s].
         shoot: length of multiple-shooting intervals where nothing holds the robot in place [s]; see
             ``diagnosis.intervals.longest_interval``.
+        also: names or patterns of recorded columns that are compared beside joint positions, ``vel.*`` and ``site.*``.
+        zero_per_trial: names or patterns of joints whose sensors have an unknown zero of their own in each trial.
         most: largest number of effects, 1 to 6.
         exclude: names of effects that are not tried.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
@@ -94,6 +98,8 @@ class DiagnoseOptions:
         "long as the nominal model's predictions stay close.",
         metavar="SECONDS",
     )
+    also: Sequence[str] = also_option()
+    zero_per_trial: Sequence[str] = zero_option()
     most: int = option(3, int, "Largest number of effects in a hypothesis.")
     exclude: Sequence[str] = option((), NAMES, "Do not try this effect, see list effects.", metavar="EFFECT")
     engine: EngineName | None = engine_option()

@@ -109,6 +109,18 @@ def parameters_option() -> Any:
     return option(None, Path | None, text, metavar="FILE")
 
 
+def also_option() -> Any:
+    """What is compared beside joint positions."""
+    text = "Recorded columns that are compared beside joint positions, such as 'vel.*' or 'site.tip.x'."
+    return option((), NAMES, text, metavar="COLUMN")
+
+
+def zero_option() -> Any:
+    """Joints whose sensors have another zero in each trial."""
+    text = "A joint whose sensor has another, unknown zero in each trial, such as 'elbow' or '*'."
+    return option((), NAMES, text, metavar="JOINT")
+
+
 def at_least(name: str, value: float | None, least: float) -> None:
     """Raise ConfigError for a value below the least."""
     if value is not None and value < least:

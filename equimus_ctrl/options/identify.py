@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.options.fields import (
     NAMES,
+    also_option,
     at_least,
     bounds_option,
     dt_option,
@@ -19,6 +20,7 @@ from equimus_ctrl.options.fields import (
     select_option,
     threads_option,
     window_option,
+    zero_option,
 )
 from equimus_ctrl.options.offers import option
 
@@ -43,6 +45,8 @@ class IdentifyOptions:
         heldout: held-out files, folders, trials or poses; those that take part in the fit are dropped.
         window: (from, to) of each trial that is compared; all of it by default [s].
         shoot: length of multiple-shooting intervals, each with a free initial state [s].
+        also: names or patterns of recorded columns that are compared beside joint positions, ``vel.*`` and ``site.*``.
+        zero_per_trial: names or patterns of joints whose sensors have an unknown zero of their own in each trial.
         fit_start: estimate each trial's first angles too.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.
         dt: physics step [s].
@@ -74,6 +78,8 @@ class IdentifyOptions:
     shoot: float | None = option(
         None, float | None, "Length of multiple-shooting intervals, each with a free initial state.", metavar="SECONDS"
     )
+    also: Sequence[str] = also_option()
+    zero_per_trial: Sequence[str] = zero_option()
     fit_start: bool = option(False, bool, "Estimate each trial's first angles too.", "--fit-start")
     engine: EngineName | None = engine_option()
     dt: float | None = dt_option()

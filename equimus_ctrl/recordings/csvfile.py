@@ -1,8 +1,9 @@
 """The project's recording format: one CSV a trial.
 
-Header ``time,cmd.<actuator>…,pos.<joint>…`` with optional ``vel.<joint>`` (all joints or none) and
-``meas.<actuator>`` (all actuators or none), the columns in any order, SI units, times strictly ascending. A command
-holds from its row until the next. Lines starting with ``#`` before the header carry ``key = value`` notes;
+Header ``time,cmd.<actuator>…,pos.<joint>…`` with optional ``vel.<joint>`` (all joints or none),
+``meas.<actuator>`` (all actuators or none) and ``site.<site>.x``, ``.y``, ``.z`` (any), the columns in any
+order, SI units, times strictly ascending. A command holds from its row until the next, or goes along a line to it (note
+``interpolation = linear``). Lines starting with ``#`` before the header carry ``key = value`` notes;
 ``before.cmd.<actuator> = value`` (all actuators or none) states the command in force before the first row. Blank lines
 are passed over. Text is UTF-8.
 """
@@ -25,9 +26,12 @@ from equimus_ctrl.recordings.sheet import PathLike, Sheet, open_sheet, reason, s
 from equimus_ctrl.types import Array, Recording
 
 PREFIXES = {"cmd": "actuator", "pos": "joint", "vel": "joint", "meas": "actuator"}
+SITE = "site."
+AXES = ("x", "y", "z")
 BEFORE = "before.cmd."
 COMMENT = "comment"
-SETTLED = "settled"
+CHOICES = {"settled": ("yes", "no"), "interpolation": ("hold", "linear")}
+"""Notes that take one of a few words."""
 
 
 def read(path: PathLike, *, limits: Limits = LEG) -> Recording:
@@ -59,7 +63,8 @@ def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
     joints, actuators = groups["pos"], groups["cmd"]
     names = {prefix: [f"{prefix}.{name}" for name in _order(prefix, groups)] for prefix in PREFIXES if groups[prefix]}
     notes, before = _notes(sheet, actuators, limits)
-    columns = ["time", *(column for group in names.values() for column in group)]
+    seen = [column for column in sheet.header if column.startswith(SITE)]
+    columns = ["time", *(column for group in names.values() for column in group), *seen]
     values = sheet.numbers(columns)
 
     def block(prefix: str) -> Array | None:
@@ -84,6 +89,7 @@ def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
         measured=block("meas"),
         before=before,
         notes=notes,
+        sites={column.removeprefix(SITE): values[:, columns.index(column)] for column in seen},
     )
 
 
@@ -99,7 +105,7 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
         prefix, dot, name = column.partition(".")
         if prefix in PREFIXES and dot and name:
             found[prefix].append(name)
-        elif column != "time":
+        elif column != "time" and not _is_site(column):
             raise sheet.header_error(_unknown_column(column))
     if "time" not in sheet.header:
         raise sheet.header_error("column 'time' is missing; sample times in seconds belong in it")
@@ -124,6 +130,11 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
     return {prefix: tuple(names) for prefix, names in found.items()}
 
 
+def _is_site(column: str) -> bool:
+    name, _, axis = column.removeprefix(SITE).rpartition(".")
+    return column.startswith(SITE) and bool(name) and axis in AXES
+
+
 def _demand_all(sheet: Sheet, prefix: str, found: Sequence[str], together: Sequence[str], hint: str) -> None:
     missing = [name for name in together if name not in found]
     if missing and len(missing) < len(together):
@@ -137,7 +148,7 @@ def _demand_all(sheet: Sheet, prefix: str, found: Sequence[str], together: Seque
 def _unknown_column(column: str) -> str:
     last = column.replace("_", ".").replace(" ", ".").split(".")[-1]
     candidates = ["time", *(f"{prefix}.{last}" for prefix in PREFIXES)]
-    known = "time, cmd.<actuator>, pos.<joint>, vel.<joint>, meas.<actuator>"
+    known = "time, cmd.<actuator>, pos.<joint>, vel.<joint>, meas.<actuator>, site.<site>.x"
     return f"there is no column {shorten(column)}{nearest(column.lower(), candidates)} (known: {known})"
 
 
@@ -159,8 +170,8 @@ def _notes(sheet: Sheet, actuators: tuple[str, ...], limits: Limits) -> tuple[di
             if not key.startswith(BEFORE) or actuator not in actuators:
                 raise RecordingError(unknown_name("note", key, [BEFORE + name for name in actuators], where=place))
             before[actuator] = _before_value(place, key, value, limits)
-        elif key == SETTLED and value not in ("yes", "no"):
-            raise RecordingError(f"{place}: note '{SETTLED}' is {shorten(value)}, expected yes or no")
+        elif key in CHOICES and value not in CHOICES[key]:
+            raise RecordingError(f"{place}: note '{key}' is {shorten(value)}, expected {' or '.join(CHOICES[key])}")
         else:
             notes[key] = value
     if not before:
@@ -212,6 +223,8 @@ def write(path: PathLike, recording: Recording) -> None:
         if block is not None:
             header += [f"{prefix}.{name}" for name in names]
             blocks.append(block)
+    header += [f"{SITE}{name}" for name in recording.sites]
+    blocks += [block[:, None] for block in recording.sites.values()]
     values = np.hstack(blocks)
     if not np.isfinite(values).all():
         row, k = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
@@ -247,12 +260,16 @@ def _check_writable(path: Path, recording: Recording) -> None:
             _check_text(path, f"{kind} name", name, forbidden=",=")
     if recording.before is not None and not np.isfinite(recording.before).all():
         raise RecordingError(f"{path}: the command before the first row is {recording.before}; it must be finite")
+    for name in recording.sites:
+        if not _is_site(f"{SITE}{name}"):
+            raise RecordingError(f"{path}: site {name!r} cannot be written; expected a site and an axis, such as tip.x")
+        _check_text(path, "site", name, forbidden=",=")
     for key, value in recording.notes.items():
         _check_text(path, "note", key, forbidden="=")
         if key.startswith("before"):
             raise RecordingError(f"{path}: note {key!r} cannot be written; names that start with 'before' are reserved")
-        if key == SETTLED and value not in ("yes", "no"):
-            raise RecordingError(f"{path}: note '{SETTLED}' is {shorten(value)}, expected yes or no")
+        if key in CHOICES and value not in CHOICES[key]:
+            raise RecordingError(f"{path}: note '{key}' is {shorten(value)}, expected {' or '.join(CHOICES[key])}")
         if value:
             _check_text(path, f"text of note {key!r}", value)
 

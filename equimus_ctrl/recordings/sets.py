@@ -175,6 +175,7 @@ def _arranged(
         measured=None if trial.measured is None else trial.measured[:, a],
         before=None if trial.before is None else trial.before[a],
         notes=trial.notes,
+        sites=trial.sites,
     )
 
 

@@ -91,7 +91,7 @@ def _residual(diagnosis: Diagnosis, state: str, k: int) -> Array:
 
 
 def _sigma(diagnosis: Diagnosis) -> Array:
-    return np.array([own.sigma for own in diagnosis.best.noise])
+    return np.array([own.sigma for own in diagnosis.noise])
 
 
 def _worst(diagnosis: Diagnosis) -> list[int]:

@@ -152,7 +152,7 @@ def _size(diagnosis: Diagnosis) -> str:
     states, parts = diagnosis_text.states(diagnosis), [part for part in SETS if getattr(diagnosis, part)]
     groups = [(diagnosis_text.PARTS[part], [WORDS[state] for state in states]) for part in parts]
     sizes = [diagnosis.rmse(state, part) * factors for part in parts for state in states]
-    sigma = np.array([own.sigma for own in diagnosis.best.noise]) * factors
+    sigma = np.array([own.sigma for own in diagnosis.noise]) * factors
     rows = [
         (joint if alike else f"{joint} [{unit.unit}]", *(number(v[j]) for v in sizes), number(float(sigma[j])))
         for j, (joint, unit) in enumerate(zip(diagnosis.joints, shown, strict=True))
@@ -163,12 +163,13 @@ def _size(diagnosis: Diagnosis) -> str:
     colour = [
         f"{joint}: {number(own.white * u.factor)} {u.unit} white, {number(own.coloured * u.factor)} {u.unit} "
         f"correlated over {number(own.time * 1e3)} ms"
-        for joint, own, u in zip(diagnosis.joints, diagnosis.best.noise, shown, strict=True)
+        for joint, own, u in zip(diagnosis.joints, diagnosis.noise, shown, strict=True)
         if own.coloured > 0
     ]
     coloured = f"<p>The noise is coloured.</p>{_list(colour)}" if colour else ""
     first = f"RMSE in {shown[0].unit}" if alike else "RMSE"
-    return f"<p>{escape(text)}</p>{_grouped(first, [*groups, ('noise', [''])], rows)}{coloured}"
+    channels = _list(diagnosis_text.of_channels(diagnosis)) if diagnosis.channels else ""
+    return f"<p>{escape(text)}</p>{_grouped(first, [*groups, ('noise', [''])], rows)}{coloured}{channels}"
 
 
 def _grouped(first: str, groups: Sequence[tuple[str, Sequence[str]]], rows: Sequence[Sequence[str]]) -> str:

@@ -162,7 +162,7 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.findings:
         text += f", augmented {number(sizes['corrected'])}"
     lines = [f"{text}."]
-    for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.best.noise, strict=True)):
+    for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.noise, strict=True)):
         unit = units.error(diagnosis.model, joint)
         said = []
         for part in SETS:
@@ -171,7 +171,15 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
                 said.append(f"{PARTS[part]} {' → '.join(shown)}")
         said.append(f"noise {number(own.sigma * unit.factor)}")
         lines.append(f"{joint}: RMSE in {unit.unit}: {', '.join(said)}")
-    return lines
+    return [*lines, *of_channels(diagnosis)]
+
+
+def of_channels(diagnosis: Diagnosis) -> list[str]:
+    """What was compared beside the joints' positions: errors of the refitted and the augmented model."""
+    return [
+        f"{own.name}: RMSE {number(own.before)} → {number(own.rmse)} {own.unit}, noise {number(own.noise)} {own.unit}"
+        for own in diagnosis.channels
+    ]
 
 
 def held_out(diagnosis: Diagnosis) -> str:
@@ -238,7 +246,7 @@ def headline(diagnosis: Diagnosis) -> str:
     else:
         of = zip(diagnosis.joints, before, shown, strict=True)
         parts = [f"{number(size * unit.factor)} {unit.unit} at the {joint}" for joint, size, unit in of]
-        size = before / np.array([own.sigma for own in diagnosis.best.noise])
+        size = before / np.array([own.sigma for own in diagnosis.noise])
     what = listed(parts)
     if len(parts) >= MANY:  # the table has all of them
         what = f"{parts[int(np.argmin(size))]} to {parts[int(np.argmax(size))]}"

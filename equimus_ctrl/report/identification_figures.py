@@ -78,7 +78,8 @@ def shown_trials(found: Identified) -> list[Shown]:
         pieces: list[tuple[Array, ...]] = []
         for k in own:
             segment = found.segments[k]
-            rows = (segment.trial.sample_times, segment.measured, found.fit.before[k], found.fit.residuals[k])
+            errors = (values[k][:, :nj] for values in (found.fit.before, found.fit.residuals))
+            rows = (segment.trial.sample_times, segment.measured, *errors)
             if pieces:
                 pieces.append((rows[0][:1], gap, gap, gap))
             pieces.append(rows)

@@ -21,7 +21,7 @@ from equimus_ctrl.errors import ConfigError, EquimusError
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, with_changes
 from equimus_ctrl.workflow.groups import by_folder, check_enough, check_fitted
-from equimus_ctrl.workflow.identify import choose, simulator_of, with_file
+from equimus_ctrl.workflow.identify import choose, marked, simulator_of, with_file
 from equimus_ctrl.workflow.scores import gather
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def diagnose_recordings(
         trials, group_of = gather(recordings, model), dict[str, str]()
     else:
         trials, group_of = by_folder(recordings, model)
-    trials = choose(trials, options.select)
+    trials = marked(model, choose(trials, options.select), options)
     groups = [group_of[trial.name] for trial in trials] if group_of else []
     if groups:
         check_enough(groups, options)

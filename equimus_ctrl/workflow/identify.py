@@ -15,21 +15,23 @@ import numpy as np
 from equimus_ctrl.diagnosis.intervals import longest_interval
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.predict import check_columns
+from equimus_ctrl.engines.predict import FREE, ZERO, check_columns
 from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.identification.channels import unused, with_channels
 from equimus_ctrl.identification.crosscheck import cross_check
-from equimus_ctrl.identification.fit import FitSettings, fit
-from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.fit import Fit, FitSettings, fit
+from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.parameters import FreeParameters, free_parameters
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.identification.results import Identification, Identified, IdentifiedPoses, Judged, together
-from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.sensitivity import SHARES, Sensitivity, sensitivity
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.identification.statics import fit_static, pose_residuals, static_names
 from equimus_ctrl.identification.step_error import with_step_error
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import DiagnoseOptions, IdentifyOptions, SensitivityOptions, with_changes
-from equimus_ctrl.recordings import StaticPoses, read_static_poses
+from equimus_ctrl.recordings import StaticPoses, checks, read_static_poses
 from equimus_ctrl.recordings.sheet import header_of
 from equimus_ctrl.recordings.upstream import STATIC_POSES, kind
 from equimus_ctrl.types import Recording
@@ -39,8 +41,10 @@ from equimus_ctrl.workflow.scores import gather
 if TYPE_CHECKING:
     from equimus_ctrl.options import Some
 
-TRIALS_ONLY = ("window", "shoot", "fit_start", "engine", "dt")
+TRIALS_ONLY = ("window", "shoot", "also", "zero_per_trial", "fit_start", "engine", "dt")
 """What poses at rest have no use for."""
+REWEIGHTED = 3
+"""So often residuals give the weights of a fit with more than joint positions; no digit that is shown changes after."""
 FOLD_SHARE = 0.15
 """What a fold of the cross-check takes beside the search, for the share done."""
 Progress = Callable[[str, float, float], None]
@@ -85,7 +89,35 @@ def choose(trials: Sequence[Recording], patterns: Sequence[str] | None) -> list[
     return [trial for trial in trials if any(fnmatch.fnmatchcase(trial.name, pattern) for pattern in patterns)]
 
 
+def with_free_zeros(trials: Sequence[Recording], joints: Sequence[str]) -> list[Recording]:
+    """Trials that say of some joints, by names or patterns, that their sensors' zeros are unknown, see ``free_zeros``.
+
+    Raises:
+        ConfigError: for a pattern that fits no joint.
+    """
+    marked = []
+    for trial in trials:
+        for pattern in joints:
+            if not fnmatch.filter(trial.joints, pattern):
+                raise ConfigError(unknown_name("joint", pattern, trial.joints, f"{trial.name}: zero of each trial"))
+        chosen = [name for name in trial.joints if any(fnmatch.fnmatchcase(name, p) for p in joints)]
+        marked.append(replace(trial, notes={**trial.notes, **{ZERO + name: FREE for name in chosen}}))
+    return marked
+
+
 Free = TypeVar("Free", DiagnoseOptions, IdentifyOptions)
+
+
+def marked(model: Model, trials: Sequence[Recording], options: DiagnoseOptions | IdentifyOptions) -> list[Recording]:
+    """Trials with notes of what options ask to be compared beside positions, and of unknown zeros.
+
+    Warns of what is recorded and takes no part.
+    """
+    found = with_channels(with_free_zeros(trials, options.zero_per_trial), options.also)
+    if idle := unused(found):
+        hint = "" if model.robot.traits.starts_at_rest else "; --also compares vel.* and site.*"
+        checks.warn([f"recorded, and not compared with the model: {', '.join(idle)}{hint}"])
+    return found
 
 
 def with_file(options: Free, model: Model) -> Free:
@@ -122,10 +154,10 @@ def identify_recordings(
     """
     model = model or nominal_model()
     options = with_file(with_changes(IdentifyOptions, options, changes), model)
-    trials = choose(gather(recordings, model), options.select)
+    trials = marked(model, choose(gather(recordings, model), options.select), options)
     simulator = simulator_of(options.engine, options.dt, options.threads, model, trials)
     heldout = _each_of(options.heldout)
-    others = _unseen(gather(heldout, model), trials) if heldout else []
+    others = marked(model, _unseen(gather(heldout, model), trials), options) if heldout else []
     parameters = free_parameters(model, options.free, options.bounds, options.fix)
     in_place = model.robot.traits.held_in_place
     window, shoot, folds, settings = options.window, options.shoot, options.folds, options.settings
@@ -138,12 +170,12 @@ def identify_recordings(
     simulator([model], segments[:1], [segments[0].start[None, :]])
     begun = time.perf_counter()
     progress("search", 0.0, math.nan)
-    found = fit(
+    found = _fitted(
         parameters,
         segments,
-        simulator=simulator,
-        settings=settings,
-        notify=lambda evaluations, rmse: progress("search", share.of_search(rmse), rmse),
+        simulator,
+        settings,
+        lambda evaluations, rmse: progress("search", share.of_search(rmse), rmse),
     )
     best = together(found.rmse)
     searched = time.perf_counter()
@@ -157,15 +189,33 @@ def identify_recordings(
     )
     if (step := simulator.engine.discretisation) is not None:
         other = Simulator(simulator.engine.with_finer_step(), options.threads)
-        found = with_step_error(found, segments, simulator, other, 1 / step.finer)
+        found = with_step_error(found, segments, simulator, other, 1 / step.finer, found.problem.noise)
     checked = time.perf_counter()
     pairs = zip(
         judged, residuals_of(model, judged, simulator), residuals_of(found.model, judged, simulator), strict=True
     )
-    unseen = tuple(Judged(s.trial.name, before, after, s) for s, before, after in pairs)
+    nj = len(model.robot.joint_names)
+    unseen = tuple(Judged(s.trial.name, before[:, :nj], after[:, :nj], s) for s, before, after in pairs)
     progress("done", 1.0, best)
     took = searched - begun, checked - searched
     return Identified(found, tuple(segments), tuple(trials), check, unseen, simulator.engine, *took)
+
+
+def _fitted(
+    parameters: FreeParameters,
+    segments: Sequence[Segment],
+    simulator: Simulator,
+    settings: FitSettings | None,
+    notify: Callable[[int, float], None],
+) -> Fit:
+    """Least squares; what is compared beside joint positions is weighed as its residuals ask for, as those are."""
+    found = first = fit(parameters, segments, simulator=simulator, settings=settings, notify=notify)
+    for _ in range(REWEIGHTED if any(s.channels for s in segments) else 0):
+        found = fit(
+            parameters, segments, simulator=simulator, settings=settings, notify=notify,
+            noise=white_noise(found.residuals), begin=[(found.theta, found.starts)],
+        )  # fmt: skip
+    return replace(found, before=first.before)
 
 
 class _Share:

@@ -1,0 +1,67 @@
+"""Where sites of MJCF robots are, by MuJoCo's forward kinematics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from equimus_ctrl.engines.mjcf import function_address, scratch
+from equimus_ctrl.engines.mjcf_kernel import called
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.types import Array
+
+
+def site_names(robot: MjcfRobot) -> tuple[str, ...]:
+    """Sites that have names."""
+    base = robot.plan.base
+    names = (mujoco.mj_id2name(base, mujoco.mjtObj.mjOBJ_SITE, k) for k in range(base.nsite))
+    return tuple(name for name in names if name)
+
+
+def site_positions(robot: MjcfRobot, position: Array, sites: Sequence[str]) -> Array:
+    """(k, m, ns, 3) where sites are in the room [m]. No parameter and no effect moves them along their links.
+
+    Args:
+        robot: whose.
+        position: (k, m, nj) of its joints [rad or m]; where it is not finite sites are not either.
+        sites: (ns) their names.
+    """
+    base = robot.plan.base
+    data = scratch.data(base)
+    out = np.empty((*position.shape[:2], len(sites), 3))
+    places = np.array([int(base.joint(name).qposadr[0]) for name in robot.joint_names], dtype=np.int64)
+    _along(
+        function_address("mj_kinematics"), base._address, data._address, places,
+        np.array([base.site(name).id for name in sites], dtype=np.int64),
+        np.ascontiguousarray(position).reshape(-1, len(places)), data.qpos, data.site_xpos,
+        out.reshape(-1, len(sites), 3),
+    )  # fmt: skip
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _along(
+    kinematics: int,
+    model: int,
+    data: int,
+    places: NDArray[np.int64],
+    sites: NDArray[np.int64],
+    position: Array,
+    qpos: Array,
+    where: Array,
+    out: Array,
+) -> None:
+    for k in range(len(position)):
+        if not np.all(np.isfinite(position[k])):
+            out[k] = np.nan
+            continue
+        for j in range(len(places)):
+            qpos[places[j]] = position[k, j]
+        called(kinematics, model, data)
+        for s in range(len(sites)):
+            for axis in range(3):
+                out[k, s, axis] = where[sites[s], axis]

@@ -1,0 +1,153 @@
+"""What is compared with a model beside joint positions: recorded velocities of joints, and coordinates of sites.
+
+They are measured by other means than the positions: offset, scale, delay and play of a joint's sensor are not theirs.
+Each has noise of its own.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from equimus_ctrl.engines.mjcf_sites import site_names, site_positions
+from equimus_ctrl.engines.trials import Predicted
+from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
+from equimus_ctrl.types import Array, Recording
+
+ALSO = "also"
+"""Note of a recording that lists what of it is compared beside joint positions: ``also = vel.elbow site.tip.x``."""
+SMALL = 1e-6
+"""Step of the differences of sites' positions [rad or m]."""
+VELOCITY, SITE, AXES = "vel.", "site.", "xyz"
+
+
+@dataclass(frozen=True)
+class Channels:
+    """What is compared beside joint positions.
+
+    Attributes:
+        velocities: of joints, by their places.
+        sites: names and axes of sites' coordinates.
+    """
+
+    velocities: tuple[int, ...] = ()
+    sites: tuple[tuple[str, int], ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.velocities or self.sites)
+
+    def names(self, joints: Sequence[str]) -> tuple[str, ...]:
+        """As the recordings' columns have them."""
+        sites = (f"{SITE}{name}.{AXES[axis]}" for name, axis in self.sites)
+        return (*(VELOCITY + joints[j] for j in self.velocities), *sites)
+
+    def units(self, slides: Sequence[bool]) -> tuple[str, ...]:
+        """Of each, given which joints are slides."""
+        return (*("m/s" if slides[j] else "rad/s" for j in self.velocities), *("m" for _ in self.sites))
+
+    def of_motion(self, robot: Robot, motion: Array) -> Array:
+        """(k, m, ne) what these would be in motions (k, m, 2 nj) of a robot's joints."""
+        nj = motion.shape[2] // 2
+        names = list(dict.fromkeys(name for name, _ in self.sites))
+        rates = motion[:, :, [nj + j for j in self.velocities]]
+        if not names:
+            return rates
+        where = site_positions(mjcf_of(robot), motion[:, :, :nj], names)
+        columns = [where[:, :, names.index(name), axis] for name, axis in self.sites]
+        return np.concatenate([rates, np.stack(columns, axis=-1)], axis=2)
+
+    def changes(self, robot: Robot, motion: Array, change: Array) -> Array:
+        """(m, ne, k) changes of these by small changes (m, 2 nj, k) of a motion (m, 2 nj), to first order."""
+        nj = motion.shape[1] // 2
+        rates = change[:, [nj + j for j in self.velocities]]
+        if not self.sites:
+            return rates
+        moved = np.repeat(motion[None], nj + 1, axis=0)
+        moved[1:, :, :nj] += SMALL * np.eye(nj)[:, None]
+        where = replace(self, velocities=()).of_motion(robot, moved)
+        slopes = (where[1:] - where[0]) / SMALL  # (nj, m, ns)
+        return np.concatenate([rates, np.einsum("jms,mjk->msk", slopes, change[:, :nj])], axis=1)
+
+    def added(self, robot: Robot, found: Predicted) -> Predicted:
+        """Predictions with these beside the joints' positions."""
+        assert found.motion is not None  # trials with channels ask for it
+        more = self.of_motion(robot, found.motion)
+        return replace(found, position=np.concatenate([found.position, more], axis=2))
+
+
+NOTHING = Channels()
+
+
+def channels_of(model: Model, recording: Recording) -> Channels:
+    """What a recording's note ``also`` lists.
+
+    Raises:
+        ConfigError: for what is not recorded, what the robot does not have, or a robot that MuJoCo's XML does not
+            describe.
+    """
+    words = recording.notes.get(ALSO, "").split()
+    if not words:
+        return NOTHING
+    if model.robot.traits.starts_at_rest:
+        raise ConfigError(f"{recording.name}: note {ALSO!r} is for MJCF robots alone")
+    known = recorded_columns(recording)
+    for word in words:
+        if word not in known:
+            raise ConfigError(unknown_name("column", word, known, f"{recording.name}: note {ALSO}"))
+    velocities = [j for j, joint in enumerate(recording.joints) if VELOCITY + joint in words]
+    sites = [word.removeprefix(SITE) for word in known if word in words and word.startswith(SITE)]
+    there = site_names(mjcf_of(model.robot)) if sites else ()
+    parts = [name.rpartition(".") for name in sites]
+    for name, _, _ in parts:
+        if name not in there:
+            raise ConfigError(unknown_name("site", name, there, f"{recording.name}: column {SITE}{name}"))
+    return Channels(tuple(velocities), tuple((name, AXES.index(axis)) for name, _, axis in parts))
+
+
+def recorded_columns(recording: Recording) -> tuple[str, ...]:
+    """What of a recording could be compared beside joint positions."""
+    rates = () if recording.velocity is None else tuple(VELOCITY + joint for joint in recording.joints)
+    return (*rates, *(SITE + name for name in recording.sites))
+
+
+def unused(recordings: Sequence[Recording]) -> list[str]:
+    """Columns of recordings that nothing is compared with: those that could be and are not listed, and ``meas.*``."""
+    found: dict[str, None] = {}
+    for recording in recordings:
+        listed = recording.notes.get(ALSO, "").split()
+        forces = () if recording.measured is None else (f"meas.{name}" for name in recording.actuators)
+        found |= dict.fromkeys(name for name in recorded_columns(recording) if name not in listed)
+        found |= dict.fromkeys(forces)
+    return list(found)
+
+
+def measured_channels(channels: Channels, recording: Recording) -> Array:
+    """(n, ne) what was measured."""
+    rates = np.empty((len(recording.time), 0))
+    if recording.velocity is not None:
+        rates = recording.velocity[:, list(channels.velocities)]
+    sites = [recording.sites[f"{name}.{AXES[axis]}"] for name, axis in channels.sites]
+    return np.column_stack([rates, *sites])
+
+
+def with_channels(trials: Sequence[Recording], patterns: Sequence[str]) -> list[Recording]:
+    """Trials with a note of those columns, by names or patterns, that are compared beside joint positions.
+
+    Raises:
+        ConfigError: for a pattern that fits none of a trial's.
+    """
+    marked = []
+    for trial in trials:
+        known = recorded_columns(trial)
+        for pattern in patterns:
+            if not fnmatch.filter(known, pattern):
+                raise ConfigError(unknown_name("column", pattern, known, f"{trial.name}: to compare beside positions"))
+        chosen = [name for name in known if any(fnmatch.fnmatchcase(name, p) for p in patterns)]
+        marked.append(replace(trial, notes={**trial.notes, ALSO: " ".join(chosen)}) if chosen else trial)
+    return marked
