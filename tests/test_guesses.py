@@ -88,3 +88,15 @@ def test_sizes_go_from_hardly_visible_to_strong() -> None:
         shares = np.array(SEEN.sizes(unit)) * whole / SEEN.force
         assert np.all((shares > 1e-3) & (shares < 0.5)) and np.all(np.diff(shares) > 0)
     assert math.isclose(SEEN.sizes("s")[0], 2.5 * SEEN.interval) and SEEN.sizes("furlong") == ()
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_what_can_go_either_way_is_tried_either_way(name: str) -> None:
+    """A size that bounds allow on both sides of nothing is guessed on both, all guesses within the bounds."""
+    cls = REGISTRY[name]
+    found, info = guessed(cls, SEEN), cls.parameter_info()
+    for key, values in found.items():
+        assert np.all((info[key]["low"] <= values) & (values <= info[key]["high"]))
+    size, nothing = next(iter(info)), cls.grows_from()
+    if nothing is not None and info[size]["low"] < nothing < info[size]["high"]:
+        assert found[size].min() < nothing < found[size].max()

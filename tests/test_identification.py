@@ -18,6 +18,7 @@ from morphologies import pendulum
 from equimus_ctrl.effects import TransportDelay
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.predict import predict
+from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
 from equimus_ctrl.identification import statics
 from equimus_ctrl.identification.crosscheck import cross_check
@@ -25,7 +26,9 @@ from equimus_ctrl.identification.fit import Fit, FitSettings, fit
 from equimus_ctrl.identification.parameters import default_names, free_parameters, unit_of
 from equimus_ctrl.identification.residuals import joint_rmse
 from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.simulators import simulator_for
 from equimus_ctrl.identification.statics import rest_poses, static_names
+from equimus_ctrl.identification.step_error import with_step_error
 from equimus_ctrl.identification.uncertainty import correlation_time, uncertainty
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
@@ -211,6 +214,48 @@ def test_the_interval_of_a_mean_is_students() -> None:
     x = rng.normal(0, 1, (400, 1))
     known = uncertainty([np.ones((400, 1, 1))], [x - x.mean()], [np.zeros((400, 1, 0))], ["a"], np.ones(1), np.ones(1))
     assert known.half_width[0] == pytest.approx(1.966 * x.std(ddof=1) / 20, rel=0.02)
+
+
+def test_the_interval_of_a_common_slope_beside_an_intercept_for_each_run_is_students() -> None:
+    """Two runs of five and four samples, a line through each: 9 − 1 − 2 degrees of freedom (Draper & Smith, 1998)."""
+    size, runs = 0.01, [np.array([0.0, 1.0, 2.0, 4.0, 7.0]), np.array([0.0, 3.0, 4.0, 5.0])]
+    found = uncertainty(
+        [x[:, None, None] for x in runs],
+        # Of one size and alternating: the sandwich is the textbook's s²(XᵀX)⁻¹, and each residual counts as one.
+        [size * (-1.0) ** np.arange(len(x))[:, None] for x in runs],
+        [np.ones((len(x), 1, 1)) for x in runs],
+        ["slope"], np.ones(1), np.ones(1),
+    )  # fmt: skip
+    spread = sum(((x - x.mean()) ** 2).sum() for x in runs)
+    error = np.sqrt(9 * size**2 / 6 / spread)
+    assert found.effective_samples == 9
+    assert found.standard_error[0] == pytest.approx(error, rel=1e-9)
+    assert found.half_width[0] == pytest.approx(2.446912 * error, rel=1e-6), "Student's t at 0.975 for 6"
+
+
+def test_the_steps_error_widens_intervals_by_what_parameters_would_make_good_of_it() -> None:
+    """An engine whose coarser step does what another stiffness does, and one whose coarser step diverges."""
+    start, segments = small_problem()
+    found = fit(free_parameters(start, FEW), segments)
+    own, change, ratio = simulator_for(start), 0.02, 3.0
+
+    def coarser(models: Sequence[Model], given: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
+        stiffness = models[0].parameters()["maa.stiffness"] + change
+        return own([models[0].with_parameters({"maa.stiffness": stiffness})], given, starts)
+
+    def diverging(models: Sequence[Model], given: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
+        found = own(models, given, starts)  # numbers after a divergence mean nothing
+        return [replace(p, position=p.position + 1.0, reached=np.full_like(p.reached, 3)) for p in found]
+
+    more = {
+        name: with_step_error(found, segments, own, other, ratio).uncertainty.half_width - found.uncertainty.half_width  # type: ignore[arg-type]
+        for name, other in (("coarser", coarser), ("diverging", diverging))
+    }
+    # By C·h of its own step, half of C·h·(3 − 1), it may be wrong.
+    assert more["coarser"] / found.parameters.scale == pytest.approx(
+        np.array([0.0, change / 2, 0.0]) / found.parameters.scale, abs=0.02 * change / found.parameters.scale[1]
+    )
+    assert not more["diverging"].any()
 
 
 def test_without_pressure_the_areas_cannot_be_seen() -> None:
