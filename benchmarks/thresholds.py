@@ -1,14 +1,14 @@
 """How the answers of a proof move when each number that decides is halved and doubled: ``diagnosis/policy.py``.
 
 python benchmarks/thresholds.py PROOF [--model robot.xml] [--first 0] [--cases 200] [--output FILE] [--budget SECONDS]
-    [--also name=value,... ...]
+    [--numbers name ...] [--also name=value,... ...]
 
 PROOF is a folder that ``equimus-ctrl prove`` made; its recordings are diagnosed again. While one is diagnosed, every
 decision is asked once more with each number halved and doubled. Where all fall alike, the answer with that number is
 known to be the same; only where one falls otherwise is the case diagnosed with it, fits and simulations that were done
 for the case before taken over. What is done is kept in the output (a line of JSON a case), and the same command goes on
-from there. At the end: a table in Markdown, the numbers that move most first. ``--also`` tries other values, several at
-once too.
+from there. At the end: a table in Markdown, the numbers that move most first. ``--numbers`` varies only these,
+``--also`` tries other values, several at once too.
 
 python benchmarks/thresholds.py --sum TABLE.json ... adds tables that ``--table FILE`` wrote, of proofs of other robots.
 """
@@ -44,18 +44,19 @@ SHOWN = ("false_alarms", "single", "single_group", "pair", "outside")
 """Goals of a proof whose counts are told."""
 
 
-def varied(also: Sequence[str]) -> dict[str, Thresholds]:
-    """Each number halved and doubled, and what else is asked for, as ``name=value,...``.
+def varied(also: Sequence[str], numbers: Sequence[str] = ()) -> dict[str, Thresholds]:
+    """Each number, or each of those named, halved and doubled, and what else is asked for, as ``name=value,...``.
 
     Raises:
         ValueError: of a threshold that there is not, or no number.
     """
-    own = Thresholds()
-    variants = {f"{t.name} {f:g}": own.scaled(t.name, f) for t in Thresholds.listed() for f in FACTORS}
-    known = {t.name for t in Thresholds.listed()}
+    own, known = Thresholds(), [t.name for t in Thresholds.listed()]
+    if odd := sorted(set(numbers) - set(known)):
+        raise ValueError(f"--numbers: there is no threshold {odd[0]}, expected of {', '.join(sorted(known))}")
+    variants = {f"{name} {f:g}": own.scaled(name, f) for name in numbers or known for f in FACTORS}
     for text in also:
         values = dict(pair.split("=", 1) if "=" in pair else (pair, "") for pair in text.split(","))
-        if odd := sorted(set(values) - known):
+        if odd := sorted(set(values) - set(known)):
             raise ValueError(f"--also {text}: there is no threshold {odd[0]}, expected of {', '.join(sorted(known))}")
         try:
             variants[text] = replace(own, **{name: float(value) for name, value in values.items()})
@@ -258,6 +259,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="case to begin with, to share the work among processes")
     parser.add_argument("--output", type=Path, default=Path("thresholds.jsonl"))
     parser.add_argument("--budget", type=float, help="no case is begun after this time [s]")
+    parser.add_argument("--numbers", nargs="+", default=[], metavar="NAME", help="vary only these")
     parser.add_argument("--also", nargs="*", default=[], metavar="NAME=VALUE,...", help="other values to try")
     parser.add_argument("--table", type=Path, help="write the table as JSON here, for --sum")
     parser.add_argument("--sum", type=Path, nargs="+", help="add these tables; nothing is diagnosed")
@@ -276,7 +278,7 @@ def main() -> None:
     if not (given.proof / "recordings").is_dir():
         parser.error(f"{given.proof}: holds no recordings, expected a folder that `equimus-ctrl prove` made")
     try:
-        variants = varied(given.also)
+        variants = varied(given.also, given.numbers)
     except ValueError as error:
         parser.error(str(error))
     model = nominal_model() if given.model is None else workflow.load_model(given.model)
