@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -216,6 +218,22 @@ def test_gains_are_those_of_least_squares() -> None:
     )
     chi2, sizes = negative.fitted([own])  # its size would be below 0, which it cannot be
     assert chi2 == pytest.approx(screen.missing) and sizes == [[0.0]]
+
+
+def test_it_does_not_matter_where_parameters_are_that_forces_are_linear_in() -> None:
+    """What is known of them included: the minimum of a quadratic function does not depend on where it is expanded."""
+    data = data_of(ROBOT, recorded(Model(ROBOT, (ViscousFriction("hinge", 0.1),)), seed=8, seconds=6.0))
+    pool = [c for c in candidates(Model(ROBOT), data.segments) if c.label == "viscous_friction:hinge"]
+    domain = torque_domain(data, pool)
+    assert domain is not None and [p.name for p in data.free.free] == ["arm.mass", "arm.inertia"]
+    off: Any = SimpleNamespace(fit=SimpleNamespace(parameters=data.free, theta=data.free.start * [1.4, 0.7]))
+    here, there = (torque_screen(data, domain, fitted, pool) for fitted in (None, off))
+    assert there.gram[-1, -1] > 1.1 * here.gram[-1, -1], "at others more is missing"
+    assert there.missing == pytest.approx(here.missing, abs=1e-3)
+    assert there.alone()[pool[0]].gain == pytest.approx(here.alone()[pool[0]].gain, abs=1e-3)
+    own = here.columns[:1]
+    assert there.moved(own) == pytest.approx(here.moved(own), rel=1e-6)
+    assert there.moved(own)[0] == pytest.approx(0.6, rel=0.02), "the mass that it has"
 
 
 def test_a_part_narrows_to_places_that_need_it() -> None:
