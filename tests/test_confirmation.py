@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _makes_worse
+from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _carried_over, _makes_worse
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.stages import _failed
 from equimus_ctrl.identification.noise import JointNoise
@@ -102,6 +102,53 @@ def test_where_no_part_is_to_blame_none_is_told() -> None:
     of = {"base": [noisy(1), noisy(2)], "best": [noisy(1), worse], "less": [noisy(1), 2 * worse]}
     state: Any = SimpleNamespace(base=fit("base"), best=fit("best"), without=(fit("less"),))
     assert _makes_worse(SEARCH, Given(segments, of), state) is None
+
+
+def scored(model: str, deviance: float) -> Any:
+    return SimpleNamespace(fit=SimpleNamespace(model=model), deviance=deviance)
+
+
+def test_a_gain_on_held_out_trials_is_the_fall_of_chi_squared_and_counts_by_sample() -> None:
+    """Gauss's likelihood: −2 ln L of white noise falls by Σ(r₁² − r₂²)/σ²; half as many samples are to show half."""
+    segments = [segment(0, 0.0), segment(1, 0.0)]
+    of = {"simple": [noisy(1) + 0.02, noisy(2) + 0.01], "rich": [noisy(1), noisy(2)]}
+    holdout = Given(segments, of)
+    holdout.data = SimpleNamespace(n=400)  # type: ignore[assignment]
+    simple, rich = scored("simple", 900.0), scored("rich", 100.0)
+    fall = sum(((a**2).sum() - (b**2).sum()) / SIGMA**2 for a, b in zip(of["simple"], of["rich"], strict=True))
+    assert holdout.gain(simple, rich) == pytest.approx(fall)
+    assert holdout.carried_over(simple, rich) == pytest.approx(fall / (800.0 * 200 / 400))
+    assert holdout.distance(simple, rich) == pytest.approx(100 * (0.02**2 + 0.01**2) / SIGMA**2)
+    nothing = Given([], {"simple": [], "rich": []})
+    assert np.isnan(nothing.gain(simple, rich))
+
+
+@pytest.mark.parametrize(
+    ("same_kind", "gain", "distance", "deviance", "reason", "ratio"),
+    [
+        (True, 300.0, 400.0, 1000.0, "gain", 0.3),
+        (True, 100.0, 400.0, 1000.0, "gain", 0.1),
+        # Held-out trials of another kind show less of it: what they can show counts.
+        (False, 100.0, 400.0, 1000.0, "distance", 0.25),
+        (False, 100.0, 1000.0, 1000.0, "distance", 0.1),
+        # They cannot show it at all; it is far above the least gain, or it is not.
+        (False, 1.0, 15.0, 1000.0, "evident", np.inf),
+        (False, 1.0, 15.0, 90.0, "uninformative", 1 / 90),
+    ],
+)
+def test_what_held_out_trials_hardly_show_is_measured_by_what_they_can(
+    same_kind: bool, gain: float, distance: float, deviance: float, reason: str, ratio: float
+) -> None:
+    traits = SimpleNamespace(same_kind_of_trials=same_kind)
+    model = SimpleNamespace(robot=SimpleNamespace(traits=traits))
+    data = SimpleNamespace(thresholds=Thresholds(), free=SimpleNamespace(model=model))
+    search: Any = SimpleNamespace(data=data, threshold=lambda more, t: 20.0)
+    holdout: Any = SimpleNamespace(
+        gain=lambda *fits: gain, distance=lambda *fits: distance, carried_over=lambda *fits: gain / deviance
+    )
+    one, two = (SimpleNamespace(deviance=d, n_parameters=1) for d in (deviance, 0.0))
+    found = _carried_over(search, holdout, one, two)  # type: ignore[arg-type]
+    assert (found.reason, found.ratio) == (reason, pytest.approx(ratio))
 
 
 @pytest.mark.parametrize(("there", "fails"), [(0.09, False), (0.13, True)])

@@ -172,6 +172,11 @@ def test_every_kind_of_effect_works_in_both_engines(folder: Path) -> None:
 
 # --- what goes wrong ----------------------------------------------------------------------------------------------
 
+LAW = """
+    @classmethod
+    def {}:
+        return p["coefficient"]
+"""
 WRONG = {
     "x = 1": "registers nothing; put @register above an effect's class, or call register_",
     "1 / 0": "fails when it is loaded: ZeroDivisionError: division by zero",
@@ -198,6 +203,8 @@ WRONG = {
     TEXT.replace(
         "    coefficient", "    n_states = 1\n    coefficient"
     ): "state_rate gives 0 and rest_state 0 values, exp",
+    TEXT + LAW.format("more_area(cls, x, rest, p)"): "sits_at is ('joint',), but only an actuator has an area that may",
+    TEXT + LAW.format("friction_of_load(cls, load, speed, p)"): "but only an MJCF robot has friction of loads",
 }
 
 
