@@ -27,7 +27,9 @@ from equimus_ctrl.diagnosis.force_basis import (
     responses,
 )
 from equimus_ctrl.diagnosis.linear_response import Linearised, along_actuator, linearise
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import LinearisedFit, force_candidates, judged
+from equimus_ctrl.diagnosis.unexplained import select_forces
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.motion import Motion, motion
 from equimus_ctrl.engines.trials import Trial
@@ -402,6 +404,28 @@ def test_of_one_trial_the_force_that_explains_most_for_its_parameters_is_the_bes
     ranked = force_candidates(at)
     assert [f.group.location for f in ranked] == ["cause", "too many", "other"]
     assert ranked[0].found.gain < ranked[1].found.gain and judged(ranked[0].found, at) > judged(ranked[1].found, at)
+
+
+def test_forces_are_selected_one_beside_the_other_until_only_noise_is_left() -> None:
+    """Of two causes the larger first; what does the same as one of them explains nothing beside it."""
+    r, q, c = problem(7, k=8)
+    c /= np.linalg.norm(c, axis=0)
+    large, small, nothing = c[:, :2], c[:, 2:4], c[:, 4:6]
+    again = large + 0.5 * c[:, 6:8]
+    columns = {"nothing": nothing, "again": again, "small": small, "large": large}
+    forces = [Group(name, ("hip",), "time", None, (), {}) for name in columns]
+    whitened_fit: Any = SimpleNamespace(residual=r + large @ [30.0, -20.0] + small @ [15.0, 10.0], slopes=q)
+    at = LinearisedFit(None, whitened_fit, forces, [*columns.values()], FOLDS, (), [], 3.0)  # type: ignore[arg-type]
+    data: Any = SimpleNamespace(n=400, thresholds=Thresholds())
+    selected = select_forces(data, at, 0.0)
+    assert [force.candidate.group.location for force in selected] == ["large", "small"]
+    assert [force.columns is columns[force.candidate.group.location] for force in selected] == [True, True]
+    # One beside the other they explain what least squares of both explain.
+    alone = whitened_fit.residual - q @ (q.T @ whitened_fit.residual)
+    left = np.linalg.lstsq(np.column_stack([q, large, small]), whitened_fit.residual, rcond=None)[1]
+    assert sum(force.gain for force in selected) == pytest.approx(alone @ alone - left[0], rel=1e-3)
+    # Beside effects that explain several hundred times as much they are but a trace.
+    assert not select_forces(data, at, 1e6)
 
 
 def test_rows_must_agree() -> None:
