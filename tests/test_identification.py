@@ -24,6 +24,7 @@ from equimus_ctrl.identification import statics
 from equimus_ctrl.identification.crosscheck import cross_check
 from equimus_ctrl.identification.fit import Fit, FitSettings, fit
 from equimus_ctrl.identification.parameters import default_names, free_parameters, unit_of
+from equimus_ctrl.identification.problem import Point, Problem
 from equimus_ctrl.identification.residuals import joint_rmse
 from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.simulators import simulator_for
@@ -335,6 +336,39 @@ def test_a_wrong_first_measurement_is_mended_by_a_free_start() -> None:
     assert free.fit.rmse[0] < fixed.fit.rmse[0]
     assert np.abs(free.fit.starts[0][:2] - moved.position[0]).max() < 0.5 * 0.05
     assert abs(free.fit.theta[0] - 300) < abs(fixed.fit.theta[0] - 300)
+
+
+@pytest.mark.parametrize("damping", [1e-3, 0.3])
+def test_damped_starts_are_eliminated_as_in_one_large_least_squares_problem(damping: float) -> None:
+    """min over β of ‖[r − J δ, w (s − β)] − N β‖² + λ‖D β‖², D the norms of the columns of N, derivatives at random."""
+    rng, (start, few) = np.random.default_rng(4), small_problem()
+    segments = [replace(s, free_start=4, trust=np.array([0.0, 3.0, 0.5, 1.0])) for s in few]
+    problem = Problem(free_parameters(start, FEW), segments, simulator_for(start))
+    scale, p = problem.parameters.scale, len(FEW)
+    shape = segments[0].measured.shape
+    by_theta, by_start = ([rng.normal(size=(*shape, k)) for _ in segments] for k in (p, 4))
+    by_theta = [j / scale for j in by_theta]
+    off = [s.start + 0.1 * rng.normal(size=4) for s in segments]
+    point = Point(problem.parameters.start, off, [rng.normal(size=shape) for _ in segments], 0.0, [])
+    slopes = problem.slopes(point, (by_theta, by_start))
+    factor, aim = slopes.damped(damping)
+    told, wanted = [], []
+    for change in rng.normal(size=(3, p)):
+        least, moved = 0.0, problem.moved_starts(point, slopes, change, damping)[0]
+        for k, segment in enumerate(segments):
+            weights = np.diag(segment.start_weights)
+            n = np.vstack([by_start[k].reshape(-1, 4), weights])
+            left = (point.residuals[k] - by_theta[k] * scale @ change).ravel()
+            r = np.concatenate([left, weights @ (segment.start - off[k])])
+            system = np.vstack([n, np.sqrt(damping) * np.diag(np.linalg.norm(n, axis=0))])
+            target = np.append(r, np.zeros(4))
+            best = np.linalg.lstsq(system, target, rcond=None)[0]
+            least += float(((target - system @ best) ** 2).sum())
+            assert moved[k] - off[k] == pytest.approx(best, rel=1e-9)
+        told.append(float(((aim - factor @ change) ** 2).sum()))
+        wanted.append(least)
+    # But for what neither parameters nor starts can change.
+    assert np.diff(told) == pytest.approx(np.diff(wanted), rel=1e-9)
 
 
 def test_only_the_window_counts_but_the_motion_is_simulated_from_the_beginning() -> None:
