@@ -127,6 +127,21 @@ def ended(known: Known, *labels: str) -> SearchState:
     return SearchState(known(), known(*labels), tuple(known(*r) for r in rest), alternatives)
 
 
+@pytest.mark.parametrize(("alone", "best"), [(1700.0, {FULL, OFF}), (3000.0, {DEAD, RUB})], ids=["near", "far behind"])
+def test_of_two_missing_effects_the_first_need_not_be_the_best_alone(alone: float, best: set[str]) -> None:
+    """The pair shares no effect with the best one beside a second, so that no exchange of one leads to it."""
+    known = Known(
+        {(): 5000.0, (DEAD,): 1500.0, (FULL,): alone, (RUB,): 4000.0, (OFF,): 4000.0,
+         (DEAD, RUB): 1000.0, (DEAD, OFF): 1450.0, (FULL, OFF): 200.0}
+    )  # fmt: skip
+
+    class Both(OnPaper):
+        _beside_runners_up = Search._beside_runners_up
+
+    assert Both(known).run(known()).best.labels == best
+    assert OnPaper(known).run(known()).best.labels == {DEAD, RUB}
+
+
 def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none() -> None:
     known = Known({(): 5000.0, (RUB,): 2000.0, (STICK,): 1800.0})
 
