@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from equimus_ctrl.diagnosis.fitting import PROFILE_FALL, Data, Fitted
 from equimus_ctrl.diagnosis.holdout import split
@@ -51,6 +52,12 @@ def test_a_threshold_that_no_slope_leads_to_is_found_by_grid_scans() -> None:
     assert found.hypothesis[0].values["least"] == found.fit.theta[place]
     low, high = data.span(found, place)
     assert low <= LEAST <= high and high - low < 0.05 * LEAST
+    # Of white noise −2 ln L = Σ ln σ² + r²/σ², but for a constant.
+    counts, squares = sum(len(r) for r in found.fit.residuals), sum((r**2).sum(axis=0) for r in found.fit.residuals)
+    variance = np.array([joint.white**2 for joint in found.noise])
+    assert all(joint.coloured == 0.0 for joint in found.noise)
+    likelihood = (counts * np.log(variance) + squares / variance).sum()
+    assert found.deviance == pytest.approx(likelihood, rel=1e-9)
     # The truth's own fit is hardly better.
     _, known = fitted(sweeps, LEAST)
     assert found.deviance < known.deviance + PROFILE_FALL
