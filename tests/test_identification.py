@@ -447,6 +447,16 @@ def test_poses_at_rest_give_stiffness_area_and_rest_length() -> None:
     assert data["rmse_rad"]["after_together"] < 1e-6 < data["rmse_rad"]["before_together"]
 
 
+@pytest.mark.parametrize(("bounds", "end", "side"), [((320.0, 400.0), 320.0, -1), ((200.0, 280.0), 280.0, 1)])
+def test_a_bound_that_holds_poses_back_is_marked(bounds: tuple[float, float], end: float, side: int) -> None:
+    """The truth is 300 N/m; of 280 to 320 it is inside."""
+    start = TRUE.with_parameters({"maa.stiffness": sum(bounds) / 2})
+    done = identify_poses(poses_of(TRUE), start, free=["maa.stiffness"], bounds={"maa.stiffness": bounds}, folds=0)
+    assert done.fit.theta[0] == pytest.approx(end, rel=1e-6) and done.fit.at_bound.tolist() == [side]
+    free = identify_poses(poses_of(TRUE), TRUE, free=["maa.stiffness"], bounds={"maa.stiffness": (280, 320)}, folds=0)
+    assert free.fit.at_bound.tolist() == [0]
+
+
 @pytest.mark.slow
 def test_noisy_poses_are_explained_to_the_noise_and_the_truth_is_inside() -> None:
     done = identify_poses(poses_of(TRUE, 0.002), heldout=[poses_of(TRUE)])
