@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _carried_over, _makes_worse
+from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _makes_worse, carried_over
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.stages import _failed
 from equimus_ctrl.identification.noise import JointNoise
@@ -20,7 +20,7 @@ def segment(recording: int, start: float, count: int = 100, kind: str = "abcd") 
     times = start + 0.01 * np.arange(count)
     trial = SimpleNamespace(sample_times=times)
     return SimpleNamespace(
-        recording=recording, recording_name=f"{kind[recording]}_{recording}", trial=trial, measured=np.zeros((count, 1))
+        recording=recording, recording_name=f"{kind[recording]}_{recording}", trial=trial, outputs=np.zeros((count, 1))
     )
 
 
@@ -147,7 +147,7 @@ def test_what_held_out_trials_hardly_show_is_measured_by_what_they_can(
         gain=lambda *fits: gain, distance=lambda *fits: distance, carried_over=lambda *fits: gain / deviance
     )
     one, two = (SimpleNamespace(deviance=d, n_parameters=1) for d in (deviance, 0.0))
-    found = _carried_over(search, holdout, one, two)  # type: ignore[arg-type]
+    found = carried_over(search, holdout, one, two)  # type: ignore[arg-type]
     assert (found.reason, found.ratio) == (reason, pytest.approx(ratio))
 
 

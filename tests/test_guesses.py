@@ -90,6 +90,10 @@ def test_sizes_go_from_hardly_visible_to_strong() -> None:
     assert math.isclose(SEEN.sizes("s")[0], 2.5 * SEEN.interval) and SEEN.sizes("furlong") == ()
 
 
+TURNED = ("torque_ripple",)
+"""Sums of a sine and a cosine, linear in both: a step of least squares gives the phase, and so the sign."""
+
+
 @pytest.mark.parametrize("name", OWN)
 def test_what_can_go_either_way_is_tried_either_way(name: str) -> None:
     """A size that bounds allow on both sides of nothing is guessed on both, all guesses within the bounds."""
@@ -98,5 +102,5 @@ def test_what_can_go_either_way_is_tried_either_way(name: str) -> None:
     for key, values in found.items():
         assert np.all((info[key]["low"] <= values) & (values <= info[key]["high"]))
     size, nothing = next(iter(info)), cls.grows_from()
-    if nothing is not None and info[size]["low"] < nothing < info[size]["high"]:
+    if name not in TURNED and nothing is not None and info[size]["low"] < nothing < info[size]["high"]:
         assert found[size].min() < nothing < found[size].max()
