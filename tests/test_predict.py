@@ -27,7 +27,8 @@ from equimus_ctrl.effects import (
     TransportDelay,
 )
 from equimus_ctrl.engines.base import EngineName
-from equimus_ctrl.engines.predict import check_columns, measured_start, predict
+from equimus_ctrl.engines.predict import check_columns, local_motion, measured_start, predict
+from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
@@ -466,3 +467,19 @@ def test_softer_stops_are_the_models_own() -> None:
     found = predict(Model(soft), recording, start=START)
     np.testing.assert_allclose(found, expected, atol=1e-3)
     assert np.abs(found - predict(Model(LEG), recording)).max() > 0.05
+
+
+def test_a_motion_read_off_late_in_a_trial_is_that_of_its_parabola() -> None:
+    """x₀ + v₀ (s − t) + a (s − t)²/2 about an instant t between two samples, and a trial of a window begins there."""
+    time, at = np.arange(100) / 50 + 3.0, 4.013
+    x0, v0, a = np.array([0.3, -0.2]), np.array([1.5, -4.0]), np.array([-7.0, 2.0])
+    way = (time - at)[:, None]
+    command = np.zeros((100, 2))
+    recorded = Recording("t", time, command, x0 + v0 * way + a * way**2 / 2, ("maa", "baa"), ("hip", "knee"))
+    position, velocity = local_motion(recorded, at, 0.06)
+    assert position == pytest.approx(x0) and velocity == pytest.approx(v0)
+    few = local_motion(recorded, at, 0.001)
+    assert few[0] == pytest.approx(x0) and few[1] == pytest.approx(v0)
+    part = Trial.of(recorded, position, (at, 4.5))
+    assert part.start == at and at <= part.sample_times[0] < at + 0.02 and part.sample_times[-1] == pytest.approx(4.5)
+    assert Trial.of(recorded, x0, (0.0, 4.0)).start == 3.0, "no earlier than what was recorded"
