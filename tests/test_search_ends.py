@@ -23,7 +23,7 @@ from equimus_ctrl.diagnosis.alternatives import (
 )
 from equimus_ctrl.diagnosis.findings import _alone, _smallest
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
 from equimus_ctrl.diagnosis.hypothesis_moves import (
     HypothesisMoves,
     SearchHistory,
@@ -236,6 +236,13 @@ def test_the_search_that_moves_to_fewer_places_keeps_its_rivals() -> None:
     end = narrowed(search, SearchState(known(), broad, (known(),), ((known(OFF),),)))
     assert end.best is known(knee)
     assert end.alternatives[0][0] is broad and known(OFF) in end.alternatives[0]
+
+
+def test_beside_a_part_stays_what_it_does_not_exclude() -> None:
+    robot, parts = nominal_model().robot, {label: Part(c, VALUES[label.split(":")[0]]) for label, c in POOL.items()}
+    assert beside(robot, parts[STICK], (parts[RUB], parts[DEAD], parts[OFF])) == (parts[DEAD], parts[OFF])
+    both = Part(replace(POOL[RUB], locations=("hip", "knee")), VALUES["coulomb_friction"])
+    assert beside(robot, parts[STICK], (both, parts[OFF])) == (parts[OFF],), "alike at both, or at none"
 
 
 def test_parts_are_known_by_what_they_are_and_where() -> None:
