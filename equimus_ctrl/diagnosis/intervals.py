@@ -115,7 +115,9 @@ def forgets(
     ]
     here, there = (residuals_of(model, own, simulator, 0) for own in (chosen, moved))
     left = [
-        float(np.max(np.abs(a - b)[s.trial.sample_times > s.trial.start + time, :nj] / shift, initial=0.0))
+        float(np.max(np.abs(a - b)[s.trial.sample_times > s.trial.start + time] / shift[:nj], initial=0.0))
+        if max(np.abs(a).max(), np.abs(b).max()) < DIVERGED / 2
+        else np.inf
         for s, a, b in zip(chosen, here, there, strict=True)
     ]
     return float(np.mean(np.array(left) < FORGOTTEN)) >= MOSTLY
