@@ -195,20 +195,58 @@ def narrowed(search: HypothesisMoves, state: SearchState) -> SearchState:
             return state
 
 
+def exchanged_beside_fewer(search: HypothesisMoves, state: SearchState) -> SearchState:
+    """The end, or a better one that is reached through an effect at one place less.
+
+    Beside what some effect has at a place too many, others may be no use: a lag of both valves takes part of what a
+    delay of both sensors would explain. So where an effect loses next to nothing in fewer places, see
+    ``Thresholds.indistinguishable_share``, parts are exchanged from there. Not where fits have many local minima.
+    """
+    while not search.settings.many_minima:
+        before = search.score(state.best)
+        for k, part in enumerate(state.best.hypothesis):
+            fewer, tried = _all_refitted(search, state.tried, state.best, _hypotheses_in_fewer(search, state, k))
+            state = replace(state, tried=tried)
+            top = min(fewer, key=search.score, default=None)
+            gain = state.without[k].deviance - state.best.deviance
+            if top is None or not _nearly(search, top.deviance - state.best.deviance, gain):
+                continue
+            search.notify(f"with {part.candidate.label} at fewer places", state.best.label)
+            after = search.exchanged(replace(state, best=top, without=(), alternatives=()))
+            if search.score(after.best) < before - EXCHANGE_MARGIN:
+                state = after
+                break
+            state = replace(state, tried=after.tried)
+        else:
+            return state
+    return state
+
+
+def _nearly(search: HypothesisMoves, lost: float, gain: float) -> bool:
+    return search.data.thresholds.decides(lambda t: lost < t.indistinguishable_share * gain)
+
+
+def _hypotheses_in_fewer(search: HypothesisMoves, state: SearchState, k: int) -> list[Hypothesis]:
+    """A hypothesis with its k-th part at one place less."""
+    hypothesis = state.best.hypothesis
+    part = hypothesis[k]
+    if part.candidate.each or part.candidate.own or part.candidate.absent:
+        return []
+    return [
+        (*hypothesis[:k], Part(smaller, part.values), *hypothesis[k + 1 :])
+        for smaller in search.allowed_candidates(state.tried)
+        if smaller.effect is part.candidate.effect
+        and not smaller.each
+        and not smaller.absent
+        and len(smaller.locations) == len(part.candidate.locations) - 1
+        and set(smaller.locations) < set(part.candidate.locations)
+    ]
+
+
 def _in_fewer_places(search: HypothesisMoves, state: SearchState, score: float) -> tuple[SearchState, bool]:
     """A search with one of its effects in one place less, if one fits as well, and whether one does."""
-    hypothesis = state.best.hypothesis
-    for k, part in enumerate(hypothesis):
-        fits = [
-            (*hypothesis[:k], Part(smaller, part.values), *hypothesis[k + 1 :])
-            for smaller in search.allowed_candidates(state.tried)
-            if smaller.effect is part.candidate.effect
-            and not smaller.each
-            and not smaller.absent
-            and not (part.candidate.each or part.candidate.own or part.candidate.absent)
-            and len(smaller.locations) == len(part.candidate.locations) - 1
-            and set(smaller.locations) < set(part.candidate.locations)
-        ]
+    for k in range(len(state.best.hypothesis)):
+        fits = _hypotheses_in_fewer(search, state, k)
         fewer, tried = _all_refitted(search, state.tried, state.best, fits)
         state = replace(state, tried=tried)
         top = min(fewer, key=search.score, default=None)

@@ -10,7 +10,7 @@ The moves:
     exchange   another candidate in a part's place                         ``exchanged``, ``contested``, ``in_place``
     split      a law alike at several places → one at each                 ``extensions``, of what it extends
     merge      laws at single places → one alike at several                ``extensions``: it drops what it excludes
-    narrow     a law alike at several places → at one place less           ``narrowed``
+    narrow     a law alike at several places → at one place less           ``narrowed``, ``exchanged_beside_fewer``
     prune      a law with its own parameters at each place → where needed  ``pruned``
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
 
@@ -35,7 +35,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from equimus_ctrl.diagnosis.alternatives import contested, narrowed, pruned, simplified
+from equimus_ctrl.diagnosis.alternatives import contested, exchanged_beside_fewer, narrowed, pruned, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchState, StopReason
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
@@ -142,7 +142,7 @@ class Search(HypothesisMoves):
 
     def _finished(self, state: SearchState) -> SearchState:
         """The end: each part the best in its place, at the fewest places."""
-        return narrowed(self, contested(self, state))
+        return narrowed(self, exchanged_beside_fewer(self, contested(self, state)))
 
     def _round(self, forward: _Forward) -> _Forward:
         """One more part, or the reason to stop."""
