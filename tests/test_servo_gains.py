@@ -41,6 +41,10 @@ def test_then_bodies_are_the_standard_of_force() -> None:
     place = after.names.index("drive.kp")
     assert after.low[place] < TRUE < after.high[place] and after.start[place] == gains[0].measured
     assert with_servo_gains(before, ()) is before
+    rate = after.model.parameters()["drive.kv"]  # of the same firmware, so as much softer
+    assert (
+        rate == pytest.approx(0.4 * gains[0].measured / (100 * TRUE)) and after.model.parameters()["drive.kp"] == 1200
+    )
 
 
 def test_a_joint_without_load_tells_no_stiffness() -> None:

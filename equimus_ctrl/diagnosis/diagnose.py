@@ -23,6 +23,7 @@ from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.simulators import Simulator
+from equimus_ctrl.models.model import Model
 
 
 def diagnose(
@@ -31,6 +32,7 @@ def diagnose(
     *,
     settings: DiagnosisSettings | None = None,
     simulator: Simulator | None = None,
+    nominal: Model | None = None,
     designs: Designs = tuple,
     progress: Progress = lambda stage, share, best: None,
     asked: Asked = never,
@@ -43,6 +45,7 @@ def diagnose(
         settings: how it goes.
         simulator: the engine, with no coarser or finer one beside it; see ``engines.choice.engine_for`` for the
             default.
+        nominal: the model that was given, for its errors; that of ``free`` by default.
         designs: experiments to choose from where effects are not distinguishable.
         progress: see ``Progress``.
         asked: whether its best so far is to be given now; asked after each step of a fit.
@@ -62,7 +65,7 @@ def diagnose(
         else:
             data = _with_engine_given(free, split, simulator)
         data = replace(data, budget=budget, thresholds=settings.thresholds)
-        inputs = DiagnosisInputs(data, split, settings, designs, progress, begun)
+        inputs = DiagnosisInputs(data, split, settings, designs, progress, begun, nominal or free.model)
         try:
             state = stages.carried_out(inputs)
         except BudgetSpent:

@@ -149,6 +149,8 @@ def with_servo_gains(
 ) -> FreeParameters:
     """What is free where servos are far from what the model says: their stiffnesses too, and no masses and inertias.
 
+    Their gains on rates go with them, in the model whose parameters are free.
+
     Args:
         free: where they are not; by default, see ``default_free_parameters``.
         gains: what was measured.
@@ -166,7 +168,13 @@ def with_servo_gains(
     chosen = default_free_parameters(
         model.with_parameters(stiff), names, {**within, **{n: b for n, b in (bounds or {}).items() if n in names}}, fix
     )
-    return FreeParameters(model, chosen.free)
+    return FreeParameters(model.with_parameters(_rates(values, gains)), chosen.free)
+
+
+def _rates(values: Mapping[str, float], gains: Sequence[ServoGain]) -> dict[str, float]:
+    """The gains on rates of servos, softer by as much: one firmware scales both, and damping of the joint is free."""
+    own = {g.name.removesuffix(".kp") + ".kv": g.measured / g.model for g in gains}
+    return {name: values[name] * share for name, share in own.items() if values.get(name, 0.0) > 0}
 
 
 def told(gains: Sequence[ServoGain]) -> str:

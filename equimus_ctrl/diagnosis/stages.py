@@ -137,7 +137,7 @@ def refit(inputs: DiagnosisInputs) -> State:
             apart = told_apart(Apart(search, base), split)
             search, base, looked, short = apart.search, apart.best, short is not None, None
             short = _short_base(search.data, split) if looked else None
-    state = State(inputs, search, SearchState(base, base), short, _nominal(data, split), notes=inputs.settings.notes)
+    state = State(inputs, search, SearchState(base, base), short, _nominal(inputs, data), notes=inputs.settings.notes)
     excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=False)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
     return state.decided("refit", f"{len(search.data.free.free)} parameters refitted", f"excess variance: {said}")
@@ -153,8 +153,8 @@ def _round_notify(progress: Progress) -> Callable[[str, str], None]:
     return notify
 
 
-def _nominal(data: Data, split: Split) -> tuple[Array, ...]:
-    return tuple(residuals_of(data.free.model, split.train, data.simulator))
+def _nominal(inputs: DiagnosisInputs, data: Data) -> tuple[Array, ...]:
+    return tuple(residuals_of(inputs.nominal, inputs.split.train, data.simulator))
 
 
 def find_effects(state: State) -> State:
@@ -273,7 +273,7 @@ def take_off_step_error(state: State) -> State:
         state,
         search=exact.search,
         end=exact.end,
-        nominal=_nominal(exact.search.data, state.inputs.split),
+        nominal=_nominal(state.inputs, exact.search.data),
         analysis=exact.analysis,
         coarse=exact.sentence,
     )
@@ -410,7 +410,7 @@ def report(state: State) -> Diagnosis:
     """The findings with evidence and intervals, and the rest of the report."""
     state = tested(state)
     inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
-    data, split, model, noise = state.data, inputs.split, inputs.data.free.model, end.best.noise
+    data, split, model, noise = state.data, inputs.split, inputs.nominal, end.best.noise
     holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
     told = findings(search, end, holdout, equivalent)
     if state.failed:
@@ -462,7 +462,7 @@ def _residuals(state: State, holdout: HoldoutResiduals) -> dict[str, Residuals]:
     """Of each of ``STATES`` on the trials fitted, on those for validation and on those of the test set."""
     end, test, simulator = state.end, state.inputs.split.test, state.data.simulator
     nj = len(state.inputs.data.free.model.robot.joint_names)
-    models = state.inputs.data.free.model, end.base.fit.model, end.best.fit.model
+    models = state.inputs.nominal, end.base.fit.model, end.best.fit.model
 
     def of_joints(residuals: Iterable[Array]) -> tuple[Array, ...]:
         return tuple(r[:, :nj] for r in residuals)

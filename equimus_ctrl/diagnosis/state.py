@@ -20,6 +20,7 @@ from equimus_ctrl.diagnosis.results import (
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.engines.base import EngineName
+from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 Progress = Callable[[str, float, str], None]
@@ -60,6 +61,7 @@ class DiagnosisInputs:
         designs: experiments to choose from where effects are not distinguishable.
         progress: see ``Progress``.
         begun: by ``time.perf_counter``.
+        nominal: the model that was given; what is free may begin elsewhere, see ``servo_gains``.
     """
 
     data: Data
@@ -68,6 +70,7 @@ class DiagnosisInputs:
     designs: Designs
     progress: Progress
     begun: float
+    nominal: Model
 
 
 @dataclass(frozen=True, eq=False)

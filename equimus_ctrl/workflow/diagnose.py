@@ -89,7 +89,9 @@ def diagnose_recordings(
     settings = DiagnosisSettings(
         search, options.threads, options.engine, tuple(options.exclude), options.budget, notes=notes
     )
-    return diagnose(chosen, parts, settings=settings, designs=lambda: sweeps(model), progress=progress, asked=asked)
+    return diagnose(
+        chosen, parts, settings=settings, nominal=model, designs=lambda: sweeps(model), progress=progress, asked=asked
+    )
 
 
 def sweeps(model: Model) -> list[Design]:
