@@ -14,6 +14,7 @@ from scipy.special import gammaincc
 from equimus_ctrl.diagnosis import confirmation, stages
 from equimus_ctrl.diagnosis.alternatives import (
     contested,
+    exchanged_beside_fewer,
     in_place,
     listed,
     narrowed,
@@ -236,6 +237,24 @@ def test_the_search_that_moves_to_fewer_places_keeps_its_rivals() -> None:
     end = narrowed(search, SearchState(known(), broad, (known(),), ((known(OFF),),)))
     assert end.best is known(knee)
     assert end.alternatives[0][0] is broad and known(OFF) in end.alternatives[0]
+
+
+@pytest.mark.parametrize(("fewer", "reached"), [(1020.0, True), (1500.0, False)], ids=["loses little", "loses much"])
+def test_what_is_better_beside_an_effect_at_one_place_less_is_reached_through_it(
+    monkeypatch: pytest.MonkeyPatch, fewer: float, reached: bool
+) -> None:
+    """A saturation fits far better than the dead zone, but not beside friction at both joints, which takes part of it."""
+    both = "coulomb_friction:hip+knee"
+    monkeypatch.setitem(
+        POOL, both, Candidate(REGISTRY["coulomb_friction"], ("hip", "knee"), (VALUES["coulomb_friction"],))
+    )
+    known = Known(
+        {(): 6000.0, (both,): 3000.0, (RUB,): 3100.0, (DEAD,): 4000.0, (FULL,): 3900.0, (both, DEAD): 1000.0,
+         (both, FULL): 1300.0, (RUB, DEAD): fewer, (RUB, FULL): 400.0}
+    )  # fmt: skip
+    end = exchanged_beside_fewer(OnPaper(known), ended(known, both, DEAD))
+    assert end.best.labels == ({RUB, FULL} if reached else {both, DEAD})
+    assert len(end.without) == 2
 
 
 def test_beside_a_part_stays_what_it_does_not_exclude() -> None:

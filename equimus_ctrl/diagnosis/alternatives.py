@@ -212,14 +212,29 @@ def exchanged_beside_fewer(search: HypothesisMoves, state: SearchState) -> Searc
             if top is None or not _nearly(search, top.deviance - state.best.deviance, gain):
                 continue
             search.notify(f"with {part.candidate.label} at fewer places", state.best.label)
-            after = search.exchanged(replace(state, best=top, without=(), alternatives=()))
-            if search.score(after.best) < before - EXCHANGE_MARGIN:
-                state = after
+            better, tried = _best_beside(search, tried, top, k)
+            state = replace(state, tried=tried)
+            if better is not None and search.score(better) < before - EXCHANGE_MARGIN:
+                state = search.exchanged(replace(state, best=better, without=(), alternatives=()))
                 break
-            state = replace(state, tried=after.tried)
         else:
             return state
     return state
+
+
+def _best_beside(
+    search: HypothesisMoves, tried: SearchHistory, fitted: Fitted, k: int
+) -> tuple[Fitted | None, SearchHistory]:
+    """The best hypothesis with another part in the place of one of a hypothesis', but not of the k-th."""
+    found: list[Fitted] = []
+    parts = fitted.hypothesis
+    for j, part in enumerate(parts):
+        if j == k:
+            continue
+        rest, tried = search.refit(tried, fitted, (*parts[:j], *parts[j + 1 :]))
+        others, tried = search.challenge(tried, rest, part.candidate.label, fitted)
+        found += [o for o in others if len(o.hypothesis) <= len(parts) and not search.aliased(o)]
+    return min(found, key=search.score, default=None), tried
 
 
 def _nearly(search: HypothesisMoves, lost: float, gain: float) -> bool:
