@@ -17,10 +17,14 @@ from matplotlib.transforms import Bbox
 from rich.console import Console
 from test_diagnosis_report import checked
 
-from equimus_ctrl.diagnosis.results import Diagnosis, Named
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.results import Diagnosis, Estimate, Named
+from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.report import diagnosis_text
+from equimus_ctrl.report.diagnosis_curves import panels
 from equimus_ctrl.report.diagnosis_figures import diagnosis_figures
 from equimus_ctrl.report.diagnosis_page import _findings, _size, page
+from equimus_ctrl.report.diagnosis_panels import Scene
 from equimus_ctrl.report.diagnosis_words import short
 
 
@@ -174,3 +178,14 @@ def test_what_all_explain_together_is_of_the_excess_variance(arm: Diagnosis) -> 
 )
 def test_all_joints_are_counted_and_some_are_named(arm: Diagnosis, named: Named, said: str) -> None:
     assert short(named, arm.model) == said
+
+
+@pytest.mark.parametrize("name", sorted(n for n, e in REGISTRY.items() if "mjcf" in e.robots and "joint" in e.sits_at))
+def test_every_effect_of_a_joint_is_shown(arm: Diagnosis, name: str) -> None:
+    """A force that is always the same has no curve, and is shown by its numbers."""
+    scene, joint = Scene.of(arm), JOINTS[2]
+    values = REGISTRY[name].guesses(scene.seen[joint])[0]
+    part = Part(Candidate(REGISTRY[name], (joint,), (values,)), values)
+    estimates = {key: Estimate(v, v - 0.1 * abs(v), v + 0.1 * abs(v), "1") for key, v in values.items()}
+    shown = panels(scene, replace(arm.findings[-1], part=part, parameters=estimates))
+    assert shown and all(panel.rows or panel.lines for panel in shown)

@@ -83,13 +83,13 @@ def diagnose(
             from equimus_ctrl.report.diagnosis_page import page
 
             show("report")
-            title = f"Diagnosis of {', '.join(path.name for path in recordings)}"
-            text = page(found, title, command_line=shlex.join(["equimus-ctrl", *sys.argv[1:]]))
             presets.make_folder(report)
-            files.append(report / "report.html")
-            presets.write_text(files[-1], text)
             files.append(report / "record.json")
             presets.write_text(files[-1], presets.json_text(record))
+            title = f"Diagnosis of {', '.join(path.name for path in recordings)}"
+            text = page(found, title, command_line=shlex.join(["equimus-ctrl", *sys.argv[1:]]))
+            files.append(report / "report.html")
+            presets.write_text(files[-1], text)
     from equimus_ctrl.report.diagnosis_text import print_diagnosis
 
     print_diagnosis(console, found)

@@ -61,11 +61,14 @@ def panels(scene: Scene, finding: Finding) -> list[Panel]:
     if drawn := _own_panels(scene, best[0], [o[0] for o in others]):
         return drawn
     if isinstance(best[0], ForceEffect):
-        return _force_panels(scene, best[0], [cast(ForceEffect, o[0]) for o in others])
-    if isinstance(best[0], BodyEffect):
-        return _body_panels(scene, best, others)
-    make = sensor_panels if isinstance(best[0], SensorEffect) else command_panels
-    return make(scene, best, others)
+        drawn = _force_panels(scene, best[0], [cast(ForceEffect, o[0]) for o in others])
+    elif isinstance(best[0], BodyEffect):
+        drawn = _body_panels(scene, best, others)
+    else:
+        make = sensor_panels if isinstance(best[0], SensorEffect) else command_panels
+        drawn = make(scene, best, others)
+    # A force that is always the same has no curve.
+    return drawn or [Panel("parameters of the effect", rows=_parameters_of(scene.model, best[0]))]
 
 
 def unexplained_panel(scene: Scene, residual: Unexplained) -> Panel | None:
