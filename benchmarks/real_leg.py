@@ -30,7 +30,7 @@ STEPS, TRIANGLE = "step_release", "triangle"
 AWAY_FROM_REST = "step_release_p0_0"
 UNTIL = 20.0
 """Of the triangle, what is fitted [s]."""
-MOST = 4
+MOST = 6
 """Effects looked for together."""
 GOAL = {TRIANGLE: (0.020, 0.045)}
 """Greatest RMSE, hip and knee [rad]."""
