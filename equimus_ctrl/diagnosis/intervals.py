@@ -118,7 +118,7 @@ def forgets(
     if not all(np.abs(own).max() < DIVERGED / 2 for own in (*here, *there)):
         return False
     left = [
-        np.max(np.abs(a - b)[s.trial.sample_times > s.trial.start + time], axis=0, initial=0.0) / shift[:nj]
+        np.max(np.abs(a - b)[s.trial.sample_times > s.trial.start + time, :nj], axis=0, initial=0.0) / shift[:nj]
         for s, a, b in zip(chosen, here, there, strict=True)
     ]
     return bool(np.all(np.median(left, axis=0) < FORGOTTEN))
