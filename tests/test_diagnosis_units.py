@@ -271,7 +271,7 @@ def folders(root: Path, masses: dict[str, float], count: int = 2) -> list[Path]:
 
 
 def test_trials_go_by_their_folders(tmp_path: Path) -> None:
-    """Names that trials of two folders share are told apart by the folders', folders of one name by those above."""
+    """Names that trials of two folders share get the folders' in front, folders of one name by those above."""
     given = folders(tmp_path, {"A": 0.6, "B": 0.6})
     trials, group_of = by_folder(given, MODEL)
     assert group_of == {"A_t0": "A", "A_t1": "A", "B_t0": "B", "B_t1": "B"}

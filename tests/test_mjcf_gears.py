@@ -90,7 +90,7 @@ def test_ripple_keeps_energy() -> None:
 
 
 def test_ripple_holds_a_wheel_that_is_slow() -> None:
-    """From a valley of the potential with less energy than the ridge it only swings, ω² = 2π·F/(period·I)."""
+    """From a minimum of the potential with less energy than its maximum it only swings, ω² = 2π·F/(period·I)."""
     found = run(wheel(), TorqueRipple("way", -0.4, 0.0, 0.5), v=0.02, until=0.2)
     omega = math.sqrt(2 * math.pi * 0.4 / (0.5 * INERTIA))
     np.testing.assert_allclose(found.x, 0.02 / omega * np.sin(omega * found.t), rtol=0, atol=2e-5)

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from pendulum_runs import MOTOR, PENDULUM, SERVO, recorded
 
+from equimus_ctrl import workflow
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.intervals import forgets
 from equimus_ctrl.diagnosis.servo_gains import servo_gains, told, with_servo_gains
 from equimus_ctrl.identification.simulators import simulator_for
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.report.diagnosis_page import page
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 TRUE = 12.0
@@ -37,14 +39,42 @@ def test_then_bodies_are_the_standard_of_force() -> None:
     stiff = model(kp=100 * TRUE)
     gains = servo_gains(stiff, recorded(model()))
     before, after = default_free_parameters(stiff), with_servo_gains(default_free_parameters(stiff), gains)
-    assert {"arm.mass", "arm.inertia"} == set(before.names) and {"drive.kp", "hinge.armature"} == set(after.names)
+    assert {"arm.mass", "arm.inertia"} == set(before.names) and {"drive.kp", "drive.kv", "hinge.armature"} == set(
+        after.names
+    )
     place = after.names.index("drive.kp")
     assert after.low[place] < TRUE < after.high[place] and after.start[place] == gains[0].measured
     assert with_servo_gains(before, ()) is before
-    rate = after.model.parameters()["drive.kv"]  # of the same firmware, so as much softer
-    assert (
-        rate == pytest.approx(0.4 * gains[0].measured / (100 * TRUE)) and after.model.parameters()["drive.kp"] == 1200
-    )
+    softer = 0.4 * gains[0].measured / (100 * TRUE)  # of the same firmware
+    assert after.start[after.names.index("drive.kv")] == pytest.approx(softer)
+    assert after.model.parameters()["drive.kv"] == 0.4 and after.model.parameters()["drive.kp"] == 1200
+
+
+def test_where_damping_is_free_a_servos_own_is_not() -> None:
+    """Both do the same."""
+    damped = PENDULUM.format(drive=SERVO).replace("armature=", 'damping="0.1" armature=')
+    given = Model(MjcfRobot("arm", damped.replace('kp="12"', 'kp="1200"')))
+    gains = servo_gains(given, recorded(Model(MjcfRobot("arm", damped))))
+    after = with_servo_gains(default_free_parameters(given), gains)
+    assert "hinge.damping" in after.names and "drive.kv" not in after.names
+    assert after.model.parameters()["drive.kv"] == pytest.approx(0.4 * gains[0].measured / 1200)
+
+
+@pytest.mark.slow
+def test_a_servo_that_is_too_stiff_is_another_unit_with_its_stiffness() -> None:
+    """Nominal is what was given, wherever fits begin."""
+    given = model(kp=100 * TRUE)
+    found = workflow.diagnose_recordings(recorded(model(), count=4), given, most=1)
+    assert found.verdict == "consistent" and any("drive.kp 1200 → " in note for note in found.notes)
+    assert found.model is given and found.another_unit is not None
+    told_of = {d.parameter: d for d in found.another_unit.departures}
+    stiffness = told_of["drive.kp"]
+    assert stiffness.nominal == 1200
+    assert stiffness.estimate.low < TRUE < stiffness.estimate.high
+    assert "drive.kv" not in told_of  # it is what it was said to be
+    nominal, refitted = (float(np.mean(np.concatenate(found.residuals[s].train) ** 2)) for s in ("nominal", "refitted"))
+    assert refitted < 1e-2 * nominal
+    assert "1200" in page(found, "servo")
 
 
 def test_a_joint_without_load_tells_no_stiffness() -> None:

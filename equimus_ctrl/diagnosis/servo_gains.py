@@ -149,7 +149,8 @@ def with_servo_gains(
 ) -> FreeParameters:
     """What is free where servos are far from what the model says: their stiffnesses too, and no masses and inertias.
 
-    Their gains on rates go with them, in the model whose parameters are free.
+    Their gains on rates, which one firmware scales as much, begin softer too. They are free where the joint's damping is
+    not; else they are so in the model whose parameters are free.
 
     Args:
         free: where they are not; by default, see ``default_free_parameters``.
@@ -163,18 +164,17 @@ def with_servo_gains(
     bodies = {n.name for n in robot.plan.parameters.values() if n.kind in ("mass", "inertia", "armature")}
     rotors = {f"{g.joint}.armature" for g in gains if g.loaded and values[f"{g.joint}.armature"] > 0}
     stiff = {g.name: g.measured for g in gains}
-    names = [name for name in values if name in (set(free.names) - bodies) | rotors | stiff.keys()]
+    rates = {g.name.removesuffix(".kp") + ".kv": g for g in gains}
+    softer = {name: values[name] * g.measured / g.model for name, g in rates.items() if values.get(name, 0.0) > 0}
+    # A servo's gain on the rate does what the joint's damping does, so one of them is free.
+    own = {name for name in softer if f"{rates[name].joint}.damping" not in free.names}
+    names = [name for name in values if name in (set(free.names) - bodies) | rotors | stiff.keys() | own]
     within = {name: (k / WITHIN, k * WITHIN) for name, k in stiff.items()}
-    chosen = default_free_parameters(
-        model.with_parameters(stiff), names, {**within, **{n: b for n, b in (bounds or {}).items() if n in names}}, fix
-    )
-    return FreeParameters(model.with_parameters(_rates(values, gains)), chosen.free)
-
-
-def _rates(values: Mapping[str, float], gains: Sequence[ServoGain]) -> dict[str, float]:
-    """The gains on rates of servos, softer by as much: one firmware scales both, and damping of the joint is free."""
-    own = {g.name.removesuffix(".kp") + ".kv": g.measured / g.model for g in gains}
-    return {name: values[name] * share for name, share in own.items() if values.get(name, 0.0) > 0}
+    within |= {name: (0.0, values[name] * WITHIN) for name in own}
+    within |= {name: ends for name, ends in (bounds or {}).items() if name in names}
+    begin = model.with_parameters({**stiff, **softer})
+    kept = {name: value for name, value in softer.items() if name not in own}
+    return FreeParameters(model.with_parameters(kept), default_free_parameters(begin, names, within, fix).free)
 
 
 def told(gains: Sequence[ServoGain]) -> str:

@@ -134,8 +134,10 @@ def _with_nominal_values(search: Search, best: Fitted) -> Model | None:
     """A fitted model with the nominal values of its parameters, effects refitted to first order; None where none is."""
     data, fit = search.data, best.fit
     n = len(data.free.free)
-    away = data.free.start - fit.theta[:n]
-    theta = np.concatenate([data.free.start, fit.theta[n:]])
+    nominal = data.free.model.parameters()  # fits may begin elsewhere
+    values = np.array([nominal[f.name] for f in data.free.free])
+    away = values - fit.theta[:n]
+    theta = np.concatenate([values, fit.theta[n:]])
     if len(theta) > n:
         slopes, scale = whiten_fit(data.times, fit, best.noise).slopes, fit.parameters.scale
         change = np.linalg.lstsq(slopes[:, n:], -slopes[:, :n] @ (away / scale[:n]), rcond=1e-9)[0]
@@ -149,13 +151,14 @@ def _with_nominal_values(search: Search, best: Fitted) -> Model | None:
 def _departures(search: Search, best: Fitted) -> tuple[Departure, ...]:
     free, errors = search.data.free.free, best.fit.uncertainty.standard_error
     groups, found = groups_of(search.data.segments), list[Departure]()
+    nominal = search.data.free.model.parameters()
     for f, estimate, error in zip(free, model_estimates(best, len(free)), errors, strict=False):
         if not (math.isfinite(error) and error > 0):
             continue
-        statistic = ((estimate.value - f.start) / float(error)) ** 2
+        statistic = ((estimate.value - nominal[f.name]) / float(error)) ** 2
         if not search.data.thresholds.decides(lambda t, s=statistic: s > search.threshold(1, t)):  # type: ignore[misc]
             continue
         elsewhere = {other.group for other in free if other.name == f.name}
         where = [f.group] if f.group else [g for g in groups if g not in elsewhere] if len(elsewhere) > 1 else [""]
-        found += [Departure(f.name, group, f.start, estimate) for group in where]
+        found += [Departure(f.name, group, nominal[f.name], estimate) for group in where]
     return tuple(found)

@@ -273,7 +273,7 @@ def _not_distinguishable(diagnosis: Diagnosis) -> str:
 
 
 def _parameters(diagnosis: Diagnosis) -> str:
-    base, fit = diagnosis.base.fit, diagnosis.best.fit
+    base, fit, nominal = diagnosis.base.fit, diagnosis.best.fit, diagnosis.model.parameters()
     rows = []
     for i, free in enumerate(base.parameters.free):
         scale = reading(free.unit, free.start)
@@ -283,7 +283,7 @@ def _parameters(diagnosis: Diagnosis) -> str:
             low, high = max(low, free.low), min(high, free.high)
         interval = value * scale.factor, low * scale.factor, high * scale.factor
         digits = interval_digits(*interval)
-        columns = [free.start, float(base.theta[i]), value][: len(diagnosis_text.states(diagnosis))]
+        columns = [nominal[free.name], float(base.theta[i]), value][: len(diagnosis_text.states(diagnosis))]
         before = (number(v * scale.factor, digits) for v in columns)
         held = {-1: "low", 0: "", 1: "high"}[int(fit.at_bound[i])]
         rows.append((free.label, scale.unit, *before, interval_text(*interval), held))
