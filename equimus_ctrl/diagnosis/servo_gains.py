@@ -149,7 +149,7 @@ def with_servo_gains(
 ) -> FreeParameters:
     """What is free where servos are far from what the model says: their stiffnesses too, and no masses and inertias.
 
-    Their gains on rates, which one firmware scales as much, begin softer too. They are free where the joint's damping is
+    Their gains on rates, which one firmware scales as much, begin softer too. They are free where joint damping is
     not; else they are so in the model whose parameters are free.
 
     Args:
