@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
+from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import SearchState, extra_parameters
@@ -82,9 +83,7 @@ def confirmed(
     if not split.validation:
         return state
     while state.best.hypothesis:
-        holdout = HoldoutResiduals(search.data, split, state)
-        confirmations = [carried_over(search, holdout, without, state.best) for without in state.without]
-        place = int(np.argmin([c.ratio for c in confirmations]))
+        holdout, confirmations, place = _confirmations(search, state, split)
         parts = [part.candidate.label for part in state.best.hypothesis]
         if confirms(search, confirmations[place].ratio):
             if (spoils := _makes_worse(search, holdout, state)) is not None:
@@ -111,6 +110,44 @@ def confirmed(
                 return other[0]
         state = search.moved(state, state.without[place])
     return state
+
+
+def confirmed_as_fitted(
+    search: Search, state: SearchState, split: Split, tell: Tell = lambda label, confirmation: None
+) -> SearchState:
+    """The same where there is no time for further fits: where it takes one, the model without any effect.
+
+    Args:
+        search: that was ended there.
+        state: what it had come to.
+        split: with the validation trials.
+        tell: told of each part that is confirmed or rejected.
+    """
+    while split.validation and state.best.hypothesis:
+        holdout, confirmations, place = _confirmations(search, state, split)
+        parts = [part.candidate.label for part in state.best.hypothesis]
+        rejected: tuple[int, Confirmation] | None = (place, confirmations[place])
+        if confirms(search, confirmations[place].ratio):
+            rejected = _makes_worse(search, holdout, state)
+        if rejected is None:
+            for label, confirmation in zip(parts, confirmations, strict=True):
+                tell(label, confirmation)
+            break
+        tell(parts[rejected[0]], rejected[1])
+        try:
+            state = search.moved(state, state.without[rejected[0]])
+        except BudgetSpent:
+            state = replace(state, best=state.base, without=(), alternatives=())
+    return state
+
+
+def _confirmations(
+    search: Search, state: SearchState, split: Split
+) -> tuple[HoldoutResiduals, list[Confirmation], int]:
+    """What validation trials show, what they say of each part, and the place of the part that they confirm least."""
+    holdout = HoldoutResiduals(search.data, split, state)
+    confirmations = [carried_over(search, holdout, without, state.best) for without in state.without]
+    return holdout, confirmations, int(np.argmin([c.ratio for c in confirmations]))
 
 
 def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell: Tell) -> SearchState | None:

@@ -5,9 +5,10 @@ A servo of stiffness k holds a force f where its joint is f/k away from the goal
     goal − q = f/k + a·q̇ + b·sign q̇ + c·q̈ + d
 
 f being what bodies and gravity need by the model (``engines.mjcf_inverse``); friction, the servo's own damping, latency
-and rotor inertia are in a, b and c. Least squares give 1/k. Noise of the positions is in goal − q alone, where it does
-not bias it. A model whose servos are ten times too stiff predicts next to nothing of what was measured, and everything
-else that is missing would be looked for on top of that.
+and rotor inertia are in a, b and c. Least squares give 1/k. Where f hardly varies, f/k and d stand in for each other,
+and what these laws leave of friction would choose between them; d is 0 then. Noise of the positions is in goal − q
+alone, where it does not bias it. A model whose servos are ten times too stiff predicts next to nothing of what was
+measured, and everything else that is missing would be looked for on top of that.
 
 Where drives are no standard of force, the bodies are: masses and inertias are taken to be known then. A joint that
 neither gravity nor other joints load tells the ratio of stiffness, friction and rotor inertia alone, so its rotor
@@ -34,6 +35,8 @@ WIDTHS = (4, 8, 16)
 """Widths of test functions in samples."""
 SHOWN = 0.05
 """Share of how far a joint stays behind, beside what goes with its own motion, from which on its load is shown."""
+VARIES = 0.5
+"""Share of its load that varies, from which on a joint's constant distance from its goal is told from what it bears."""
 LEAST_ROWS = 30
 """Fewer independent samples show nothing."""
 WITHIN = 10.0
@@ -126,7 +129,7 @@ def _compliance(
         step = motion.interval * max(width // 2, 1)
         needed.append(one.weighted(one.missing[:, j] + one.drives[:, j]))
         behind.append(one.weighted(one.drives[:, j] / k))
-        parts = (rate, np.sign(rate), np.gradient(rate, step), np.ones_like(rate))
+        parts = (np.ones_like(rate), rate, np.sign(rate), np.gradient(rate, step))
         others.append(one.weighted(np.column_stack(parts)))
         counts.append(one.counts[:, j])
     moving = np.concatenate(counts)
@@ -134,11 +137,19 @@ def _compliance(
         return 0.0, 0.0
     beside = np.concatenate(others)[moving]
     whole = np.column_stack([np.concatenate(needed), np.concatenate(behind)])[moving]
-    load, rest = (whole - beside @ np.linalg.lstsq(beside, whole, rcond=1e-9)[0]).T
+    load, rest = _beside(whole, beside).T
+    bears, distance = _beside(whole, beside[:, 1:]).T
+    if float(load @ load) < VARIES * float(bears @ bears):
+        load, rest = bears, distance
     if float(load @ load) < LOADED * float(np.sum((whole[:, 0] - whole[:, 0].mean()) ** 2)):
         return 0.0, 0.0
     across = float(load @ rest)
     return across / float(load @ load), across**2 / max(float(load @ load) * float(rest @ rest), 1e-300)
+
+
+def _beside(whole: Array, others: Array) -> Array:
+    """What is left of columns beside others, by least squares."""
+    return whole - others @ np.linalg.lstsq(others, whole, rcond=1e-9)[0]
 
 
 def with_servo_gains(

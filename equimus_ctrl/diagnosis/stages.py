@@ -5,7 +5,7 @@
 
 ``carried_out`` runs them in this order; ``STAGES`` has those between the refit and the report. ``other_holdout`` is a
 second diagnosis, with other trials held out, by the same stages. Where a budget ends a stage, what was known before it
-is reported.
+is reported; where it ends the search, held-out trials still judge what the search had come to.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.alternatives import listed, without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
-from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed
+from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed, confirmed_as_fitted
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
 from equimus_ctrl.diagnosis.experiment import separating
 from equimus_ctrl.diagnosis.findings import (
@@ -109,7 +109,8 @@ def carried_out(inputs: DiagnosisInputs) -> State:
     state = refit(inputs)
     for stage in ORDER:
         state = stage.after(state)
-    return state
+    unconfirmed = state.ended_in and STAGES.index(state.ended_in) <= STAGES.index(CONFIRMATION)
+    return confirm_as_fitted(state) if unconfirmed else state
 
 
 def refit(inputs: DiagnosisInputs) -> State:
@@ -195,14 +196,32 @@ def confirm(state: State) -> State:
     said: dict[str, Confirmation] = {}
     end = confirmed(state.search, state.end, state.inputs.split, said.__setitem__)
     search, end = still_apart(state.search, end, state.inputs.split)
-    after, before = replace(state, search=search, end=end), state.end.best.labels
+    return _said(state, replace(state, search=search, end=end), said)
+
+
+def confirm_as_fitted(state: State) -> State:
+    """The effects that held-out trials confirm, without any further fit."""
+    said: dict[str, Confirmation] = {}
+    end = confirmed_as_fitted(state.search, state.end, state.inputs.split, said.__setitem__)
+    return _said(state, replace(state, end=end), said)
+
+
+def _said(state: State, after: State, said: Mapping[str, Confirmation]) -> State:
+    """With a decision for each effect that held-out trials confirm or reject, or that is accepted in another's place.
+
+    Args:
+        state: before.
+        after: with what they leave.
+        said: by them of each effect, by its label.
+    """
+    before, end = state.end.best.labels, after.end
     for label in sorted(before - end.best.labels):
-        after = after.decided("confirmation", f"{label} rejected", str(said.get(label, "not needed beside the others")))
+        after = after.decided(CONFIRMATION, f"{label} rejected", str(said.get(label, "not needed beside the others")))
     for label in sorted(end.best.labels - before):
         reason = f"fits in its place, and {said[label]}" if label in said else "fits in its place"
-        after = after.decided("confirmation", f"{label} accepted", reason)
+        after = after.decided(CONFIRMATION, f"{label} accepted", reason)
     for label in sorted((end.best.labels & before) & said.keys()):
-        after = after.decided("confirmation", f"{label} confirmed", str(said[label]))
+        after = after.decided(CONFIRMATION, f"{label} confirmed", str(said[label]))
     return after
 
 
@@ -376,10 +395,11 @@ def find_alternatives(state: State) -> State:
     return replace(state, end=end, equivalent=equivalents(state.search, end, bool(state.analysis.unexplained), finely))
 
 
+CONFIRMATION = "confirmation"
 ORDER = (
     Stage("search", find_effects, "more effects"),
     Stage("groups", tell_apart, "what differs between groups of trials"),
-    Stage("confirmation", confirm, "whether held-out trials confirm the effects", "held-out trials", 0.82),
+    Stage(CONFIRMATION, confirm, "what held-out trials confirm in place of others", "held-out trials", 0.82),
     Stage("unexplained", explain_residuals, "what remains unexplained", "residual forces", 0.86),
     Stage("discretization", take_off_step_error, "the error of the physics step"),
     Stage("validation", validate, "whether the error on held-out trials is above the noise"),
