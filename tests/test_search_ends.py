@@ -22,6 +22,7 @@ from equimus_ctrl.diagnosis.alternatives import (
     simplified,
     without_parts,
 )
+from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.findings import _alone, _smallest
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
@@ -200,6 +201,30 @@ def test_what_is_said_of_an_effect_is_what_was_said_last(monkeypatch: pytest.Mon
     assert {label: one.ratio for label, one in said.items()} == {RUB: 1.0, DEAD: 1.0}
 
 
+@pytest.mark.parametrize(("time_left", "left"), [(True, {RUB}), (False, set[str]())])
+def test_held_out_trials_judge_what_an_ended_search_had_come_to(
+    monkeypatch: pytest.MonkeyPatch, time_left: bool, left: set[str]
+) -> None:
+    """Where the rest takes a fit that there is no time for, nothing is left of it but the model alone."""
+    known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (RUB, OFF): 1000.0})
+    split = held_out_rejects(monkeypatch, [(frozenset({RUB}), frozenset({RUB, OFF}))])
+    worse: Any = lambda search, holdout, state: None  # noqa: E731
+    monkeypatch.setattr(confirmation, "_makes_worse", worse)
+
+    class Ended(OnPaper):
+        def refit(
+            self, tried: SearchHistory, fitted: Fitted, hypothesis: tuple[Part, ...]
+        ) -> tuple[Fitted, SearchHistory]:
+            if not time_left:
+                raise BudgetSpent
+            return super().refit(tried, fitted, hypothesis)
+
+    said: dict[str, confirmation.Confirmation] = {}
+    end = confirmation.confirmed_as_fitted(Ended(known), ended(known, RUB, OFF), split, said.__setitem__)
+    assert end.best.labels == left and len(end.without) == len(end.alternatives) == len(left)
+    assert {label: one.ratio for label, one in said.items()} == {OFF: 0.0, **({RUB: 1.0} if time_left else {})}
+
+
 def test_a_rejected_effect_is_no_simpler_one_and_none_that_fits_as_well() -> None:
     known = Known({(): 5000.0, (RUB,): 1010.0, (STICK,): 1000.0, (OFF,): 1001.0})
     search = OnPaper(known, SearchSettings(many_minima=True))
@@ -288,7 +313,7 @@ def test_what_diverges_over_whole_trials_is_not_what_short_intervals_tell(monkey
 def test_what_diverges_from_where_a_larger_set_ended_begins_at_the_nominal_parameters() -> None:
     begun: list[float] = []
 
-    def coarse_fit(hypothesis: object, begin: Any, *rest: object) -> Fitted:
+    def coarse_fit(hypothesis: object, begin: Any, *rest: object, settled: object) -> Fitted:
         begun.append(float(begin[0][0][0]))
         if begun[-1] < 1.0:
             raise SimulationDiverged("diverges")
@@ -299,13 +324,41 @@ def test_what_diverges_from_where_a_larger_set_ended_begins_at_the_nominal_param
         free=SimpleNamespace(free=[None], start=np.ones(1), model=model),
         theta_of=lambda theta, hypothesis: Data.theta_of(data, theta, hypothesis),
         coarse_fit=coarse_fit,
-        converge=lambda f: f,
+        converge=lambda f, settled: f,
+        discontinuous=lambda hypothesis, but: [],
         segments=(),
     )
     found, _ = HypothesisMoves(data, []).refit(
         SearchHistory(), fitted(5.0, RUB, OFF), (Part(POOL[RUB], VALUES["coulomb_friction"]),)
     )
     assert found.deviance == 10.0 and begun == [0.0, 1.0]
+
+
+def test_the_same_refit_is_done_once() -> None:
+    """Discontinuous parameters of parts that the fit has from which it begins are scanned no more."""
+    scanned: list[tuple[object, bool]] = []
+
+    def coarse_fit(hypothesis: object, begin: Any, *rest: object, settled: object) -> Fitted:
+        scanned.append((settled, False))
+        return fitted(10.0 + len(scanned), RUB)
+
+    data: Any = SimpleNamespace(
+        free=SimpleNamespace(free=[None], start=np.ones(1), model=nominal_model()),
+        theta_of=lambda theta, hypothesis: Data.theta_of(data, theta, hypothesis),
+        coarse_fit=coarse_fit,
+        converge=lambda f, settled: scanned.append((None, settled)) or f,
+        discontinuous=lambda hypothesis, but: [k for k, p in enumerate(hypothesis) if p.candidate.label not in but],
+        segments=(),
+    )
+    moves, start = HypothesisMoves(data, []), fitted(5.0, RUB, OFF)
+    rub = (Part(POOL[RUB], VALUES["coulomb_friction"]),)
+    first, tried = moves.refit(SearchHistory(), start, rub)
+    again, tried = moves.refit(tried, start, rub)
+    assert again is first and scanned == [(start.labels, False), (None, True)]
+    other, tried = moves.refit(tried, start, (Part(POOL[RUB], {"friction": 0.02}),))
+    assert other is not first and len(tried.fitted) == 2
+    moves.refit(tried, start, (Part(POOL[DEAD], VALUES["dead_zone"]),))
+    assert scanned[-1] == (None, False)
 
 
 @pytest.mark.parametrize("threshold", [5.0, 18.7, 900.0])

@@ -99,3 +99,32 @@ def test_the_loop_decides_what_is_forgotten() -> None:
     trials = recorded(ringing, count=2)
     assert not forgets(ringing, trials, None, simulator_for(ringing, [r.position for r in trials]))
     assert np.isfinite(trials[0].position).all()
+
+
+TURRET = """<mujoco model="turret">
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body name="post">
+    <joint name="pan" axis="0 0 1" armature="0.02" damping="0.3"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="0.002 0.002 0.002"/>
+    <body name="arm"><joint name="hinge" axis="0 -1 0" armature="0.02" damping="0.3" frictionloss="0.05"/>
+      <inertial pos="0.2 0 0" mass="0.6" diaginertia="0.002 0.002 0.001"/></body>
+  </body></worldbody>
+  <actuator><position name="pan" joint="pan" kp="{kp}" kv="0.1"/><position name="hinge" joint="hinge" kp="{kp}" kv="0.1"/></actuator>
+</mujoco>"""
+
+
+def test_a_servo_without_load_is_as_soft_as_the_others() -> None:
+    """Its rotor inertia is free in its stiffness' place; friction and damping begin where motion has them."""
+    real, stiff = (Model(MjcfRobot("turret", TURRET.format(kp=kp))) for kp in (12, 1200))
+    gains = {g.joint: g for g in servo_gains(stiff, recorded(real, size=0.5))}
+    assert not gains["pan"].loaded and gains["hinge"].loaded
+    assert gains["pan"].measured == gains["hinge"].measured == pytest.approx(12, rel=0.15)
+    assert gains["hinge"].joint_begins["hinge.frictionloss"] == pytest.approx(0.05, rel=0.3)
+    # What the servo's own damping lacks of 0.1 when it is as much softer is the joint's.
+    assert gains["hinge"].joint_begins["hinge.damping"] == pytest.approx(0.4, rel=0.3)
+    assert gains["pan"].joint_begins["pan.damping"] == pytest.approx(0.4, rel=0.3)
+    after = with_servo_gains(default_free_parameters(stiff), list(gains.values()))
+    assert {"hinge.kp", "pan.armature", "hinge.armature", "pan.damping"} <= set(after.names)
+    assert "pan.kp" not in after.names and after.model.parameters()["pan.kp"] == gains["pan"].measured
+    assert after.start[after.names.index("hinge.frictionloss")] == gains["hinge"].joint_begins["hinge.frictionloss"]
+    assert "Nothing loads pan" in told(list(gains.values()))

@@ -48,12 +48,14 @@ class GridScan:
         count: of values in a grid.
         width: half width of the first grid in ln θ.
         levels: grids, each ``GRID_NARROWER`` times narrower than the one before.
+        but: labels of parts whose parameters are not scanned.
     """
 
     times: int
     count: int
     width: float = 0.4
     levels: int = 4
+    but: frozenset[str] = frozenset()
 
 
 FULL_SCAN, QUICK_SCAN = GridScan(3, 47), GridScan(1, 15)
@@ -164,21 +166,38 @@ class Data:
         return whole
 
     def coarse_fit(
-        self, hypothesis: Hypothesis, begin: Sequence[Begin], noise: Noise, steps: int, tolerance: float = 1e-4
+        self,
+        hypothesis: Hypothesis,
+        begin: Sequence[Begin],
+        noise: Noise,
+        steps: int,
+        tolerance: float = 1e-4,
+        settled: Collection[str] = (),
     ) -> Fitted:
-        """A few steps of a fit under a noise that is given; the deviance is under the noise estimated at its end."""
+        """A few steps of a fit under a noise that is given; the deviance is under the noise estimated at its end.
+
+        Args:
+            hypothesis: what is fitted.
+            begin: the best of these is where it begins.
+            noise: of the residuals.
+            steps: at most.
+            tolerance: of the cost, relative.
+            settled: labels of parts that begin where a fit has them: discontinuous parameters of these stay there.
+        """
         factor = COARSE_TOLERANCE if self.policy.coarse_derivatives else 1
-        after = self._fit(hypothesis, begin, noise, FitSettings(tolerance * factor, steps), quick=True)
+        settings, scan = FitSettings(tolerance * factor, steps), replace(QUICK_SCAN, but=frozenset(settled))
+        after = self._fit(hypothesis, begin, noise, settings, scan, quick=True)
         return self._with_noise(hypothesis, after)
 
-    def converge(self, fitted: Fitted, noise: Noise | None = None) -> Fitted:
+    def converge(self, fitted: Fitted, noise: Noise | None = None, settled: bool = False) -> Fitted:
         """Estimate noise and parameters in turn until the likelihood has converged.
 
         Args:
             fitted: where it begins.
             noise: of the first iteration; by default estimated from the residuals of ``fitted``.
+            settled: whether a fit has had all its discontinuous parameters where they are.
         """
-        best, scan = fitted, FULL_SCAN
+        best, scan = fitted, QUICK_SCAN if settled else FULL_SCAN
         for _ in range(ROUNDS):
             steps = FitSettings(1e-5, 12)
             refitted = self._fit(best.hypothesis, [best.begin], noise or best.noise, steps, scan, earlier=best.fit)
@@ -205,12 +224,11 @@ class Data:
         begin: Sequence[Begin],
         noise: Noise,
         settings: FitSettings,
-        scan: GridScan | None = None,
+        scan: GridScan = FULL_SCAN,
         quick: bool = False,
         earlier: Fit | None = None,
     ) -> Fit:
         """Least squares from the best of some beginnings, with grid scans of discontinuous parameters."""
-        scan = scan or (QUICK_SCAN if quick else FULL_SCAN)
         self.budget.check()
         parameters = parameters_of(self.free, hypothesis)
         inside = [(np.clip(theta, parameters.low, parameters.high), starts) for theta, starts in begin]
@@ -219,7 +237,7 @@ class Data:
             parameters, self.segments, simulator=self.simulator, settings=settings, noise=noise, begin=inside,
             coarse=coarse, earlier=earlier, notify=self._after_step,
         )  # fmt: skip
-        discontinuous = self.discontinuous(hypothesis)
+        discontinuous = self.discontinuous(hypothesis, scan.but)
         for _ in range(scan.times if discontinuous else 0):
             theta = self._grid_scan(discontinuous, best, noise, scan)
             if np.array_equal(theta, best.theta):
@@ -236,10 +254,14 @@ class Data:
     def _after_step(self, evaluations: int, rmse: float) -> None:
         self.budget.check()
 
-    def discontinuous(self, hypothesis: Hypothesis) -> list[int]:
-        """Indices in θ of the discontinuous parameters, see ``Effect.discontinuous``."""
-        added = [(part.candidate.effect, own.key) for part in hypothesis for own in part.candidate.parameters]
-        return [len(self.free.free) + k for k, (effect, key) in enumerate(added) if key in effect.discontinuous]
+    def discontinuous(self, hypothesis: Hypothesis, but: Collection[str] = ()) -> list[int]:
+        """Indices in θ of the discontinuous parameters, see ``Effect.discontinuous``, but those of some parts."""
+        added = [(part.candidate, own.key) for part in hypothesis for own in part.candidate.parameters]
+        return [
+            len(self.free.free) + k
+            for k, (candidate, key) in enumerate(added)
+            if key in candidate.effect.discontinuous and candidate.label not in but
+        ]
 
     def aliased(self, fitted: Fitted, k: int, names: Collection[str] | None = None) -> bool:
         """Whether no direction of a part's parameters is seen beside all others: then it stands for these.

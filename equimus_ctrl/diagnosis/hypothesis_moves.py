@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -66,12 +66,14 @@ class SearchHistory:
         first: what every candidate would do to the refitted model, alone.
         rejected: labels of candidates that are not to be part of a hypothesis any more.
         extended: by a hypothesis' labels, and that of a candidate to replace or "".
+        refits: by the fit that each began at, and the labels and initial values of its parts.
     """
 
     fitted: tuple[Fitted, ...] = ()
     first: tuple[Screened, ...] = ()
     rejected: frozenset[str] = frozenset()
     extended: Mapping[tuple[frozenset[str], str], Extended] = field(default_factory=dict)
+    refits: Mapping[tuple[Fitted, tuple[Hashable, ...]], Fitted] = field(default_factory=dict)
 
     def allows(self, labels: Iterable[str]) -> bool:
         """Whether none of some candidates was rejected."""
@@ -359,7 +361,9 @@ class HypothesisMoves:
             if proposal.hope * self.settings.optimism < most:
                 continue
             try:
-                option = self.data.coarse_fit(proposal.hypothesis, proposal.begins, noise, self.settings.coarse_steps)
+                option = self.data.coarse_fit(
+                    proposal.hypothesis, proposal.begins, noise, self.settings.coarse_steps, settled=fitted.labels
+                )
             except SimulationDiverged:  # so it cannot be what happened
                 continue
             options.append(option)
@@ -377,11 +381,13 @@ class HypothesisMoves:
             close = best + settings.kept_share * max(fitted.deviance - best, 0.0) + settings.kept_gain
             if k < settings.kept and option.deviance <= close:
                 noise = white_noise(option.fit.residuals)
-                longer = self.data.coarse_fit(option.hypothesis, [option.begin], noise, settings.long_steps)
+                longer = self.data.coarse_fit(
+                    option.hypothesis, [option.begin], noise, settings.long_steps, settled=fitted.labels
+                )
                 option = min(option, longer, key=lambda f: f.deviance)
                 lacks = option.deviance - rival
                 if lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain:
-                    option = self.data.converge(option)
+                    option = self.data.converge(option, settled=self._settled(option.hypothesis, fitted.labels))
             after.append(option)
         return after
 
@@ -462,15 +468,22 @@ class HypothesisMoves:
         """
         data = self.data
         model_of(data.free.model, hypothesis)  # raises where parts exclude each other
-        noise = white_noise(fitted.fit.residuals)
+        key = (fitted, tuple((part.candidate.label, *part.values.values()) for part in hypothesis))
+        if (known := tried.refits.get(key)) is not None:
+            return known, tried
+        noise, steps = white_noise(fitted.fit.residuals), self.settings.long_steps
         try:
             begin: Begin = (data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
-            after = data.coarse_fit(hypothesis, [begin], noise, self.settings.long_steps)
+            after = data.coarse_fit(hypothesis, [begin], noise, steps, settled=fitted.labels)
         except SimulationDiverged:
             begin = (data.theta_of(data.free.start, hypothesis), [s.start for s in data.segments])
-            after = data.coarse_fit(hypothesis, [begin], noise, self.settings.long_steps)
-        after = data.converge(after)
-        return after, tried.having(after)
+            after = data.coarse_fit(hypothesis, [begin], noise, steps, settled=fitted.labels)
+        after = data.converge(after, settled=self._settled(hypothesis, fitted.labels))
+        return after, replace(tried.having(after), refits={**tried.refits, key: after})
+
+    def _settled(self, hypothesis: Hypothesis, labels: Collection[str]) -> bool:
+        """Whether no discontinuous parameter is of a part other than those with some labels, which were fitted."""
+        return not self.data.discontinuous(hypothesis, labels)
 
 
 def _net(screened: Screened, price: float) -> float:
