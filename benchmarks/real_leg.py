@@ -1,9 +1,11 @@
 """What does the diagnosis find in the recordings of the real leg, and how well does it do on the part held out?
 
 Fitted are every other group of the step release and the first 20 s of the triangle; the other groups and the rest of
-the triangle judge. The group that begins away from rest, from no pressure to none, is left out. Nothing is random.
+the triangle judge. The group that begins away from rest, from no pressure to none, is left out. Nothing is random,
+unless a seed asks for another split: then half of the groups, drawn at random, and what comes before a time between
+15 and 25 s are fitted.
 
-    python benchmarks/real_leg.py [--recordings FOLDER] [--output FOLDER]
+    python benchmarks/real_leg.py [--recordings FOLDER] [--output FOLDER] [--most COUNT] [--seed SEED] [--budget SECONDS]
 
 The folder is that of `step_release.csv` and `triangle.csv`, found like the command's (`EQUIMUS_RECORDINGS`) by
 default; record, page, corrected model and `summary.json` are written to `--output`.
@@ -30,7 +32,9 @@ STEPS, TRIANGLE = "step_release", "triangle"
 AWAY_FROM_REST = "step_release_p0_0"
 UNTIL = 20.0
 """Of the triangle, what is fitted [s]."""
-MOST = 6
+BETWEEN = 15.0, 25.0
+"""The same of a random split."""
+MOST = 4
 """Effects looked for together."""
 GOAL = {TRIANGLE: (0.020, 0.045)}
 """Greatest RMSE, hip and knee [rad]."""
@@ -38,8 +42,14 @@ LEAST_GAIN = 0.65
 """Greatest RMSE after steps, as a share of the refitted model's."""
 
 
-def diagnosed(folder: Path | None) -> Diagnosis:
+def diagnosed(folder: Path | None, most: int = MOST, seed: int | None = None, budget: float | None = None) -> Diagnosis:
     """The recordings diagnosed with the nominal leg.
+
+    Args:
+        folder: of the recordings.
+        most: effects looked for together.
+        seed: of a random split.
+        budget: of time [s].
 
     Raises:
         RecordingError: where they are not found.
@@ -48,11 +58,17 @@ def diagnosed(folder: Path | None) -> Diagnosis:
     if triangle is None or releases is None:
         raise RecordingError(missing_hint())
     steps = [t for t in read_set(releases) if t.name != AWAY_FROM_REST]
+    held, until = steps[::2], UNTIL
+    if seed is not None:
+        rng = np.random.default_rng(seed)
+        held = [steps[k] for k in sorted(rng.permutation(len(steps))[: len(held)])]
+        until = float(np.round(rng.uniform(*BETWEEN), 1))
     return workflow.diagnose_recordings(
         [*read_set(triangle), *steps],
-        validation=[trial.name for trial in steps[::2]],
-        until=UNTIL,
-        most=MOST,
+        validation=[trial.name for trial in held],
+        until=until,
+        most=most,
+        budget=budget,
         progress=lambda stage, share, best: print(f"  {share:4.0%} {stage}: {best}", flush=True),
     )
 
@@ -97,9 +113,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--recordings", type=Path, help="folder of step_release.csv and triangle.csv")
     parser.add_argument("--output", type=Path, default=Path("real_leg"))
+    parser.add_argument("--most", type=int, default=MOST, help="effects looked for together")
+    parser.add_argument("--seed", type=int, help="of a random split")
+    parser.add_argument("--budget", type=float, help="seconds after which the best so far is given")
     given = parser.parse_args(arguments)
     try:
-        found = diagnosed(given.recordings)
+        found = diagnosed(given.recordings, given.most, given.seed, given.budget)
     except RecordingError as error:
         raise SystemExit(str(error)) from None
     rows = held_out(found)
