@@ -5,10 +5,10 @@ the triangle judge. The group that begins away from rest, from no pressure to no
 unless a seed asks for another split: then half of the groups, drawn at random, and what comes before a time between
 15 and 25 s are fitted.
 
-    python benchmarks/real_leg.py [--recordings FOLDER] [--output FOLDER] [--most COUNT] [--seed SEED] [--budget SECONDS]
+    python benchmarks/real_leg.py [--output FOLDER] [--most COUNT] [--seed SEED] [--budget SECONDS]
 
-The folder is that of `step_release.csv` and `triangle.csv`, found like the command's (`EQUIMUS_RECORDINGS`) by
-default; record, page, corrected model and `summary.json` are written to `--output`.
+The recordings, `step_release.csv` and `triangle.csv`, are those of `--recordings FOLDER`, found like the command's
+(`EQUIMUS_RECORDINGS`) by default; record, page, corrected model and `summary.json` are written to `--output`.
 """
 
 from __future__ import annotations

@@ -95,6 +95,15 @@ def test_a_search_that_had_found_something_names_it(parts: Split, whole: tuple[D
     assert all(f.best.labels == full.best.labels for f in found)
 
 
+def test_intervals_of_discontinuous_parameters_are_had_after_the_end(
+    parts: Split, whole: tuple[Diagnosis, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are read off a profile, which simulates: a budget that has ended does not end the report."""
+    monkeypatch.setattr(CoulombFriction, "discontinuous", ("friction",))
+    found = ended(parts, whole[1])
+    assert found.not_done and [f.named.effect for f in found.findings] == ["coulomb_friction"]
+
+
 def test_before_there_is_any_nothing_is_given(parts: Split) -> None:
     with pytest.raises(KeyboardInterrupt):
         ended(parts, 0)

@@ -201,28 +201,35 @@ def test_what_is_said_of_an_effect_is_what_was_said_last(monkeypatch: pytest.Mon
     assert {label: one.ratio for label, one in said.items()} == {RUB: 1.0, DEAD: 1.0}
 
 
-@pytest.mark.parametrize(("time_left", "left"), [(True, {RUB}), (False, set[str]())])
+@pytest.mark.parametrize(
+    ("fitted_alone", "left"), [((RUB, OFF), {RUB, OFF}), ((RUB,), {RUB}), ((), set[str]())], ids=["both", "one", "none"]
+)
 def test_held_out_trials_judge_what_an_ended_search_had_come_to(
-    monkeypatch: pytest.MonkeyPatch, time_left: bool, left: set[str]
+    monkeypatch: pytest.MonkeyPatch, fitted_alone: tuple[str, ...], left: set[str]
 ) -> None:
-    """Where the rest takes a fit that there is no time for, nothing is left of it but the model alone."""
-    known = Known({(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (RUB, OFF): 1000.0})
-    split = held_out_rejects(monkeypatch, [(frozenset({RUB}), frozenset({RUB, OFF}))])
-    worse: Any = lambda search, holdout, state: None  # noqa: E731
-    monkeypatch.setattr(confirmation, "_makes_worse", worse)
+    """What is left was fitted on the way, as it is and without each of its parts, for there is no time for any fit."""
+    known = Known(
+        {(): 5000.0, (RUB,): 2000.0, (OFF,): 3000.0, (DEAD,): 4000.0, (RUB, OFF): 1000.0, (RUB, DEAD): 1100.0,
+         (OFF, DEAD): 1200.0, (RUB, OFF, DEAD): 500.0}
+    )  # fmt: skip
+    rejects = [(frozenset({RUB, OFF}), frozenset({RUB, OFF, DEAD}))]
+    split = held_out_rejects(monkeypatch, rejects)
+    monkeypatch.setattr(confirmation, "_makes_worse", lambda search, holdout, state: None)
 
     class Ended(OnPaper):
         def refit(
             self, tried: SearchHistory, fitted: Fitted, hypothesis: tuple[Part, ...]
         ) -> tuple[Fitted, SearchHistory]:
-            if not time_left:
-                raise BudgetSpent
-            return super().refit(tried, fitted, hypothesis)
+            raise BudgetSpent
 
+    begun = ended(known, RUB, OFF, DEAD)
+    begun = replace(begun, tried=begun.tried.having(*(known(label) for label in fitted_alone)))
     said: dict[str, confirmation.Confirmation] = {}
-    end = confirmation.confirmed_as_fitted(Ended(known), ended(known, RUB, OFF), split, said.__setitem__)
-    assert end.best.labels == left and len(end.without) == len(end.alternatives) == len(left)
-    assert {label: one.ratio for label, one in said.items()} == {OFF: 0.0, **({RUB: 1.0} if time_left else {})}
+    end = confirmation.confirmed_as_fitted(Ended(known), begun, split, said.__setitem__)
+    assert end.best.labels == left and said[DEAD].ratio == 0.0 and said.keys() - {DEAD} == left
+    assert [without.labels for without in end.without] == [
+        left - {part.candidate.label} for part in end.best.hypothesis
+    ]
 
 
 def test_a_rejected_effect_is_no_simpler_one_and_none_that_fits_as_well() -> None:

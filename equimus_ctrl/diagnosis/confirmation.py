@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Literal
@@ -12,10 +12,9 @@ from typing import Literal
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
-from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchState, extra_parameters
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchState, extra_parameters
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
@@ -115,7 +114,7 @@ def confirmed(
 def confirmed_as_fitted(
     search: Search, state: SearchState, split: Split, tell: Tell = lambda label, confirmation: None
 ) -> SearchState:
-    """The same where there is no time for further fits: where it takes one, the model without any effect.
+    """The same where there is no time for further fits: what is left is a hypothesis that was fitted on the way.
 
     Args:
         search: that was ended there.
@@ -134,11 +133,22 @@ def confirmed_as_fitted(
                 tell(label, confirmation)
             break
         tell(parts[rejected[0]], rejected[1])
-        try:
-            state = search.moved(state, state.without[rejected[0]])
-        except BudgetSpent:
-            state = replace(state, best=state.base, without=(), alternatives=())
+        state = _largest_known(search, state, state.best.labels - {parts[rejected[0]]})
     return state
+
+
+def _largest_known(search: HypothesisMoves, state: SearchState, labels: Set[str]) -> SearchState:
+    """A search at the best hypothesis of some parts that was fitted, and so was it without each of its parts."""
+    known = {state.base.labels: state.base}
+    for fitted in sorted((*state.tried.fitted, *state.without), key=lambda f: -f.deviance):
+        known[fitted.labels] = fitted
+    for best in sorted(known.values(), key=search.score):
+        rest = [best.labels - {part.candidate.label} for part in best.hypothesis]
+        if best.labels <= labels and all(own in known for own in rest):
+            return replace(
+                state, best=best, without=tuple(known[own] for own in rest), alternatives=tuple(() for _ in rest)
+            )
+    return replace(state, best=state.base, without=(), alternatives=())
 
 
 def _confirmations(

@@ -19,7 +19,7 @@ from functools import cache, partial
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import listed, without_parts
-from equimus_ctrl.diagnosis.budget import BudgetSpent
+from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed, confirmed_as_fitted
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
@@ -427,8 +427,8 @@ def tested(state: State) -> State:
 
 
 def report(state: State) -> Diagnosis:
-    """The findings with evidence and intervals, and the rest of the report."""
-    state = tested(state)
+    """The findings with evidence and intervals, and the rest of the report, which no budget ends."""
+    state = tested(replace(state, search=replace(state.search, data=replace(state.data, budget=Budget()))))
     inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
     data, split, model, noise = state.data, inputs.split, inputs.nominal, end.best.noise
     holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
