@@ -10,7 +10,7 @@ import numpy as np
 from equimus_ctrl.effects.command import DIRECT, FILTERED, INTEGRATED, SLEWED
 from equimus_ctrl.robots.mechanics import Channel, Mechanics
 from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
-from equimus_ctrl.robots.mjcf.packing import Drive, Tether, commands_between, pack
+from equimus_ctrl.robots.mjcf.packing import Drive, Tether, Touch, commands_between, pack
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.reading import form_of
 
@@ -24,6 +24,7 @@ def mechanics_of(
     joint_names: Sequence[str],
     drives: Mapping[str, Drive],
     tethers: Mapping[int, Tether],
+    touches: Mapping[int, Touch],
 ) -> Mechanics:
     """The equations' form and parameters of a robot.
 
@@ -34,24 +35,25 @@ def mechanics_of(
         joint_names: of the joints that are measured.
         drives: joint whose drive turns by itself → see ``packing.pack``.
         tethers: body with a spring to a point of the room → see there.
+        touches: body that may touch a surface in the room → see there.
 
     Raises:
         ModelError: where the equations cannot hold it.
     """
-    form = _form((xml, assets, bool(drives), bool(tethers)), model)
+    form = _form((xml, assets, bool(drives), bool(tethers), bool(touches)), model)
     names = [link.name for link in form.links]
     joints = np.array([names.index(name) for name in joint_names], dtype=np.int64)
     starts = np.array([list(joint_names).index(name) for name in names], dtype=np.int64)
     loose = {names.index(name): drive for name, drive in drives.items()}
     places = {"joint": names, "actuator": ()}
-    return Mechanics(form, pack(form, model, loose, tethers), joints, starts, places, tuple(_channels(form, model)))
+    return Mechanics(form, pack(form, model, loose, tethers, touches), joints, starts, places, tuple(_channels(form, model)))
 
 
 def _form(key: Any, model: Any) -> TreeForm:
     if key not in _forms:
         if len(_forms) > 256:
             _forms.clear()
-        _forms[key] = form_of(model, flexible=key[2], tethered=key[3])
+        _forms[key] = form_of(model, flexible=key[2], tethered=key[3], surfaced=key[4])
     return _forms[key]
 
 

@@ -1,4 +1,4 @@
-"""What is done to MuJoCo's model of a robot: drives of their own, springs to the room, friction made hard."""
+"""What is done to MuJoCo's model of a robot: drives of their own, springs to the room, surfaces, hard friction."""
 
 from __future__ import annotations
 
@@ -54,6 +54,33 @@ class Tether:
     anchor: Place
 
 
+@dataclass(frozen=True)
+class Surface:
+    """A level plane in the room below which a site, or a body's centre of mass, cannot go; without friction.
+
+    Attributes:
+        place: the site or body, which touches nothing else through it.
+        height: of the plane, from the room's origin against the file's gravity [m].
+    """
+
+    place: str
+    height: float
+
+
+SOLREF = 0.02, 1.0
+SOLIMP = 0.9, 0.95, 1e-3, 0.5, 2.0
+"""Of contact with a surface: MuJoCo's defaults, whatever the file's are. Critically damped, so that what starts below
+it is pushed out within hundredths of a second and not thrown."""
+RADIUS = 1e-3
+"""Of the sphere that stands for a point, by which its plane is lower: of no consequence [m]."""
+
+
+def upwards(gravity: Array) -> Array | None:
+    """(3,) the direction against gravity (3,) [m/s²]; None where there is none."""
+    size = float(np.linalg.norm(gravity))
+    return np.asarray(-np.asarray(gravity) / size) if size > 0 else None
+
+
 def rotor_of(joint: str) -> str:
     """What the drive of a joint that gives way is called, as a body, a joint and a tendon."""
     return f"{joint} drive"
@@ -68,22 +95,34 @@ def tether_of(place: str) -> tuple[str, str, str]:
     return f"{place} tether", f"{place} tether end", f"{place} tether point"
 
 
+def surface_of(place: str) -> tuple[str, str]:
+    """What a surface that a place may touch is called, and the sphere there, as geoms."""
+    return f"{place} surface", f"{place} surface point"
+
+
 @lru_cache(maxsize=64)
-def with_parts(xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...]) -> Any:
+def with_parts(
+    xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...], touching: tuple[str, ...]
+) -> Any:
     """``with_parts_spec`` compiled; not to be changed."""
-    return with_parts_spec(xml, assets, joints, tethered).compile()
+    return with_parts_spec(xml, assets, joints, tethered, touching).compile()
 
 
-def with_parts_spec(xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...]) -> Any:
-    """The model with drives of their own, and with springs to points of the room.
+def with_parts_spec(
+    xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...], touching: tuple[str, ...]
+) -> Any:
+    """The model with drives of their own, with springs to points of the room, and with surfaces in it.
 
     Args:
         xml: the model.
         assets: files that it names.
         joints: whose drives turn by themselves, each tied to its joint by a tendon that can give way.
         tethered: bodies and sites with a tendon to a site of the room, of no stiffness yet.
+        touching: bodies and sites with a surface of their own, at no height yet.
     """
     spec = spec_of(xml, assets)
+    for place in touching:
+        _add_surface(spec, place)
     for place in tethered:
         name, end, point = tether_of(place)
         spec.worldbody.add_site(name=end, pos=OFF)
@@ -110,6 +149,21 @@ def with_parts_spec(xml: str, assets: Assets, joints: tuple[str, ...], tethered:
             if actuator.target == name:
                 actuator.target = rotor_of(name)
     return spec
+
+
+def _add_surface(spec: Any, place: str) -> None:
+    """Add a level plane, a sphere at a place, and contact between these two alone."""
+    (plane, ball), up, turn = surface_of(place), upwards(spec.option.gravity), np.empty(4)
+    assert up is not None  # else no robot has one
+    mujoco.mju_quatZ2Vec(turn, up)
+    # Nothing of the file's defaults for geoms and pairs is to describe them.
+    kind, own = mujoco.mjtGeom, {"pos": OFF, "contype": 0, "conaffinity": 0, "mass": 0.0, "material": ""}
+    spec.worldbody.add_geom(name=plane, type=kind.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], quat=turn, **own)
+    carrier = spec.body(place) if spec.site(place) is None else spec.site(place).parent
+    carrier.add_geom(name=ball, type=kind.mjGEOM_SPHERE, size=[RADIUS, 0.0, 0.0], quat=[1.0, 0.0, 0.0, 0.0], **own)
+    pair = spec.add_pair(name=plane, geomname1=plane, geomname2=ball)
+    pair.condim, pair.margin, pair.gap, pair.adhesion = 1, 0.0, 0.0, 0.0
+    pair.solref, pair.solimp = SOLREF, SOLIMP
 
 
 def hook_of(model: Any, place: str) -> tuple[int, Array]:
@@ -144,6 +198,15 @@ def stretch(model: Any, tether: Tether) -> None:
     own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, point)
     if own >= 0:
         model.site_pos[own] = hook_of(model, tether.place)[1]
+
+
+def lay(model: Any, surface: Surface) -> None:
+    """Put a surface, see ``with_parts``, at its height, and the sphere that touches it where its place is."""
+    plane, ball = (model.geom(name).id for name in surface_of(surface.place))
+    up = np.empty(3)
+    mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), model.geom_quat[plane])
+    model.geom_pos[plane] = (surface.height - RADIUS) * up
+    model.geom_pos[ball] = hook_of(model, surface.place)[1]
 
 
 def harden(model: Any, dof: int) -> None:
