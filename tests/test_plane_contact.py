@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import mujoco
 import numpy as np
 import pytest
-from mjcf_models import CRANE, PENDULUM, RIG, cart, pendulum, refusal, run, swinging
+from mjcf_models import CRANE, RIG, cart, pendulum, refusal, run, swinging
 from pendulum_runs import NOISE
 from scipy.optimize import minimize
 
@@ -43,7 +44,7 @@ def energy(q: Array) -> float:
     angle, reach = q
     arm = -0.2 * math.cos(angle) - 0.02 * math.sin(angle)
     rod = -(0.5 + reach) * math.cos(angle)
-    return 1.5 * G * arm + 0.5 * G * rod + 60.0 * reach**2
+    return float(1.5 * G * arm + 0.5 * G * rod + 60.0 * reach**2)
 
 
 def fallen(seconds: float = 10.0, angle: float = 1.2, reach: float = 0.0) -> Trial:
@@ -98,7 +99,9 @@ def depth(r: float) -> float:
 def test_a_plane_that_is_never_reached_changes_no_bit() -> None:
     trial = swinging(until=3.0)
     for far in (-1.0, -5.0):
-        near, bare = (simulate_mjcf([m], [trial], threads=1)[0] for m in (Model(RIG, (PlaneContact("tip", far),)), Model(RIG)))
+        near, bare = (
+            simulate_mjcf([m], [trial], threads=1)[0] for m in (Model(RIG, (PlaneContact("tip", far),)), Model(RIG))
+        )
         assert np.array_equal(near.position, bare.position)
     near, bare = (
         simulate([m], [trial], dt=1e-3, check=False)[0] for m in (Model(RIG, (PlaneContact("tip", -1.0),)), Model(RIG))
@@ -172,7 +175,7 @@ def test_where_it_cannot_be() -> None:
     assert refusal(lambda: Model(CRANE, (PlaneContact("arm", 0.0),))).endswith("(known: tip)")
     for flag in ("contact", "constraint"):
         off = MjcfRobot("off", pendulum(option=f'<flag {flag}="disable"/>'))
-        assert f'<flag {flag}="disable"/>' in refusal(lambda off=off: Model(off, (one,)))
+        assert f'<flag {flag}="disable"/>' in refusal(partial(Model, off, (one,)))
 
 
 def recorded(real: Model, size: float, seed: int) -> list[Recording]:

@@ -78,7 +78,8 @@ def exported(
                 site.pos = model.site_pos[model.site(name).id]
     for place in touching:
         for name in surface_of(place):
-            spec.geom(name).pos = model.geom_pos[model.geom(name).id]
+            g = model.geom(name).id
+            spec.geom(name).pos, spec.geom(name).quat = model.geom_pos[g], model.geom_quat[g]
     spec.option.gravity = model.opt.gravity
     _fill(spec, before)
     spec.compile()

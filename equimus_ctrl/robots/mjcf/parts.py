@@ -60,11 +60,13 @@ class Surface:
 
     Attributes:
         place: the site or body, which touches nothing else through it.
-        height: of the plane, from the room's origin against the file's gravity [m].
+        height: of the plane, from the room's origin [m].
+        up: the direction against the file's gravity.
     """
 
     place: str
     height: float
+    up: Place
 
 
 SOLREF = 0.02, 1.0
@@ -75,19 +77,14 @@ RADIUS = 1e-3
 """Of the sphere that stands for a point, by which its plane is lower: of no consequence [m]."""
 
 
-def upwards(gravity: Array) -> Array | None:
-    """(3,) the direction against gravity (3,) [m/s²]; None where there is none."""
-    size = float(np.linalg.norm(gravity))
-    return np.asarray(-np.asarray(gravity) / size) if size > 0 else None
-
-
 def rotor_of(joint: str) -> str:
     """What the drive of a joint that gives way is called, as a body, a joint and a tendon."""
     return f"{joint} drive"
 
 
-OFF = 0.1, 0.2, 0.3
-"""Where sites that are moved begin [m]: of those at the frame of their body MuJoCo does not read where they are."""
+OFF, ASKEW = (0.1, 0.2, 0.3), (0.5, 0.5, 0.5, 0.5)
+"""Where sites and geoms that are moved begin [m], and how these are turned: of those at the frame of their body MuJoCo
+does not read where they are."""
 
 
 def tether_of(place: str) -> tuple[str, str, str]:
@@ -153,14 +150,12 @@ def with_parts_spec(
 
 def _add_surface(spec: Any, place: str) -> None:
     """Add a level plane, a sphere at a place, and contact between these two alone."""
-    (plane, ball), up, turn = surface_of(place), upwards(spec.option.gravity), np.empty(4)
-    assert up is not None  # else no robot has one
-    mujoco.mju_quatZ2Vec(turn, up)
+    plane, ball = surface_of(place)
     # Nothing of the file's defaults for geoms and pairs is to describe them.
-    kind, own = mujoco.mjtGeom, {"pos": OFF, "contype": 0, "conaffinity": 0, "mass": 0.0, "material": ""}
-    spec.worldbody.add_geom(name=plane, type=kind.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], quat=turn, **own)
+    kind, own = mujoco.mjtGeom, {"pos": OFF, "quat": ASKEW, "contype": 0, "conaffinity": 0, "mass": 0.0, "material": ""}
+    spec.worldbody.add_geom(name=plane, type=kind.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **own)
     carrier = spec.body(place) if spec.site(place) is None else spec.site(place).parent
-    carrier.add_geom(name=ball, type=kind.mjGEOM_SPHERE, size=[RADIUS, 0.0, 0.0], quat=[1.0, 0.0, 0.0, 0.0], **own)
+    carrier.add_geom(name=ball, type=kind.mjGEOM_SPHERE, size=[RADIUS, 0.0, 0.0], **own)
     pair = spec.add_pair(name=plane, geomname1=plane, geomname2=ball)
     pair.condim, pair.margin, pair.gap, pair.adhesion = 1, 0.0, 0.0, 0.0
     pair.solref, pair.solimp = SOLREF, SOLIMP
@@ -203,8 +198,8 @@ def stretch(model: Any, tether: Tether) -> None:
 def lay(model: Any, surface: Surface) -> None:
     """Put a surface, see ``with_parts``, at its height, and the sphere that touches it where its place is."""
     plane, ball = (model.geom(name).id for name in surface_of(surface.place))
-    up = np.empty(3)
-    mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), model.geom_quat[plane])
+    up = np.array(surface.up)
+    mujoco.mju_quatZ2Vec(model.geom_quat[plane], up)
     model.geom_pos[plane] = (surface.height - RADIUS) * up
     model.geom_pos[ball] = hook_of(model, surface.place)[1]
 

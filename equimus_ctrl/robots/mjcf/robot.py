@@ -22,25 +22,14 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
-from equimus_ctrl.robots.mjcf.actuators import OWN
+from equimus_ctrl.robots.mjcf.actuators import OWN, limit_force, scale_force
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
 from equimus_ctrl.robots.mjcf.independent import independent
 from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
-from equimus_ctrl.robots.mjcf.parts import (
-    Compliance,
-    Place,
-    Surface,
-    Tether,
-    hook_of,
-    lay,
-    loosen,
-    stretch,
-    upwards,
-    with_parts,
-)
+from equimus_ctrl.robots.mjcf.parts import Compliance, Place, Surface, Tether, lay, loosen, stretch, with_parts
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
@@ -280,7 +269,9 @@ class MjcfRobot(Robot):
     @property
     def up(self) -> Array | None:
         """(3,) the direction against the file's gravity, along the room's axes; None where there is no gravity."""
-        return upwards(self.plan.base.opt.gravity)
+        gravity = np.array(self.plan.base.opt.gravity)
+        size = float(np.linalg.norm(gravity))
+        return frozen_array(-gravity / size, 1) if size > 0 else None
 
     def with_surface(self, place: str, height: float) -> MjcfRobot:
         """A copy with a level plane below which a site or a body's centre of mass cannot go, see ``Surface``.
@@ -290,7 +281,8 @@ class MjcfRobot(Robot):
         """
         if self.up is None:
             raise ConfigError(f"{self.name}: gravity is 0, expected more: a level surface lies across it")
-        return replace(self, surfaces=(*self.surfaces, Surface(place, height)))
+        x, y, z = (float(part) for part in self.up)
+        return replace(self, surfaces=(*self.surfaces, Surface(place, height, (x, y, z))))
 
     @property
     def joints_without_rotor(self) -> tuple[str, ...]:
@@ -367,13 +359,7 @@ class MjcfRobot(Robot):
             drives[c.joint] = float(model.dof_armature[dof]), c.stiffness, c.damping, c.play
             model.dof_armature[dof] = 0.0
         mujoco.mj_setConst(model, data)
-        hooks = [(hook_of(model, tether.place), tether) for tether in self.tethers]
-        tethers = {body: (own.stiffness, point, np.array(own.anchor)) for (body, point), own in hooks}
-        touches = {}
-        for surface in self.surfaces:
-            body, point = hook_of(model, surface.place)
-            touches[body] = point, self.up, surface.height
-        return mechanics_of(model, self.xml, assets, self.joint_names, drives, tethers, touches)
+        return mechanics_of(model, self.xml, assets, self.joint_names, drives, self.tethers, self.surfaces)
 
     @property
     def obstacles(self) -> tuple[str, ...]:
@@ -408,16 +394,9 @@ class MjcfRobot(Robot):
         for place, mass, beside in self.payloads:
             add_mass(model, place, mass, beside)
         for name, factor in self.gains:
-            i = model.actuator(self._actuator(name)).id
-            model.actuator_gainprm[i, :3] *= factor
-            model.actuator_biasprm[i, :3] *= factor
+            scale_force(model, self._actuator(name), factor)
         for name, size in self.limits:
-            i = model.actuator(self._actuator(name)).id
-            own = (-size, size)
-            if model.actuator_forcelimited[i]:
-                own = max(-size, model.actuator_forcerange[i, 0]), min(size, model.actuator_forcerange[i, 1])
-            model.actuator_forcelimited[i] = 1
-            model.actuator_forcerange[i] = own
+            limit_force(model, self._actuator(name), size)
 
     def _shapes(self) -> dict[str, list[float]]:
         """Body → how its mass is spread, see ``SHAPE``, where that is not as in the file."""
