@@ -197,9 +197,10 @@ class PlaneContact(BodyEffect):
     """A level plane in the room, a table or a floor, below which a point p of the robot cannot go.
 
     n·p ≥ height, n against the model's gravity. On the joints it exerts Jᵀ·n·f, J = ∂p/∂q, f ≥ 0, without friction: one
-    of MuJoCo's soft contacts with MuJoCo's default numbers (time constant 0.02 s, critically damped), into which a
-    robot's weight sinks by some tenths of a millimetre. p is a site, or where the XML has none the centre of mass of a
-    body that carries no other; nothing else touches the plane. A robot has one at most, and none without gravity.
+    of MuJoCo's soft contacts (documentation, *Computation*, "Constraint model") as hard as the XML's step allows (a
+    time constant of two steps, critically damped) with MuJoCo's default impedance. p is a site, or where the XML has
+    none the centre of mass of a body that carries no other; nothing else touches the plane. A robot has one at most,
+    and none without gravity.
     """
 
     name = "plane_contact"

@@ -80,6 +80,8 @@ def exported(
         for name in surface_of(place):
             g = model.geom(name).id
             spec.geom(name).pos, spec.geom(name).quat = model.geom_pos[g], model.geom_quat[g]
+        own, _ = surface_of(place)
+        spec.pair(own).solref = model.pair_solref[model.pair(own).id]
     spec.option.gravity = model.opt.gravity
     _fill(spec, before)
     spec.compile()

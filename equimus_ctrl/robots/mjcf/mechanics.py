@@ -52,7 +52,7 @@ def mechanics_of(
         springs[body] = tether.stiffness, point, np.array(tether.anchor)
     for surface in surfaces:
         body, point = hook_of(model, surface.place)
-        touches[body] = point, np.array(surface.up), surface.height
+        touches[body] = point, np.array(surface.up), surface.height, surface.time_constant
     numbers = pack(form, model, loose, springs, touches)
     places = {"joint": names, "actuator": ()}
     return Mechanics(form, numbers, joints, starts, places, tuple(_channels(form, model)))

@@ -22,7 +22,7 @@ from equimus_ctrl.robots.mjcf.form import (
     TENDON_FRICTION,
     TreeForm,
 )
-from equimus_ctrl.robots.mjcf.parts import SOLIMP, SOLREF
+from equimus_ctrl.robots.mjcf.parts import SOLIMP
 from equimus_ctrl.robots.mjcf.reading import quaternion_matrix
 from equimus_ctrl.types import Array
 
@@ -34,8 +34,8 @@ SHARP = 2000.0
 Drive = tuple[float, float, float, float]
 Tether = tuple[float, Array, Array]
 """Of a spring to a point of the room: stiffness, the point in its body's frame, that in the room."""
-Touch = tuple[Array, Array, float]
-"""Of a surface in the room: the point in its body's frame that touches it, the way up, its height."""
+Touch = tuple[Array, Array, float, float]
+"""Of a surface in the room: the point in its body's frame that touches it, the way up, its height, how hard it is."""
 USUAL = 0.02, 1.0
 """What MuJoCo takes where only one of a reference's two values is positive."""
 
@@ -174,10 +174,10 @@ def _tethers(form: TreeForm, tethers: Mapping[int, Tether]) -> Array:
 
 def _touches(form: TreeForm, model: Any, touches: Mapping[int, Touch]) -> list[Array]:
     own, rows = np.zeros(N_SURFACE), np.zeros((len(form.links), N_TOUCH))
-    own[4:10] = _reference(np.array(SOLREF), np.array(SOLIMP))
     for body, link, place, turn in form.hooks:
         if body in touches:
-            point, up, height = touches[body]
+            point, up, height, hard = touches[body]
+            own[4:10] = _reference(np.array([hard, 1.0]), np.array(SOLIMP))
             own[:3], own[3], own[10] = up, height, model.body_invweight0[body, 0]
             rows[link] = [1.0, *(np.array(place) + np.array(turn).reshape(3, 3) @ point)]
     return [own, rows.ravel()]

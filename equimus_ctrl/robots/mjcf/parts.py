@@ -62,17 +62,21 @@ class Surface:
         place: the site or body, which touches nothing else through it.
         height: of the plane, from the room's origin [m].
         up: the direction against the file's gravity.
+        time_constant: of its contact, critically damped, so that what starts below it is not thrown [s].
     """
 
     place: str
     height: float
     up: Place
+    time_constant: float
 
 
-SOLREF = 0.02, 1.0
 SOLIMP = 0.9, 0.95, 1e-3, 0.5, 2.0
-"""Of contact with a surface: MuJoCo's defaults, whatever the file's are. Critically damped, so that what starts below
-it is pushed out within hundredths of a second and not thrown."""
+"""Impedance of contact with a surface: MuJoCo's default, whatever the file's is. One nearer to 1 would let go of what
+slides over the surface on an arc, for MuJoCo's constraints know no centripetal acceleration, and catch it again."""
+STEPS_HARD, HARDEST = 2.0, 5e-4
+"""Shortest time constant of contact, in physics steps of the file, as MuJoCo's ``refsafe`` has it; and one [s] as short
+as that of a play's ends, ``packing.SHARP``."""
 RADIUS = 1e-3
 """Of the sphere that stands for a point, by which its plane is lower: of no consequence [m]."""
 
@@ -158,7 +162,7 @@ def _add_surface(spec: Any, place: str) -> None:
     carrier.add_geom(name=ball, type=kind.mjGEOM_SPHERE, size=[RADIUS, 0.0, 0.0], **own)
     pair = spec.add_pair(name=plane, geomname1=plane, geomname2=ball)
     pair.condim, pair.margin, pair.gap, pair.adhesion = 1, 0.0, 0.0, 0.0
-    pair.solref, pair.solimp = SOLREF, SOLIMP
+    pair.solimp = SOLIMP
 
 
 def hook_of(model: Any, place: str) -> tuple[int, Array]:
@@ -202,6 +206,7 @@ def lay(model: Any, surface: Surface) -> None:
     mujoco.mju_quatZ2Vec(model.geom_quat[plane], up)
     model.geom_pos[plane] = (surface.height - RADIUS) * up
     model.geom_pos[ball] = hook_of(model, surface.place)[1]
+    model.pair_solref[model.pair(plane).id] = surface.time_constant, 1.0
 
 
 def harden(model: Any, dof: int) -> None:

@@ -29,7 +29,18 @@ from equimus_ctrl.robots.mjcf.independent import independent
 from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
-from equimus_ctrl.robots.mjcf.parts import Compliance, Place, Surface, Tether, lay, loosen, stretch, with_parts
+from equimus_ctrl.robots.mjcf.parts import (
+    HARDEST,
+    STEPS_HARD,
+    Compliance,
+    Place,
+    Surface,
+    Tether,
+    lay,
+    loosen,
+    stretch,
+    with_parts,
+)
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
@@ -282,7 +293,8 @@ class MjcfRobot(Robot):
         if self.up is None:
             raise ConfigError(f"{self.name}: gravity is 0, expected more: a level surface lies across it")
         x, y, z = (float(part) for part in self.up)
-        return replace(self, surfaces=(*self.surfaces, Surface(place, height, (x, y, z))))
+        hard = max(STEPS_HARD * self.timestep, HARDEST)
+        return replace(self, surfaces=(*self.surfaces, Surface(place, height, (x, y, z), hard)))
 
     @property
     def joints_without_rotor(self) -> tuple[str, ...]:
