@@ -81,6 +81,11 @@ RADIUS = 1e-3
 """Of the sphere that stands for a point, by which its plane is lower: of no consequence [m]."""
 
 
+def hardness(timestep: float) -> float:
+    """Time constant of contact with a surface [s], by the file's physics step [s]."""
+    return max(STEPS_HARD * timestep, HARDEST)
+
+
 def rotor_of(joint: str) -> str:
     """What the drive of a joint that gives way is called, as a body, a joint and a tendon."""
     return f"{joint} drive"

@@ -30,12 +30,11 @@ from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
 from equimus_ctrl.robots.mjcf.parts import (
-    HARDEST,
-    STEPS_HARD,
     Compliance,
     Place,
     Surface,
     Tether,
+    hardness,
     lay,
     loosen,
     stretch,
@@ -293,8 +292,7 @@ class MjcfRobot(Robot):
         if self.up is None:
             raise ConfigError(f"{self.name}: gravity is 0, expected more: a level surface lies across it")
         x, y, z = (float(part) for part in self.up)
-        hard = max(STEPS_HARD * self.timestep, HARDEST)
-        return replace(self, surfaces=(*self.surfaces, Surface(place, height, (x, y, z), hard)))
+        return replace(self, surfaces=(*self.surfaces, Surface(place, height, (x, y, z), hardness(self.timestep))))
 
     @property
     def joints_without_rotor(self) -> tuple[str, ...]:
