@@ -215,6 +215,9 @@ CASES: dict[str, Case] = {
     "spring_tether": Case(
         mjcf={"stiffness": 20.0, "x": 0.4, "y": 0.2, "z": -0.3},
     ),
+    "plane_contact": Case(
+        mjcf={"height": -0.58},
+    ),
     "gravity_tilt": Case(
         strong={"base": {"angle": 0.2}},
         acting={"angle": 0.1},

@@ -15,7 +15,7 @@ UNITS = {"N·m": 1.07, "N": 1.07, "rad": 1.1, "m": 1.1, "s": 0.93, "Pa": 1.05, "
 """By so much more a quantity is in another unit; a joint's angle and an actuator's length are told alike."""
 SEEN = Excitation(
     low=0.2, high=1.4, speed=3.0, force=0.8, command=2e4, interval=0.01, duration=8.0, mass=0.5, drive=0.9, reach=0.2,
-    middle=(0.3, -0.2, 0.7), roams=0.4,
+    middle=(0.3, -0.2, 0.7), roams=0.4, lowest=-0.2, rises=0.6,
 )  # fmt: skip
 FORCE, PLACE, TIME = UNITS["N"], UNITS["rad"], UNITS["s"]
 OTHER = Excitation(
@@ -31,6 +31,8 @@ OTHER = Excitation(
     reach=UNITS["m"] * SEEN.reach,
     middle=(0.3 * UNITS["m"], -0.2 * UNITS["m"], 0.7 * UNITS["m"]),
     roams=UNITS["m"] * SEEN.roams,
+    lowest=UNITS["m"] * SEEN.lowest,
+    rises=UNITS["m"] * SEEN.rises,
 )
 OWN = sorted(name for name, cls in REGISTRY.items() if cls.__module__.startswith("equimus_ctrl."))
 ABSOLUTE = {

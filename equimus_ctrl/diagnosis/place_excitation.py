@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.effects.excitation import Excitation
-from equimus_ctrl.engines.mjcf import Realised, command_at, joint_forces, places_in_room, realise
+from equimus_ctrl.engines.mjcf import command_at, joint_forces, places_in_room, realise
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
@@ -133,23 +133,21 @@ def _excitation_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str
     first = found[robot.joint_names[0]]
     links = {name: replace(first, reach=_reach(own.mujoco, name)) for name in robot.places()["link"]}
     carried = links | dict.fromkeys(robot.places()["foot"], first)
-    roaming = _roaming(own, middles[chosen], tuple(carried))
-    moving = {name: replace(carried[name], middle=middle, roams=roams) for name, (middle, roams) in roaming.items()}
+    at = places_in_room(own, middles[chosen], tuple(carried))
+    moving = {name: _moving(carried[name], at[:, k], robot.up) for k, name in enumerate(carried)}
     # A joint and its drive may have one name; sizes of both are those of the joint then.
     return _elsewhere(robot, first) | moving | ends | found
 
 
-def _roaming(
-    own: Realised, position: Array, places: Sequence[str]
-) -> dict[str, tuple[tuple[float, float, float], float]]:
-    """Of bodies' centres and sites at poses (n, nj): the median place in the room, how far from it they seldom are."""
-    at = places_in_room(own, position, places)
-    found = {}
-    for k, name in enumerate(places):
-        x, y, z = (float(v) for v in np.median(at[:, k], axis=0))
-        away = np.linalg.norm(at[:, k] - (x, y, z), axis=1)
-        found[name] = (x, y, z), max(float(np.quantile(away, SELDOM)), LEAST_WAY)
-    return found
+def _moving(carried: Excitation, at: Array, up: Array | None) -> Excitation:
+    """Of a body's centre or a site that is at places (n, 3) in the room; without gravity nothing is low or high."""
+    x, y, z = (float(v) for v in np.median(at, axis=0))
+    away = np.linalg.norm(at - (x, y, z), axis=1)
+    found = replace(carried, middle=(x, y, z), roams=max(float(np.quantile(away, SELDOM)), LEAST_WAY))
+    if up is None:
+        return found
+    heights = at @ up
+    return replace(found, lowest=float(heights.min()), rises=max(float(np.ptp(heights)), LEAST_WAY))
 
 
 def _reach(model: Any, body: str) -> float:

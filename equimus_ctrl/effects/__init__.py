@@ -1,7 +1,15 @@
 """Physics that can be attached to a model."""
 
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, make, parameter, parse, register
-from equimus_ctrl.effects.bodies import BodyEffect, GravityTilt, JointStop, PayloadMass, PayloadOffCentre, SpringTether
+from equimus_ctrl.effects.bodies import (
+    BodyEffect,
+    GravityTilt,
+    JointStop,
+    PayloadMass,
+    PayloadOffCentre,
+    PlaneContact,
+    SpringTether,
+)
 from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.drives import (
     ActuatorGain,
@@ -82,6 +90,7 @@ __all__ = [
     "ParallelSpring",
     "PayloadMass",
     "PayloadOffCentre",
+    "PlaneContact",
     "PositionDependentFriction",
     "QuadraticDamping",
     "RateLimit",

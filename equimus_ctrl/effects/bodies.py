@@ -186,6 +186,62 @@ class SpringTether(BodyEffect):
         )
 
 
+HIGHEST = 0.1
+"""A surface so far above the lowest place of what touches it, as a share of what that rises, is none: the measured
+motion goes through it, by more than sensors' zeros or lengths of links are usually wrong."""
+
+
+@register
+@dataclass(frozen=True)
+class PlaneContact(BodyEffect):
+    """A level plane in the room, a table or a floor, below which a point p of the robot cannot go.
+
+    n·p ≥ height, n against the model's gravity. On the joints it exerts Jᵀ·n·f, J = ∂p/∂q, f ≥ 0, without friction: one
+    of MuJoCo's soft contacts (documentation, *Computation*, "Constraint model") as hard as the XML's step allows (a
+    time constant of two steps, critically damped) with MuJoCo's default impedance. p is a site, or where the XML has
+    none the centre of mass of a body that carries no other; nothing else touches the plane. A robot has one at most,
+    and none without gravity.
+    """
+
+    name = "plane_contact"
+    robots = ("mjcf",)
+    sits_at = ("foot", "link")
+    summary = "a table or a floor that is not in the model"
+    alike = False
+    nothing = None
+    in_torques = False  # a contact's force follows from less than a millimetre, which measured angles do not show
+    exclusive = "plane_contact"
+    mujoco_flags = ("contact", "constraint")
+    height: float = parameter("m", -10.0, 10.0, "of the plane, from the room's origin against gravity")
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        places: Mapping[str, tuple[str, ...]] = robot.ends
+        return places
+
+    def slot(self, robot: Any) -> str:
+        return str(robot.name)
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        # No measured motion goes through the plane; below all of it the plane does nothing.
+        return [{"height": excitation.lowest + share * excitation.rises} for share in (0.0, 0.02, HIGHEST)]
+
+    @classmethod
+    def degenerate(cls, values: Mapping[str, float], excitation: Excitation) -> bool:
+        return values["height"] > excitation.lowest + HIGHEST * excitation.rises
+
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_surface(self.location, self.height)
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return (
+            f"At {t.places[0]} the robot touches a level surface at a height of {t['height']}: a table or a floor that "
+            "is not in the model."
+        )
+
+
 @register
 @dataclass(frozen=True)
 class GravityTilt(BodyEffect):

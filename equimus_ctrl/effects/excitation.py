@@ -22,6 +22,8 @@ class Excitation:
         reach: about half the length of a link [m].
         middle: where a link's centre or a site is in the room, the median over the recordings [m].
         roams: how far from there it seldom is [m].
+        lowest: how low it ever is, from the room's origin against the model's gravity [m].
+        rises: how far above that it ever is [m].
     """
 
     low: float
@@ -36,6 +38,8 @@ class Excitation:
     reach: float = 0.1
     middle: tuple[float, float, float] = (0.0, 0.0, 0.0)
     roams: float = 0.1
+    lowest: float = 0.0
+    rises: float = 0.1
 
     @property
     def span(self) -> float:

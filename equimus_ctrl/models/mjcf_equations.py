@@ -1,9 +1,9 @@
 """The equations of motion of a MuJoCo model of hinges and slides: MuJoCo's own laws without its time step.
 
-Soft constraints are those of MuJoCo's documentation (*Computation*, "Constraint model"): a limit or an equality with
-violation r has the impedance d(r) and the softness R = (1 − d)/d·A, A being the inverse inertia that it sees in the
-model's own pose, and asks for the acceleration −b·ṙ − k·d·r. Dry friction is no soft constraint here: what sticks
-stands still.
+Soft constraints are those of MuJoCo's documentation (*Computation*, "Constraint model"): a limit, a contact without
+friction or an equality with violation r has the impedance d(r) and the softness R = (1 − d)/d·A, A being the inverse
+inertia that it sees in the model's own pose, and asks for the acceleration −b·ṙ − k·d·r. Dry friction is no soft
+constraint here: what sticks stands still.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from equimus_ctrl.models.symbolic_model import SymbolicModel
 from equimus_ctrl.models.tree import Equations, Link, Spot, Tree, equations
 from equimus_ctrl.robots.mjcf.form import ActuatorForm, SpotForm, TreeForm
 from equimus_ctrl.robots.mjcf.packing import TINY
+from equimus_ctrl.robots.mjcf.parts import SOLIMP
 
 LEAST = 1e-300
 """Keeps roots of sums of squares differentiable at nothing."""
@@ -74,7 +75,7 @@ class _Builder:
             potential += _stored(stiffness, beyond)
             bias += row.T * (along + armature * ca.jtimes(row @ v, q, v))
             mass += armature * _related(form, row.T @ row)
-        for i in range(n) if form.hooks else ():
+        for i in range(n) if form.tethered else ():
             tether, *ends = self.parameters(f"tether {i}")
             hook = Spot(i, ca.vertcat(*ends[:3]))
             away = frames.position(hook) - ca.vertcat(*ends[3:])
@@ -89,6 +90,7 @@ class _Builder:
                 bias[i] -= rigid.floated[i]
         actuation, lengths = self._actuation(through if off_joint else None)
         limits = [limit for k in range(len(form.limits)) for limit in self._limit(k)]
+        limits += [self._surface()] if form.surfaced else []
         held = [self._equality(k) for k in range(len(form.equalities))]
         rubbing = [
             Rubbing(kind, i, _unit(n, i) if kind == "joint" else tendons[i][1], self.p[at])
@@ -253,20 +255,33 @@ class _Builder:
         own = self.form.limits[k]
         low, high, margin, stiffness, damping, *impedance, inverse = self.parameters(f"limit {k}")
         x, row = self._coordinate(own.kind, own.index)
-        ends = []
-        for short, side in ((x - low, row), (high - x, -row)):
-            beyond = short - margin
-            d = _impedance(ca.fabs(beyond), impedance, own.power)
-            ends.append(
-                Limit(
-                    -beyond,
-                    side,
-                    target=-damping * (side @ self.v) - stiffness * d * beyond,
-                    softness=ca.fmax((1 - d) / d * inverse, TINY),
-                    quickness=ca.fmax(damping, ca.sqrt(ca.fmax(stiffness, 0))),
-                )
-            )
-        return ends
+        soft = stiffness, damping, impedance, own.power, inverse
+        return [self._soft_limit(short - margin, side, *soft) for short, side in ((x - low, row), (high - x, -row))]
+
+    def _surface(self) -> Limit:
+        """MuJoCo's contact without friction of the one point that may touch a surface."""
+        *up, height, stiffness, damping, least, most, width, middle, inverse = self.parameters("surface")
+        above, row = -height, ca.SX(1, self.n)
+        for i in range(self.n):
+            touches, *point = self.parameters(f"touch {i}")
+            spot = Spot(i, ca.vertcat(*point))
+            above += touches * ca.dot(ca.vertcat(*up), self.frames.position(spot))
+            row += touches * (ca.vertcat(*up).T @ self.frames.jacobian(spot))
+        return self._soft_limit(above, row, stiffness, damping, [least, most, width, middle], SOLIMP[4], inverse)
+
+    def _soft_limit(
+        self, short: ca.SX, row: ca.SX, stiffness: ca.SX, damping: ca.SX, impedance: list[ca.SX], power: float,
+        inverse: ca.SX,
+    ) -> Limit:  # fmt: skip
+        """A limit of which a coordinate is so far short that has this derivative."""
+        d = _impedance(ca.fabs(short), impedance, power)
+        return Limit(
+            -short,
+            row,
+            target=-damping * (row @ self.v) - stiffness * d * short,
+            softness=ca.fmax((1 - d) / d * inverse, TINY),
+            quickness=ca.fmax(damping, ca.sqrt(ca.fmax(stiffness, 0))),
+        )
 
     def _equality(self, k: int) -> Held:
         own = self.form.equalities[k]

@@ -195,3 +195,20 @@ def _negative(base: Any, drive: Drive, key: str, array: str, entry: int, unit: s
         getattr(model, array)[model.actuator(drive.actuator).id, entry] = -value
 
     return ModelParameter(f"{drive.actuator}.{key}", 0.0 - float(getattr(base, array)[drive.index, entry]), unit, write)
+
+
+def scale_force(model: Any, actuator: str, factor: float) -> None:
+    """Make an actuator's force, a gain and a bias, so many times as large."""
+    i = model.actuator(actuator).id
+    model.actuator_gainprm[i, :3] *= factor
+    model.actuator_biasprm[i, :3] *= factor
+
+
+def limit_force(model: Any, actuator: str, size: float) -> None:
+    """Limit an actuator's force to a size [N·m or N], or what it is limited to where that is less."""
+    i = model.actuator(actuator).id
+    own = (-size, size)
+    if model.actuator_forcelimited[i]:
+        own = max(-size, model.actuator_forcerange[i, 0]), min(size, model.actuator_forcerange[i, 1])
+    model.actuator_forcelimited[i] = 1
+    model.actuator_forcerange[i] = own

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from equimus_ctrl.robots.mjcf.parts import tether_of, with_parts_spec
+from equimus_ctrl.robots.mjcf.parts import surface_of, tether_of, with_parts_spec
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
@@ -32,7 +32,8 @@ def exported(
     """
     joints = tuple(c.joint for c in robot.compliances)
     places = tuple(tether.place for tether in robot.tethers)
-    spec = with_parts_spec(robot.xml, Assets(robot.assets), joints, places)
+    touching = tuple(surface.place for surface in robot.surfaces)
+    spec = with_parts_spec(robot.xml, Assets(robot.assets), joints, places, touching)
     before = spec.compile()  # gives ids to what has no name
     turn = 180 / math.pi if spec.compiler.degree else 1.0
     for body in spec.bodies[1:]:
@@ -75,6 +76,12 @@ def exported(
         for name in ends:
             if (site := spec.site(name)) is not None:
                 site.pos = model.site_pos[model.site(name).id]
+    for place in touching:
+        for name in surface_of(place):
+            g = model.geom(name).id
+            spec.geom(name).pos, spec.geom(name).quat = model.geom_pos[g], model.geom_quat[g]
+        own, _ = surface_of(place)
+        spec.pair(own).solref = model.pair_solref[model.pair(own).id]
     spec.option.gravity = model.opt.gravity
     _fill(spec, before)
     spec.compile()

@@ -22,6 +22,9 @@ N_LINK, N_FLOAT, N_JOINT, N_TENDON, N_LIMIT, N_EQUALITY, N_ACTUATOR, N_MOTOR = 1
 bias or with a law of its own."""
 N_TETHER = 7
 """Of a spring between a link and the room: stiffness, its end in the link's frame, its end in the room."""
+N_SURFACE, N_TOUCH = 11, 4
+"""Of a surface in the room: the way up, its height, stiffness, damping and impedance of contact, the inverse inertia of
+what touches it. Of each link: whether it may touch it, and its point there."""
 N_DRIVE = 8
 """Of a drive that may turn by itself: whether it does, its inertia, stiffness and damping of its spring, half its play,
 stiffness and damping of the play's ends, and the inverse of the inertia that its motion against the joint has."""
@@ -156,8 +159,10 @@ class TreeForm:
         floats: links from which weight is taken off.
         off: what the XML's flags switch off.
         flexible: whether drives of joints may turn by themselves, behind a spring or with play.
-        hooks: (body, link, place, turn row by row) of all that moves, its frame in the link's, where springs to points
-            of the room may hang on it; none where they may not.
+        hooks: (body, link, place, turn row by row) of all that moves, its frame in the link's, where it may be tethered
+            or touch a surface; none where it may not.
+        tethered: whether springs to points of the room may hang on it.
+        surfaced: whether a point of it may touch a level surface in the room.
     """
 
     links: tuple[LinkForm, ...]
@@ -173,6 +178,8 @@ class TreeForm:
     off: frozenset[str]
     flexible: bool = False
     hooks: tuple[tuple[int, int, Vector, Vector], ...] = ()
+    tethered: bool = False
+    surfaced: bool = False
     key: str = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -205,7 +212,10 @@ class TreeForm:
         sizes = (N_ACTUATOR if a.law == "affine" else N_MOTOR for a in self.actuators)
         yield from ((f"actuator {i}", size) for i, size in enumerate(sizes))
         yield from ((f"drive {i}", N_DRIVE) for i in range(len(self.links)) if self.flexible)
-        yield from ((f"tether {i}", N_TETHER) for i in range(len(self.links)) if self.hooks)
+        yield from ((f"tether {i}", N_TETHER) for i in range(len(self.links)) if self.tethered)
+        if self.surfaced:
+            yield "surface", N_SURFACE
+            yield from ((f"touch {i}", N_TOUCH) for i in range(len(self.links)))
         yield from ((f"clamp {j}", 2) for j, _ in self.clamped)
         yield from ((f"clamp tendon {t}", 2) for t in self.clamped_tendons)
 

@@ -10,7 +10,8 @@ import numpy as np
 from equimus_ctrl.effects.command import DIRECT, FILTERED, INTEGRATED, SLEWED
 from equimus_ctrl.robots.mechanics import Channel, Mechanics
 from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
-from equimus_ctrl.robots.mjcf.packing import Drive, Tether, commands_between, pack
+from equimus_ctrl.robots.mjcf.packing import Drive, commands_between, pack
+from equimus_ctrl.robots.mjcf.parts import Surface, Tether, hook_of
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.reading import form_of
 
@@ -23,7 +24,8 @@ def mechanics_of(
     assets: Assets,
     joint_names: Sequence[str],
     drives: Mapping[str, Drive],
-    tethers: Mapping[int, Tether],
+    tethers: Sequence[Tether],
+    surfaces: Sequence[Surface],
 ) -> Mechanics:
     """The equations' form and parameters of a robot.
 
@@ -33,25 +35,34 @@ def mechanics_of(
         assets: files that the XML names.
         joint_names: of the joints that are measured.
         drives: joint whose drive turns by itself → see ``packing.pack``.
-        tethers: body with a spring to a point of the room → see there.
+        tethers: springs to points of the room.
+        surfaces: level planes in it that points touch.
 
     Raises:
         ModelError: where the equations cannot hold it.
     """
-    form = _form((xml, assets, bool(drives), bool(tethers)), model)
+    form = _form((xml, assets, bool(drives), bool(tethers), bool(surfaces)), model)
     names = [link.name for link in form.links]
     joints = np.array([names.index(name) for name in joint_names], dtype=np.int64)
     starts = np.array([list(joint_names).index(name) for name in names], dtype=np.int64)
     loose = {names.index(name): drive for name, drive in drives.items()}
+    springs, touches = {}, {}
+    for tether in tethers:
+        body, point = hook_of(model, tether.place)
+        springs[body] = tether.stiffness, point, np.array(tether.anchor)
+    for surface in surfaces:
+        body, point = hook_of(model, surface.place)
+        touches[body] = point, np.array(surface.up), surface.height, surface.time_constant
+    numbers = pack(form, model, loose, springs, touches)
     places = {"joint": names, "actuator": ()}
-    return Mechanics(form, pack(form, model, loose, tethers), joints, starts, places, tuple(_channels(form, model)))
+    return Mechanics(form, numbers, joints, starts, places, tuple(_channels(form, model)))
 
 
 def _form(key: Any, model: Any) -> TreeForm:
     if key not in _forms:
         if len(_forms) > 256:
             _forms.clear()
-        _forms[key] = form_of(model, flexible=key[2], tethered=key[3])
+        _forms[key] = form_of(model, flexible=key[2], tethered=key[3], surfaced=key[4])
     return _forms[key]
 
 

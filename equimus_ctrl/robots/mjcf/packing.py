@@ -15,11 +15,14 @@ from equimus_ctrl.robots.mjcf.form import (
     N_FLOAT,
     N_JOINT,
     N_LINK,
+    N_SURFACE,
     N_TENDON,
     N_TETHER,
+    N_TOUCH,
     TENDON_FRICTION,
     TreeForm,
 )
+from equimus_ctrl.robots.mjcf.parts import SOLIMP
 from equimus_ctrl.robots.mjcf.reading import quaternion_matrix
 from equimus_ctrl.types import Array
 
@@ -31,6 +34,8 @@ SHARP = 2000.0
 Drive = tuple[float, float, float, float]
 Tether = tuple[float, Array, Array]
 """Of a spring to a point of the room: stiffness, the point in its body's frame, that in the room."""
+Touch = tuple[Array, Array, float, float]
+"""Of a surface in the room: the point in its body's frame that touches it, the way up, its height, how hard it is."""
 USUAL = 0.02, 1.0
 """What MuJoCo takes where only one of a reference's two values is positive."""
 
@@ -40,6 +45,7 @@ def pack(
     model: Any,
     drives: Mapping[int, Drive] | None = None,
     tethers: Mapping[int, Tether] | None = None,
+    touches: Mapping[int, Touch] | None = None,
 ) -> Array:
     """(n,) the parameters of an ``mujoco.MjModel`` of a form, in the order of ``TreeForm.layout``.
 
@@ -48,6 +54,7 @@ def pack(
         model: whose.
         drives: joint → inertia of a drive that turns by itself, stiffness and damping of its spring, and their play.
         tethers: body → a spring to a point of the room; one link has one at most.
+        touches: body → the surface that it may touch; there is one at most.
     """
     off = form.off
     parts = [np.zeros(3) if "gravity" in off else np.array(model.opt.gravity), *_bodies(form, model)]
@@ -72,8 +79,10 @@ def pack(
     parts += [_actuator(form, model, i) for i in range(len(form.actuators))]
     if form.flexible:
         parts.append(_drives(form, model, drives or {}).ravel())
-    if form.hooks:
+    if form.tethered:
         parts.append(_tethers(form, tethers or {}).ravel())
+    if form.surfaced:
+        parts += _touches(form, model, touches or {})
     parts += [model.jnt_actfrcrange[j] for j, _ in form.clamped]
     parts += [model.tendon_actfrcrange[t] for t in form.clamped_tendons]
     return np.concatenate(parts)
@@ -161,6 +170,17 @@ def _tethers(form: TreeForm, tethers: Mapping[int, Tether]) -> Array:
             stiffness, point, anchor = tethers[body]
             rows[link] = [stiffness, *(np.array(place) + np.array(turn).reshape(3, 3) @ point), *anchor]
     return rows
+
+
+def _touches(form: TreeForm, model: Any, touches: Mapping[int, Touch]) -> list[Array]:
+    own, rows = np.zeros(N_SURFACE), np.zeros((len(form.links), N_TOUCH))
+    for body, link, place, turn in form.hooks:
+        if body in touches:
+            point, up, height, hard = touches[body]
+            own[4:10] = _reference(np.array([hard, 1.0]), np.array(SOLIMP))
+            own[:3], own[3], own[10] = up, height, model.body_invweight0[body, 0]
+            rows[link] = [1.0, *(np.array(place) + np.array(turn).reshape(3, 3) @ point)]
+    return [own, rows.ravel()]
 
 
 def _switch(rows: Array, form: TreeForm, friction: int) -> None:

@@ -1,4 +1,4 @@
-"""What is done to MuJoCo's model of a robot: drives of their own, springs to the room, friction made hard."""
+"""What is done to MuJoCo's model of a robot: drives of their own, springs to the room, surfaces, hard friction."""
 
 from __future__ import annotations
 
@@ -54,13 +54,46 @@ class Tether:
     anchor: Place
 
 
+@dataclass(frozen=True)
+class Surface:
+    """A level plane in the room below which a site, or a body's centre of mass, cannot go; without friction.
+
+    Attributes:
+        place: the site or body, which touches nothing else through it.
+        height: of the plane, from the room's origin [m].
+        up: the direction against the file's gravity.
+        time_constant: of its contact, critically damped, so that what starts below it is not thrown [s].
+    """
+
+    place: str
+    height: float
+    up: Place
+    time_constant: float
+
+
+SOLIMP = 0.9, 0.95, 1e-3, 0.5, 2.0
+"""Impedance of contact with a surface: MuJoCo's default, whatever the file's is. One nearer to 1 would let go of what
+slides over the surface on an arc, for MuJoCo's constraints know no centripetal acceleration, and catch it again."""
+STEPS_HARD, HARDEST = 2.0, 5e-4
+"""Shortest time constant of contact, in physics steps of the file, as MuJoCo's ``refsafe`` has it; and one [s] as short
+as that of a play's ends, ``packing.SHARP``."""
+RADIUS = 1e-3
+"""Of the sphere that stands for a point, by which its plane is lower: of no consequence [m]."""
+
+
+def hardness(timestep: float) -> float:
+    """Time constant of contact with a surface [s], by the file's physics step [s]."""
+    return max(STEPS_HARD * timestep, HARDEST)
+
+
 def rotor_of(joint: str) -> str:
     """What the drive of a joint that gives way is called, as a body, a joint and a tendon."""
     return f"{joint} drive"
 
 
-OFF = 0.1, 0.2, 0.3
-"""Where sites that are moved begin [m]: of those at the frame of their body MuJoCo does not read where they are."""
+OFF, ASKEW = (0.1, 0.2, 0.3), (0.5, 0.5, 0.5, 0.5)
+"""Where sites and geoms that are moved begin [m], and how these are turned: of those at the frame of their body MuJoCo
+does not read where they are."""
 
 
 def tether_of(place: str) -> tuple[str, str, str]:
@@ -68,22 +101,34 @@ def tether_of(place: str) -> tuple[str, str, str]:
     return f"{place} tether", f"{place} tether end", f"{place} tether point"
 
 
+def surface_of(place: str) -> tuple[str, str]:
+    """What a surface that a place may touch is called, and the sphere there, as geoms."""
+    return f"{place} surface", f"{place} surface point"
+
+
 @lru_cache(maxsize=64)
-def with_parts(xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...]) -> Any:
+def with_parts(
+    xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...], touching: tuple[str, ...]
+) -> Any:
     """``with_parts_spec`` compiled; not to be changed."""
-    return with_parts_spec(xml, assets, joints, tethered).compile()
+    return with_parts_spec(xml, assets, joints, tethered, touching).compile()
 
 
-def with_parts_spec(xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...]) -> Any:
-    """The model with drives of their own, and with springs to points of the room.
+def with_parts_spec(
+    xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...], touching: tuple[str, ...]
+) -> Any:
+    """The model with drives of their own, with springs to points of the room, and with surfaces in it.
 
     Args:
         xml: the model.
         assets: files that it names.
         joints: whose drives turn by themselves, each tied to its joint by a tendon that can give way.
         tethered: bodies and sites with a tendon to a site of the room, of no stiffness yet.
+        touching: bodies and sites with a surface of their own, at no height yet.
     """
     spec = spec_of(xml, assets)
+    for place in touching:
+        _add_surface(spec, place)
     for place in tethered:
         name, end, point = tether_of(place)
         spec.worldbody.add_site(name=end, pos=OFF)
@@ -110,6 +155,19 @@ def with_parts_spec(xml: str, assets: Assets, joints: tuple[str, ...], tethered:
             if actuator.target == name:
                 actuator.target = rotor_of(name)
     return spec
+
+
+def _add_surface(spec: Any, place: str) -> None:
+    """Add a level plane, a sphere at a place, and contact between these two alone."""
+    plane, ball = surface_of(place)
+    # Nothing of the file's defaults for geoms and pairs is to describe them.
+    kind, own = mujoco.mjtGeom, {"pos": OFF, "quat": ASKEW, "contype": 0, "conaffinity": 0, "mass": 0.0, "material": ""}
+    spec.worldbody.add_geom(name=plane, type=kind.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **own)
+    carrier = spec.body(place) if spec.site(place) is None else spec.site(place).parent
+    carrier.add_geom(name=ball, type=kind.mjGEOM_SPHERE, size=[RADIUS, 0.0, 0.0], **own)
+    pair = spec.add_pair(name=plane, geomname1=plane, geomname2=ball)
+    pair.condim, pair.margin, pair.gap, pair.adhesion = 1, 0.0, 0.0, 0.0
+    pair.solimp = SOLIMP
 
 
 def hook_of(model: Any, place: str) -> tuple[int, Array]:
@@ -144,6 +202,16 @@ def stretch(model: Any, tether: Tether) -> None:
     own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, point)
     if own >= 0:
         model.site_pos[own] = hook_of(model, tether.place)[1]
+
+
+def lay(model: Any, surface: Surface) -> None:
+    """Put a surface, see ``with_parts``, at its height, and the sphere that touches it where its place is."""
+    plane, ball = (model.geom(name).id for name in surface_of(surface.place))
+    up = np.array(surface.up)
+    mujoco.mju_quatZ2Vec(model.geom_quat[plane], up)
+    model.geom_pos[plane] = (surface.height - RADIUS) * up
+    model.geom_pos[ball] = hook_of(model, surface.place)[1]
+    model.pair_solref[model.pair(plane).id] = surface.time_constant, 1.0
 
 
 def harden(model: Any, dof: int) -> None:

@@ -27,13 +27,14 @@ INPUTS = {1: "pos", 2: "vel", 4: "ff", 8: "voltage"}
 """Bits of MuJoCo's ``actuator_ctrlspec`` of pid and dcmotor."""
 
 
-def form_of(model: Any, flexible: bool = False, tethered: bool = False) -> TreeForm:
+def form_of(model: Any, flexible: bool = False, tethered: bool = False, surfaced: bool = False) -> TreeForm:
     """The form of an ``mujoco.MjModel``.
 
     Args:
         model: whose.
         flexible: whether drives of its joints may turn by themselves.
         tethered: whether springs to points of the room may hang on it.
+        surfaced: whether a point of it may touch a level surface in the room.
 
     Raises:
         ModelError: where it has what the equations cannot hold.
@@ -70,7 +71,9 @@ def form_of(model: Any, flexible: bool = False, tethered: bool = False) -> TreeF
         tuple(sorted({link for b, link, *_ in bodies if model.body_gravcomp[b] != 0})),
         off,
         flexible,
-        moving if tethered else (),
+        moving if tethered or surfaced else (),
+        tethered,
+        surfaced,
     )
 
 

@@ -22,14 +22,24 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
-from equimus_ctrl.robots.mjcf.actuators import OWN
+from equimus_ctrl.robots.mjcf.actuators import OWN, limit_force, scale_force
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
 from equimus_ctrl.robots.mjcf.independent import independent
 from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
-from equimus_ctrl.robots.mjcf.parts import Compliance, Place, Tether, hook_of, loosen, stretch, with_parts
+from equimus_ctrl.robots.mjcf.parts import (
+    Compliance,
+    Place,
+    Surface,
+    Tether,
+    hardness,
+    lay,
+    loosen,
+    stretch,
+    with_parts,
+)
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
@@ -84,6 +94,7 @@ class MjcfRobot(Robot):
         payloads: (body or site, mass [kg], place beside its centre or the site [m]) of what it carries beside.
         compliances: drives that are not rigid.
         tethers: springs to points of the room, one to a link at most.
+        surfaces: level planes in the room below which a point of it cannot go, one at most.
         gains: (actuator, factor) on the forces of actuators.
         limits: (actuator, size) to which forces of actuators are limited [N·m or N].
 
@@ -102,6 +113,7 @@ class MjcfRobot(Robot):
     payloads: tuple[tuple[str, float, Place], ...] = ()
     compliances: tuple[Compliance, ...] = ()
     tethers: tuple[Tether, ...] = ()
+    surfaces: tuple[Surface, ...] = ()
     gains: tuple[tuple[str, float], ...] = ()
     limits: tuple[tuple[str, float], ...] = ()
 
@@ -114,7 +126,7 @@ class MjcfRobot(Robot):
         """SHA-256 of all that it is but its name and the file's."""
         files = [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(self.assets.items())]
         parts = (self.xml, files, sorted(self.values.items()), self.payloads, self.compliances, self.gains, self.limits)
-        whole = (*parts, self.tethers) if self.tethers else parts
+        whole = (*parts, *(own for own in (self.tethers, self.surfaces) if own))
         return hashlib.sha256(repr(whole).encode()).hexdigest()
 
     @cached_property
@@ -265,6 +277,24 @@ class MjcfRobot(Robot):
         return replace(self, tethers=(*self.tethers, Tether(place, stiffness, anchor)))
 
     @property
+    def up(self) -> Array | None:
+        """(3,) the direction against the file's gravity, along the room's axes; None where there is no gravity."""
+        gravity = np.array(self.plan.base.opt.gravity)
+        size = float(np.linalg.norm(gravity))
+        return frozen_array(-gravity / size, 1) if size > 0 else None
+
+    def with_surface(self, place: str, height: float) -> MjcfRobot:
+        """A copy with a level plane below which a site or a body's centre of mass cannot go, see ``Surface``.
+
+        Raises:
+            ConfigError: where nothing says what is level.
+        """
+        if self.up is None:
+            raise ConfigError(f"{self.name}: gravity is 0, expected more: a level surface lies across it")
+        x, y, z = (float(part) for part in self.up)
+        return replace(self, surfaces=(*self.surfaces, Surface(place, height, (x, y, z), hardness(self.timestep))))
+
+    @property
     def joints_without_rotor(self) -> tuple[str, ...]:
         """Joints of drives with which nothing turns, for they have no armature."""
         numbers, driven = self.parameters(), {drive.joint for drive in self.actuators}
@@ -339,9 +369,7 @@ class MjcfRobot(Robot):
             drives[c.joint] = float(model.dof_armature[dof]), c.stiffness, c.damping, c.play
             model.dof_armature[dof] = 0.0
         mujoco.mj_setConst(model, data)
-        hooks = [(hook_of(model, tether.place), tether) for tether in self.tethers]
-        tethers = {body: (own.stiffness, point, np.array(own.anchor)) for (body, point), own in hooks}
-        return mechanics_of(model, self.xml, assets, self.joint_names, drives, tethers)
+        return mechanics_of(model, self.xml, assets, self.joint_names, drives, self.tethers, self.surfaces)
 
     @property
     def obstacles(self) -> tuple[str, ...]:
@@ -361,9 +389,12 @@ class MjcfRobot(Robot):
         return model
 
     def _base(self) -> Any:
-        """MuJoCo's model of the file, with drives of their own and springs to the room; not to be changed."""
-        joints, places = tuple(c.joint for c in self.compliances), tuple(tether.place for tether in self.tethers)
-        return with_parts(self.xml, Assets(self.assets), joints, places) if joints or places else self.plan.base
+        """MuJoCo's model of the file, with what ``with_parts`` adds to it; not to be changed."""
+        joints = tuple(c.joint for c in self.compliances)
+        tethered, touching = (tuple(own.place for own in which) for which in (self.tethers, self.surfaces))
+        if not (joints or tethered or touching):
+            return self.plan.base
+        return with_parts(self.xml, Assets(self.assets), joints, tethered, touching)
 
     def _write_parameters(self, model: Any) -> None:
         """Put all that is not as in the file into a copy of its model, except drives that turn by themselves."""
@@ -373,16 +404,9 @@ class MjcfRobot(Robot):
         for place, mass, beside in self.payloads:
             add_mass(model, place, mass, beside)
         for name, factor in self.gains:
-            i = model.actuator(self._actuator(name)).id
-            model.actuator_gainprm[i, :3] *= factor
-            model.actuator_biasprm[i, :3] *= factor
+            scale_force(model, self._actuator(name), factor)
         for name, size in self.limits:
-            i = model.actuator(self._actuator(name)).id
-            own = (-size, size)
-            if model.actuator_forcelimited[i]:
-                own = max(-size, model.actuator_forcerange[i, 0]), min(size, model.actuator_forcerange[i, 1])
-            model.actuator_forcelimited[i] = 1
-            model.actuator_forcerange[i] = own
+            limit_force(model, self._actuator(name), size)
 
     def _shapes(self) -> dict[str, list[float]]:
         """Body → how its mass is spread, see ``SHAPE``, where that is not as in the file."""
@@ -396,6 +420,8 @@ class MjcfRobot(Robot):
             loosen(model, c, self.parameters()[f"{c.joint}.armature"])
         for tether in self.tethers:
             stretch(model, tether)
+        for surface in self.surfaces:
+            lay(model, surface)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
     def default_names(self) -> list[str]:
