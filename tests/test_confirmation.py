@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from pendulum_runs import MOTOR, PENDULUM, recorded
 
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _makes_worse, carried_over
+from equimus_ctrl.diagnosis.fitting import Data, chi_squared
+from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.stages import _failed
-from equimus_ctrl.identification.noise import JointNoise
+from equimus_ctrl.effects.force import CoulombFriction
+from equimus_ctrl.identification.noise import JointNoise, white_noise
+from equimus_ctrl.identification.simulators import simulator_for
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 SIGMA = 0.01
 
@@ -144,11 +153,33 @@ def test_what_held_out_trials_hardly_show_is_measured_by_what_they_can(
     data = SimpleNamespace(thresholds=Thresholds(), free=SimpleNamespace(model=model))
     search: Any = SimpleNamespace(data=data, threshold=lambda more, t: 20.0)
     holdout: Any = SimpleNamespace(
-        gain=lambda *fits: gain, distance=lambda *fits: distance, carried_over=lambda *fits: gain / deviance
+        gain=lambda *fits: gain,
+        distance=lambda *fits: distance,
+        own_distance=lambda *fits: distance,
+        carried_over=lambda *fits: gain / deviance,
     )
     one, two = (SimpleNamespace(deviance=d, n_parameters=1) for d in (deviance, 0.0))
     found = carried_over(search, holdout, one, two)  # type: ignore[arg-type]
     assert (found.reason, found.ratio) == (reason, pytest.approx(ratio))
+
+
+def test_what_a_part_alone_shows_is_seen_with_all_else_as_it_is() -> None:
+    """The same model without its friction, though the fit without friction has other masses."""
+    nominal = Model(MjcfRobot("arm", PENDULUM.format(drive=MOTOR)))
+    parts = split(nominal, recorded(Model(nominal.robot, [CoulombFriction("hinge", 0.05)]), seed=3), shoot=2.0)
+    data = Data(default_free_parameters(nominal), parts.train, simulator_for(nominal))
+    starts = [s.start for s in parts.train]
+    friction = Part(Candidate(CoulombFriction, ("hinge",), ({"friction": 0.04},)), {"friction": 0.04})
+    noise = white_noise([s.outputs for s in parts.train])
+    simple = data.coarse_fit((), [(data.free.start * 1.1, starts)], noise, 0)
+    rich = data.coarse_fit((friction,), [(np.append(data.free.start, 0.04), starts)], noise, 0)
+    end: Any = SimpleNamespace(best=rich)
+    holdout = HoldoutResiduals(data, parts, end)
+    without = holdout.residuals(replace(rich.fit.model, effects=()))
+    differ = [a - b for a, b in zip(without, holdout.residuals(rich.fit.model), strict=True)]
+    times = [s.trial.sample_times for s in parts.validation]
+    assert holdout.own_distance(simple, rich) == pytest.approx(chi_squared(rich.noise, times, differ), rel=1e-9)
+    assert holdout.own_distance(rich, rich) == 0.0 != holdout.own_distance(simple, rich)
 
 
 @pytest.mark.parametrize(("there", "fails"), [(0.09, False), (0.13, True)])

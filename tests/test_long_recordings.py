@@ -8,6 +8,7 @@ from pendulum_runs import MOTOR, PENDULUM
 
 from equimus_ctrl.diagnosis import holdout
 from equimus_ctrl.diagnosis.holdout import split
+from equimus_ctrl.diagnosis.intervals import Longest
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Recording
@@ -38,7 +39,7 @@ def test_long_recordings_are_thinned_evenly_and_none_is_left_out(monkeypatch: py
 def test_whole_trials_are_cut_where_they_last_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holdout, "MOST_TIME", 20.0)
     asked: list[bool] = []
-    monkeypatch.setattr(holdout, "longest_interval", lambda *a, whole: asked.append(whole))
+    monkeypatch.setattr(holdout, "longest_interval", lambda *a, whole: asked.append(whole) or Longest(None))
     parts = split(MODEL, [still("a", 40.0), still("b", 40.0)])
     assert asked == [False]
     lengths = [s.trial.sample_times[-1] - s.trial.start for s in parts.train]

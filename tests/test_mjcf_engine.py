@@ -371,9 +371,9 @@ def test_a_start_that_is_none_is_refused_in_a_sentence(start: Array) -> None:
 def test_whole_trials_are_compared_where_a_model_can_follow_them() -> None:
     robot = hung('damping="0.1"')
     recording = recorded(robot)
-    assert longest_interval(Model(robot), [recording], None) is None
+    assert longest_interval(Model(robot), [recording], None).length is None
     off = Model(robot.with_parameters({"arm.com_z": -0.15}))
-    length = longest_interval(off, [recording], None)
+    length = longest_interval(off, [recording], None).length
     assert length is not None and 0.5 <= length < 3.0
 
 

@@ -451,19 +451,30 @@ def test_theta_is_the_models_parameters_and_then_the_values_part_by_part() -> No
     np.testing.assert_array_equal(Data.theta_of(data, np.array([1.0, 2.0]), ()), [1.0, 2.0])
 
 
-GAINS: list[tuple[confirmation.Reason, float, float, float, bool, float]] = [
-    # reason, gain and χ² distance on held-out trials, gain on fitted ones, trials of one kind; the ratio
-    ("gain", 60.0, 1000.0, 200.0, False, 0.6),
-    ("gain", 10.0, 20.0, 200.0, True, 0.1),
-    ("distance", 10.0, 20.0, 200.0, False, 0.5),
-    ("evident", 1.0, 2.0, 200.0, False, np.inf),
-    ("uninformative", 1.0, 2.0, 50.0, False, 0.04),
+GAINS: list[tuple[confirmation.Reason, float, float, float, float, bool, float]] = [
+    # reason, gain and χ² distance on held-out trials, that of the part alone, gain on fitted ones, trials of one kind;
+    # the ratio
+    ("gain", 60.0, 1000.0, 1000.0, 200.0, False, 0.6),
+    ("gain", 10.0, 20.0, 20.0, 200.0, True, 0.1),
+    ("distance", 10.0, 20.0, 20.0, 200.0, False, 0.5),
+    ("evident", 1.0, 2.0, 2.0, 200.0, False, np.inf),
+    ("uninformative", 1.0, 2.0, 2.0, 50.0, False, 0.04),
+    # A part that does nothing there, or one whose work other parameters do there.
+    ("evident", -10.0, 20.0, 0.0, 200.0, False, np.inf),
+    ("evident", 1.0, 2.0, 500.0, 200.0, False, np.inf),
+    ("uninformative", -10.0, 20.0, 0.0, 50.0, False, -0.4),
 ]
 
 
-@pytest.mark.parametrize(("reason", "held_out", "distance", "gain", "same_kind", "ratio"), GAINS)
+@pytest.mark.parametrize(("reason", "held_out", "distance", "own", "gain", "same_kind", "ratio"), GAINS)
 def test_what_held_out_trials_say_of_a_part_has_a_reason(
-    reason: confirmation.Reason, held_out: float, distance: float, gain: float, same_kind: bool, ratio: float
+    reason: confirmation.Reason,
+    held_out: float,
+    distance: float,
+    own: float,
+    gain: float,
+    same_kind: bool,
+    ratio: float,
 ) -> None:
     """Half as many samples are held out as fitted."""
     search = OnPaper(Known({(): 1000.0}))
@@ -473,6 +484,7 @@ def test_what_held_out_trials_say_of_a_part_has_a_reason(
         carried_over=lambda simple, rich: held_out / (0.5 * gain),
         gain=lambda simple, rich: held_out,
         distance=lambda simple, rich: distance,
+        own_distance=lambda simple, rich: own,
     )
     said = confirmation.carried_over(search, holdout, fitted(1000.0), fitted(1000.0 - gain, RUB))
     assert said == confirmation.Confirmation(reason, pytest.approx(ratio))

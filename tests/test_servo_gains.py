@@ -7,6 +7,7 @@ import pytest
 from pendulum_runs import MOTOR, PENDULUM, SERVO, recorded
 
 from equimus_ctrl import workflow
+from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters
 from equimus_ctrl.diagnosis.intervals import forgets
 from equimus_ctrl.diagnosis.servo_gains import servo_gains, told, with_servo_gains
@@ -91,6 +92,9 @@ def test_a_servo_forgets_where_it_began_and_a_pendulum_does_not() -> None:
         trials = recorded(own, count=2)
         follow = simulator_for(own, [r.position for r in trials])
         assert forgets(own, trials, None, follow) is expected
+        # Short intervals tell nothing that long ones do not, where the state is forgotten within them.
+        short = split(own, trials, shoot=None if expected else 4.0).short_segments
+        assert bool(short) is not expected
 
 
 def test_the_loop_decides_what_is_forgotten() -> None:

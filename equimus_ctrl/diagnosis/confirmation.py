@@ -14,6 +14,7 @@ import numpy as np
 from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis import parameters_of
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchState, extra_parameters
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.policy import Thresholds
@@ -28,7 +29,8 @@ Reason = Literal["gain", "distance", "evident", "uninformative", "worse"]
 
 - gain: what validation trials gain by it, over what as many samples of the fitted ones gain.
 - distance: the same over χ² by which the two models differ on validation trials, all that they can show.
-- evident: they cannot show it, and the gain on the fitted trials is ``Thresholds.evident`` times the least one.
+- evident: they cannot show it, for the part alone changes next to nothing there, and the gain on the fitted trials is
+  ``Thresholds.evident`` times the least one.
 - uninformative: they cannot show it, and that gain is not as large.
 - worse: with it half of a kind of validation trials gets worse than without any effect, see ``Thresholds.worse``.
 """
@@ -266,14 +268,16 @@ def carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich
 
     Its gain there, over that on as many samples of the fitted trials. Where trials differ in kind, validation trials
     may show less of it: in some recordings a drive's limit is never reached, say. So the gain may also be as large as
-    they can show, and a part that they cannot show at all is confirmed where its gain on the fitted trials is large.
+    they can show, and a part that they cannot show at all is confirmed where its gain on the fitted trials is large: a
+    table that is touched in one recording alone, say. The two fits then differ there by their other parameters.
     """
     ratio = holdout.carried_over(simple, rich)
     thresholds = search.data.thresholds
     if confirms(search, ratio) or search.data.free.model.robot.traits.same_kind_of_trials:
         return Confirmation("gain", ratio)
     distance = holdout.distance(simple, rich)
-    if thresholds.decides(lambda t: distance >= t.uninformative):
+    shown = min(distance, holdout.own_distance(simple, rich))
+    if thresholds.decides(lambda t: shown >= t.uninformative):
         return Confirmation("distance", max(ratio, holdout.gain(simple, rich) / distance))
     gain, more = simple.deviance - rich.deviance, extra_parameters(simple, rich)
     if thresholds.decides(lambda t: gain > t.evident * search.threshold(more, t)):
@@ -367,7 +371,16 @@ class HoldoutResiduals:
 
     def distance(self, simple: Fitted, rich: Fitted) -> float:
         """χ² by which two models differ on validation trials: what the better one would gain there if it were true."""
-        before, after = (self.residuals(f.fit.model) for f in (simple, rich))
+        return self._distance(simple.fit.model, rich.fit.model)
+
+    def own_distance(self, simple: Fitted, rich: Fitted) -> float:
+        """The same of what a hypothesis has more than another, other parameters being as the richer one has them."""
+        rest = tuple(part for part in rich.hypothesis if part.candidate.label in simple.labels)
+        without = parameters_of(self.data.free, rest).model_at(self.data.theta_of(rich.fit.theta, rest))
+        return self._distance(without, rich.fit.model)
+
+    def _distance(self, first: Model, second: Model) -> float:
+        before, after = self.residuals(first), self.residuals(second)
         return chi_squared(self.noise, self._times, [a - b for a, b in zip(before, after, strict=True)])
 
     def share(self, simple: Sequence[Array], rich: Sequence[Array], base: Sequence[Array]) -> float:

@@ -208,13 +208,15 @@ def split(
     elif not validation and len(recordings) == 1:
         low, high = _span(recordings[0], window)
         edge = high - LAST * (high - low)
-    if not model.robot.traits.held_in_place:
+    short = not model.robot.traits.held_in_place
+    if short:
         long = _too_long(recordings, heldout, edge, window)
         if shoot is None:
             counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
-            shoot = longest_interval(model, counted, window, simulator and simulator(), whole=not long)
+            longest = longest_interval(model, counted, window, simulator and simulator(), whole=not long)
+            shoot, short = longest.length, not longest.forgotten
         shoot = min(shoot or math.inf, ENOUGH) if long else shoot
-    parts = _grouped(_parted(model, recordings, heldout, edge, window, shoot), groups)
+    parts = _grouped(_parted(model, recordings, heldout, edge, window, shoot, short), groups)
     if until is not None and not parts.validation:
         raise ConfigError(
             f"fitted is what comes before {until:g} s, and no trial has {LEAST_SAMPLES} samples after that, too few to "
@@ -223,7 +225,8 @@ def split(
     if not heldout.other:
         return parts
     instead = Holdout(heldout.other, heldout.test)
-    return replace(parts, other=_grouped(_parted(model, recordings, instead, edge, window, shoot), groups))
+    other = _parted(model, recordings, instead, edge, window, shoot, short)
+    return replace(parts, other=_grouped(other, groups))
 
 
 def _grouped(parts: Split, groups: Sequence[str]) -> Split:
@@ -274,8 +277,9 @@ def _parted(
     until: float | None,
     window: tuple[float, float] | None,
     shoot: float | None,
+    short: bool,
 ) -> Split:
-    """Recordings split, see ``split``."""
+    """Recordings split, see ``split``; ``short`` asks for short segments too."""
     train: list[Segment] = []
     validation: list[Segment] = []
     test: list[Segment] = []
@@ -296,9 +300,9 @@ def _parted(
     if model.robot.traits.held_in_place:
         return Split(tuple(train), tuple(validation), tuple(test), (), len(train))
     chosen = _evenly(train, len(recordings[0].joints))
-    if (short := motion_length(model, chosen)) < (shoot or math.inf):
+    if short and (length := motion_length(model, chosen)) < (shoot or math.inf):
         spans = [(s.recording, (float(s.trial.sample_times[0]), float(s.trial.sample_times[-1]))) for s in chosen]
-        short_segments = [s for k, span in spans for s in _cut(model, recordings[k], k, span, short, fit_start=True)]
+        short_segments = [s for k, span in spans for s in _cut(model, recordings[k], k, span, length, fit_start=True)]
     return Split(tuple(chosen), tuple(validation), tuple(test), tuple(short_segments), len(train))
 
 

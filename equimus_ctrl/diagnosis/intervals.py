@@ -8,7 +8,7 @@ however long an interval is, and short ones would only give the measured states 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,19 @@ FORGOTTEN = 0.2
 friction may keep it where a joint stands."""
 
 
+@dataclass(frozen=True)
+class Longest:
+    """How long shooting intervals are.
+
+    Attributes:
+        length: None for whole trials [s].
+        forgotten: whether the initial state is forgotten within them, see ``forgets``: shorter ones tell nothing more.
+    """
+
+    length: float | None
+    forgotten: bool = False
+
+
 def motion_length(model: Model, segments: Sequence[Segment]) -> float:
     """The longest intervals in which the fastest joint crosses its range hardly more than once [s]."""
     time = _crossing(model, segments)
@@ -52,10 +65,10 @@ def longest_interval(
     window: tuple[float, float] | None = None,
     simulator: Simulator | None = None,
     whole: bool = True,
-) -> float | None:
+) -> Longest:
     """The longest shooting intervals over which the nominal model's predictions stay close to the measurements [s].
 
-    None for whole trials, which are the most informative. Where nothing holds a joint in place, errors grow along a
+    Whole trials are the most informative. Where nothing holds a joint in place, errors grow along a
     trial and intervals are short. Not where the model forgets its initial state, see ``forgets``.
 
     Args:
@@ -72,20 +85,20 @@ def longest_interval(
     spread = np.median([r.position.std(axis=0) for r in recordings], axis=0)
     lengths = (None, *LENGTHS) if whole else LENGTHS
     if forgets(model, recordings, window, follow):
-        return lengths[0]
+        return Longest(lengths[0], forgotten=True)
     for length in lengths:
         if length is not None and all(length > r.time[-1] - r.time[0] for r in recordings):
             continue
         for errors in _errors_over(model, recordings, window, length, follow):
             sound = sound or bool(np.any(errors < DIVERGED / 2))
             if np.mean(np.all(errors < CLOSE_TO_MEASURED * spread, axis=1)) >= MOSTLY:
-                return length
+                return Longest(length)
     if not sound:
         raise SimulationDiverged(
             f"{model.name}: the model diverges on the recorded commands, even over intervals of {LENGTHS[-1]:g} s; "
             "check the signs and units of the commands, masses, inertias and the physics step"
         )
-    return LENGTHS[-1]
+    return Longest(LENGTHS[-1])
 
 
 def forgets(

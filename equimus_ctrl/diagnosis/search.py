@@ -107,7 +107,10 @@ class Search(HypothesisMoves):
         ]
         try:
             noise = white_noise(base.fit.residuals)
-            start = data.converge(data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps))
+            start = data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps)
+            if start.deviance > base.deviance:  # far from any minimum: it holds the model without effects too
+                return state
+            start = data.converge(start)
         except SimulationDiverged:  # so it cannot be what happened
             return state
         return self.beginning(base, start) if self.accepts(base, start) else state

@@ -162,7 +162,7 @@ def identify_recordings(
     in_place = model.robot.traits.held_in_place
     window, shoot, folds, settings = options.window, options.shoot, options.folds, options.settings
     if not in_place:
-        shoot = shoot or longest_interval(model, trials, window, simulator) or math.inf
+        shoot = shoot or longest_interval(model, trials, window, simulator).length or math.inf
     segments = cut(model, trials, window=window, shoot=shoot, fit_start=options.fit_start)
     judged = cut(model, others, window=window, shoot=None if in_place else shoot)
     share = _Share(min(folds, len(trials)) if min(folds, len(trials)) > 1 else 0, settings or FitSettings())
