@@ -214,7 +214,7 @@ def split(
         if shoot is None:
             counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
             longest = longest_interval(model, counted, window, simulator and simulator(), whole=not long)
-            shoot, short = longest.length, not longest.forgotten
+            shoot, short = longest.length, not longest.steady
         shoot = min(shoot or math.inf, ENOUGH) if long else shoot
     parts = _grouped(_parted(model, recordings, heldout, edge, window, shoot, short), groups)
     if until is not None and not parts.validation:

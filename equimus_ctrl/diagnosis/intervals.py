@@ -40,11 +40,12 @@ class Longest:
 
     Attributes:
         length: None for whole trials [s].
-        forgotten: whether the initial state is forgotten within them, see ``forgets``: shorter ones tell nothing more.
+        steady: whether errors do not grow along them, for the initial state is forgotten (``forgets``) or predictions
+            stay close over the longest that were tried: shorter ones tell nothing more.
     """
 
     length: float | None
-    forgotten: bool = False
+    steady: bool = False
 
 
 def motion_length(model: Model, segments: Sequence[Segment]) -> float:
@@ -85,14 +86,14 @@ def longest_interval(
     spread = np.median([r.position.std(axis=0) for r in recordings], axis=0)
     lengths = (None, *LENGTHS) if whole else LENGTHS
     if forgets(model, recordings, window, follow):
-        return Longest(lengths[0], forgotten=True)
+        return Longest(lengths[0], steady=True)
     for length in lengths:
         if length is not None and all(length > r.time[-1] - r.time[0] for r in recordings):
             continue
         for errors in _errors_over(model, recordings, window, length, follow):
             sound = sound or bool(np.any(errors < DIVERGED / 2))
             if np.mean(np.all(errors < CLOSE_TO_MEASURED * spread, axis=1)) >= MOSTLY:
-                return Longest(length)
+                return Longest(length, steady=length == lengths[0])
     if not sound:
         raise SimulationDiverged(
             f"{model.name}: the model diverges on the recorded commands, even over intervals of {LENGTHS[-1]:g} s; "
