@@ -40,8 +40,8 @@ class Longest:
 
     Attributes:
         length: None for whole trials [s].
-        steady: whether errors do not grow along them, for the initial state is forgotten (``forgets``) or predictions
-            stay close over the longest that were tried: shorter ones tell nothing more.
+        steady: whether errors do not grow along them, for the initial state is forgotten (``forgets``), or, of trials
+            too long to be fitted whole, predictions stay close over the longest intervals: shorter ones tell no more.
     """
 
     length: float | None
@@ -93,7 +93,7 @@ def longest_interval(
         for errors in _errors_over(model, recordings, window, length, follow):
             sound = sound or bool(np.any(errors < DIVERGED / 2))
             if np.mean(np.all(errors < CLOSE_TO_MEASURED * spread, axis=1)) >= MOSTLY:
-                return Longest(length, steady=length == lengths[0])
+                return Longest(length, steady=not whole and length == lengths[0])
     if not sound:
         raise SimulationDiverged(
             f"{model.name}: the model diverges on the recorded commands, even over intervals of {LENGTHS[-1]:g} s; "
