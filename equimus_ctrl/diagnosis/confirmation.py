@@ -144,13 +144,12 @@ def _largest_known(search: HypothesisMoves, state: SearchState, labels: Set[str]
     known = {state.base.labels: state.base}
     for fitted in sorted((*state.tried.fitted, *state.without), key=lambda f: -f.deviance):
         known[fitted.labels] = fitted
-    for best in sorted(known.values(), key=search.score):
-        rest = [best.labels - {part.candidate.label} for part in best.hypothesis]
-        if best.labels <= labels and all(own in known for own in rest):
-            return replace(
-                state, best=best, without=tuple(known[own] for own in rest), alternatives=tuple(() for _ in rest)
-            )
-    return replace(state, best=state.base, without=(), alternatives=())
+    rests = {fitted: [fitted.labels - {p.candidate.label} for p in fitted.hypothesis] for fitted in known.values()}
+    left = [fitted for fitted, rest in rests.items() if fitted.labels <= labels and known.keys() >= set(rest)]
+    best = min(left, key=search.score)  # the model without any part at least
+    return replace(
+        state, best=best, without=tuple(known[own] for own in rests[best]), alternatives=tuple(() for _ in rests[best])
+    )
 
 
 def _confirmations(

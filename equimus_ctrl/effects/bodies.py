@@ -132,9 +132,26 @@ class PayloadOffCentre(BodyEffect):
         )
 
 
+class EndEffect(BodyEffect):
+    """What acts on a point at an end of an MJCF robot, which has one of a kind at most.
+
+    The point is a site, or where the XML has none the centre of mass of a body that carries no other.
+    """
+
+    sits_at = ("foot", "link")
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        places: Mapping[str, tuple[str, ...]] = robot.ends
+        return places
+
+    def slot(self, robot: Any) -> str:
+        return str(robot.name)
+
+
 @register
 @dataclass(frozen=True)
-class SpringTether(BodyEffect):
+class SpringTether(EndEffect):
     """stiffness·(anchor − p): a spring of no rest length from a point p of the robot to a point of the room.
 
     On the joints it exerts Jᵀ·stiffness·(anchor − p), J = ∂p/∂q (virtual work; Siciliano et al., *Robotics*, 2009,
@@ -145,7 +162,6 @@ class SpringTether(BodyEffect):
 
     name = "spring_tether"
     robots = ("mjcf",)
-    sits_at = ("foot", "link")
     summary = "a spring to a point in the room: a hose, a cable, a balancer"
     alike = False
     exclusive = "spring_tether"
@@ -158,14 +174,6 @@ class SpringTether(BodyEffect):
     x: float = parameter("m", -10.0, 10.0, "of its end in the room, along the model's first axis")
     y: float = parameter("m", -10.0, 10.0, "along the second")
     z: float = parameter("m", -10.0, 10.0, "along the third")
-
-    @classmethod
-    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
-        places: Mapping[str, tuple[str, ...]] = robot.ends
-        return places
-
-    def slot(self, robot: Any) -> str:
-        return str(robot.name)
 
     @classmethod
     def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
@@ -193,7 +201,7 @@ motion goes through it, by more than sensors' zeros or lengths of links are usua
 
 @register
 @dataclass(frozen=True)
-class PlaneContact(BodyEffect):
+class PlaneContact(EndEffect):
     """A level plane in the room, a table or a floor, below which a point p of the robot cannot go.
 
     n·p ≥ height, n against the model's gravity. On the joints it exerts Jᵀ·n·f, J = ∂p/∂q, f ≥ 0, without friction: one
@@ -205,7 +213,6 @@ class PlaneContact(BodyEffect):
 
     name = "plane_contact"
     robots = ("mjcf",)
-    sits_at = ("foot", "link")
     summary = "a table or a floor that is not in the model"
     alike = False
     nothing = None
@@ -213,14 +220,6 @@ class PlaneContact(BodyEffect):
     exclusive = "plane_contact"
     mujoco_flags = ("contact", "constraint")
     height: float = parameter("m", -10.0, 10.0, "of the plane, from the room's origin against gravity")
-
-    @classmethod
-    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
-        places: Mapping[str, tuple[str, ...]] = robot.ends
-        return places
-
-    def slot(self, robot: Any) -> str:
-        return str(robot.name)
 
     @classmethod
     def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
