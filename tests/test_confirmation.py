@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 
-from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _makes_worse, carried_over
+from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, _makes_worse, _needless, carried_over
 from equimus_ctrl.diagnosis.fitting import Data, chi_squared
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
@@ -111,6 +111,16 @@ def test_where_no_part_is_to_blame_none_is_told() -> None:
     of = {"base": [noisy(1), noisy(2)], "best": [noisy(1), worse], "less": [noisy(1), 2 * worse]}
     state: Any = SimpleNamespace(base=fit("base"), best=fit("best"), without=(fit("less"),))
     assert _makes_worse(SEARCH, Given(segments, of), state) is None
+
+
+def test_what_gained_beside_a_rejected_part_alone_is_not_needed() -> None:
+    """A part without which the fit is better has no gain that held-out trials could confirm."""
+    search: Any = SimpleNamespace(accepts=lambda simple, rich: simple.deviance - rich.deviance > 40.0)
+    best, better, worse = scored("best", 100.0), scored("without it", 20.0), scored("without the other", 500.0)
+    state: Any = SimpleNamespace(best=best, without=(worse, better))
+    assert _needless(search, state) == 1
+    assert _needless(search, SimpleNamespace(best=best, without=(worse,))) is None  # type: ignore[arg-type]
+    assert _needless(search, SimpleNamespace(best=best, without=())) is None  # type: ignore[arg-type]
 
 
 def scored(model: str, deviance: float) -> Any:

@@ -16,7 +16,8 @@ from equimus_ctrl.diagnosis import holdout
 from equimus_ctrl.diagnosis.alternatives import in_place, indistinguishable
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.confirmation import _another
-from equimus_ctrl.diagnosis.confounding import restates
+from equimus_ctrl.diagnosis.confounding import generalises, restates
+from equimus_ctrl.diagnosis.coordinates import read
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group
 from equimus_ctrl.diagnosis.holdout import split
@@ -246,6 +247,19 @@ def test_a_push_over_what_a_law_depends_on_restates_it() -> None:
     surface = group("hinge", "hinge", "pos.hinge·vel.hinge")
     assert restates(surface, dry, True) == "more"
     assert restates(surface, (*dry, *part("hinge", ParallelSpring)), True) == "same"
+
+
+def test_a_force_that_is_a_laws_own_coordinate_times_a_function_of_another_generalises_it() -> None:
+    def group(factor: str, *over: str, joint: str = "hinge") -> Group:
+        by = read(factor)[0] if factor else None
+        return Group(joint, (joint,), read("·".join([*over, *([factor] if factor else [])])), by, (), {})
+
+    damping, spring = (Part(Candidate(law, ("hinge",), ({},)), {}) for law in (ViscousFriction, ParallelSpring))
+    of_the_angle = group("vel.hinge", "pos.hinge")
+    assert generalises(of_the_angle, damping) and generalises(group("sign(vel.hinge)", "pos.hinge"), damping)
+    assert not generalises(of_the_angle, spring)  # the spring is not what depends on the speed
+    assert not generalises(group("", "vel.hinge"), damping)  # another curve over the speed
+    assert not generalises(group("vel.other", "pos.other", joint="other"), damping)
 
 
 def test_a_fit_goes_on_with_the_derivatives_of_an_earlier_ones_end() -> None:

@@ -18,6 +18,7 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, parameters_of, re
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory
 from equimus_ctrl.diagnosis.results import Named
 from equimus_ctrl.diagnosis.screening import _kept, screen
+from equimus_ctrl.identification.uncertainty import Uncertainty
 from equimus_ctrl.models.model import Model
 
 ROBOT = two_joints()
@@ -144,3 +145,18 @@ def test_a_size_that_may_be_nothing_gains_by_bounds_alone() -> None:
     assert not data().may_be_nothing(fit, 0)
     fit.hypothesis = (part("parallel_spring:reach", 1.0, 0.1),)  # which has another parameter that may be seen
     assert not data().may_be_nothing(fit, 0)
+
+
+@pytest.mark.parametrize(("correlation", "nothing"), [(0.0, True), (0.95, False)])
+def test_several_sizes_are_judged_together(correlation: float, nothing: bool) -> None:
+    """1.5 ± 2 either way: each interval holds nothing; both together do not where their sum is known far better."""
+    rubs = part("asymmetric_friction:reach", 1.5, 1.5)
+    known = data().free.start
+    count = len(known)
+    seen = np.eye(count + 2)
+    seen[count, count + 1] = seen[count + 1, count] = -correlation
+    uncertainty = Uncertainty(np.ones(count + 2), 2 * np.ones(count + 2), seen, (), 100.0)
+    fit: Any = SimpleNamespace(
+        hypothesis=(rubs,), fit=SimpleNamespace(uncertainty=uncertainty, theta=np.append(known, [1.5, 1.5]))
+    )
+    assert data().may_be_nothing(fit, 0) is nothing

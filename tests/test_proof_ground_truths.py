@@ -113,6 +113,12 @@ def test_each_kind_holds_what_it_says() -> None:
         assert len(findings(r.effects)) == len({e.name for e in r.effects})
 
 
+def test_three_effects_are_drawn_where_they_are_asked_for() -> None:
+    for case in range(10):
+        effects = draw(11, case, kind="triple", trials=1, duration=1.0).effects
+        assert len({e.name for e in effects}) == 3
+
+
 def test_effects_sit_in_random_places_and_some_act_alike_in_two() -> None:
     assert {e.location for r in many() for e in r.effects} >= {"hip", "knee", "maa", "baa", "foot", "base", "thigh"}
     alike = [name for r in many() for name, where, _ in findings(r.effects) if len(where) == 2]

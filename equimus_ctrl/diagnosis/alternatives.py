@@ -346,17 +346,15 @@ def _needed_places(search: HypothesisMoves, fitted: Fitted, k: int) -> tuple[str
         return part.candidate.locations
     first = fitted.fit.parameters.free[: len(search.data.free.free)]
     start = len(first) + sum(p.candidate.n_parameters for p in fitted.hypothesis[:k])
-    error, correlation = fitted.fit.uncertainty.standard_error, fitted.fit.uncertainty.correlation
     needed = []
     for place in part.candidate.locations:
         own = [i for i, p in enumerate(part.candidate.parameters) if p.places == (place,) and p.name in end]
         rows = [start + i for i in own]
         away = np.array([part.values[part.candidate.parameters[i].name] for i in own])
         away -= np.array([end[part.candidate.parameters[i].name] for i in own])
-        if not np.all(np.isfinite(error[rows])) or not np.any(away):
+        statistic = fitted.fit.uncertainty.statistic(rows, away)
+        if not statistic > 0:
             continue
-        scaled = away / np.maximum(error[rows], 1e-300)
-        statistic = float(scaled @ np.linalg.lstsq(correlation[np.ix_(rows, rows)], scaled, rcond=None)[0])
         count = len(part.candidate.effect.parameter_info())
         if search.data.thresholds.decides(partial(_exceeds, search, statistic, count)):
             needed.append(place)

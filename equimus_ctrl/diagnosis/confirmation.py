@@ -71,7 +71,7 @@ Tell = Callable[[str, Confirmation], None]
 def confirmed(
     search: Search, state: SearchState, split: Split, tell: Tell = lambda label, confirmation: None
 ) -> SearchState:
-    """The hypothesis without the parts that held-out trials do not confirm.
+    """The hypothesis without the parts that held-out trials do not confirm, and those not needed without these.
 
     Where an alternative fits as well in such a part's place and is confirmed, it is accepted.
 
@@ -84,6 +84,9 @@ def confirmed(
     if not split.validation:
         return state
     while state.best.hypothesis:
+        if (needless := _needless(search, state)) is not None:
+            state = search.moved(state, state.without[needless])
+            continue
         holdout, confirmations, place = _confirmations(search, state, split)
         parts = [part.candidate.label for part in state.best.hypothesis]
         if confirms(search, confirmations[place].ratio):
@@ -125,6 +128,10 @@ def confirmed_as_fitted(
         tell: told of each part that is confirmed or rejected.
     """
     while split.validation and state.best.hypothesis:
+        if (needless := _needless(search, state)) is not None:
+            kept = state.best.labels - {state.best.hypothesis[needless].candidate.label}
+            state = _largest_known(search, state, kept)
+            continue
         holdout, confirmations, place = _confirmations(search, state, split)
         parts = [part.candidate.label for part in state.best.hypothesis]
         rejected: tuple[int, Confirmation] | None = (place, confirmations[place])
@@ -137,6 +144,12 @@ def confirmed_as_fitted(
         tell(parts[rejected[0]], rejected[1])
         state = _largest_known(search, state, state.best.labels - {parts[rejected[0]]})
     return state
+
+
+def _needless(search: HypothesisMoves, state: SearchState) -> int | None:
+    """The place of the part that gains least on the fitted trials, where that is not enough to accept it."""
+    least = min(range(len(state.without)), key=lambda k: state.without[k].deviance, default=None)
+    return None if least is None or search.accepts(state.without[least], state.best) else least
 
 
 def _largest_known(search: HypothesisMoves, state: SearchState, labels: Set[str]) -> SearchState:

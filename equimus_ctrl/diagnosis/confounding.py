@@ -66,6 +66,14 @@ def restates(group: Group, hypothesis: Hypothesis, drives_at_joints: bool) -> Li
     return "same" if set().union(*laws) == _quantities(group) else "more"
 
 
+def generalises(group: Group, part: Part) -> bool:
+    """Whether a residual force at a part's joint is what its law depends on, times a function of something else."""
+    if group.factor is None or not same_place(group, part, drives_at_joints=True):
+        return False
+    law = part.candidate.effect.depends() or set()
+    return COORDINATES[group.factor.kind] in law and coordinate_relation(part, group) == "subset"
+
+
 def contains_law(group: Group, hypothesis: Hypothesis) -> bool:
     """Whether a residual force at a part's joints depends on all that the part's law does: so it can do the same."""
     return any(

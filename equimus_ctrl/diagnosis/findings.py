@@ -187,6 +187,8 @@ def _alone(end: SearchState, label: str) -> Fitted | None:
 
 def log_p_value(gain: float, count: int) -> float:
     """Ln P(χ²(count) > gain), by its asymptote where it is too small to be computed."""
+    if gain <= 0:
+        return 0.0
     exact = float(chdtrc(count, gain))
     if exact > 0.0:
         return math.log(exact)
@@ -319,8 +321,8 @@ def notes(end: SearchState, split: Split, excluded: Sequence[str], not_done: Seq
         said.append(f"Not looked for, as was asked: {', '.join(excluded)}.")
     if split.of > len(split.train):
         said.append(
-            f"Fitted were {len(split.train)} of {split.of} shooting intervals, chosen evenly from all recordings: all "
-            "would take longer in proportion."
+            f"Fitted were {len(split.train)} of {split.of} shooting intervals, fast and slow ones of all recordings: "
+            "all would take longer in proportion."
         )
     if not split.validation:
         said.append("Nothing was held out, so nothing judged what was found but the trials that it was fitted to.")

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, parameters_of, refined
@@ -284,19 +285,24 @@ class Data:
         return sum(bool(counted & t.weights.keys()) for t in blind) >= len(counted)
 
     def may_be_nothing(self, fitted: Fitted, k: int) -> bool:
-        """Whether intervals of a part's only parameter, at all its places, hold the value at which it does nothing.
+        """Whether what is known of a part's sizes, at all its places, holds that it does nothing.
 
-        Then its gain comes of bounds that hold other parameters back, not of it: without it these would go further.
+        Then its gain comes of bounds that hold other parameters back, not of it: without it these would go further; or
+        of residuals so coloured that the sizes are not known for all their gain. Several sizes are judged together, by
+        Wald's statistic. Of a law with one size and further parameters, a mass and where it is, nothing is said: what
+        the data determine may be their product.
         """
         candidate = fitted.hypothesis[k].candidate
-        nothing = candidate.grows_from()
-        if len(candidate.effect.parameter_info()) > 1 or not nothing:
+        nothing, effect = candidate.fades_to(), candidate.effect
+        if not nothing or len(effect.fades_to()) < min(2, len(effect.parameter_info())):
             return False
         first = len(self.free.free) + sum(p.candidate.n_parameters for p in fitted.hypothesis[:k])
-        widths = fitted.fit.uncertainty.half_width[first : first + candidate.n_parameters]
-        values = fitted.fit.theta[first : first + candidate.n_parameters]
-        away = np.abs(values - np.array([nothing[own.name] for own in candidate.parameters]))
-        return bool(np.all(away < widths))
+        places = [(first + i, own.name) for i, own in enumerate(candidate.parameters) if own.name in nothing]
+        away = np.array([fitted.fit.theta[i] - nothing[name] for i, name in places])
+        rows = [i for i, _ in places]
+        if len(effect.parameter_info()) == 1:
+            return bool(np.all(np.abs(away) < fitted.fit.uncertainty.half_width[rows]))
+        return fitted.fit.uncertainty.statistic(rows, away) < float(chdtri(len(rows), 0.05))
 
     def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
         """95 % profile-likelihood interval of a discontinuous parameter; ±inf at a side where it has no end.

@@ -16,7 +16,7 @@ from equimus_ctrl.identification.parameters import FreeParameters, place_unit
 from equimus_ctrl.identification.segments import Segment, cut
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.types import Recording
+from equimus_ctrl.types import Array, Recording
 
 EVERY = 4
 """One trial in so many is held out."""
@@ -25,7 +25,7 @@ LAST = 0.25
 LEAST_DURATION, LEAST_SAMPLES = 1.0, 60
 """Of a trial to be of use [s] and in samples."""
 MOST_TIME, ENOUGH = 240.0, 8.0
-"""Fitted are so many seconds times joints; of longer recordings intervals of the second length are chosen evenly [s].
+"""Fitted are so many seconds times joints; of longer recordings some intervals of the second length, see ``_some`` [s].
 More takes longer in proportion, and intervals of estimates shrink by the root of it alone."""
 
 
@@ -299,20 +299,37 @@ def _parted(
     short_segments: list[Segment] = []
     if model.robot.traits.held_in_place:
         return Split(tuple(train), tuple(validation), tuple(test), (), len(train))
-    chosen = _evenly(train, len(recordings[0].joints))
+    chosen = _some(train, len(recordings[0].joints))
     if short and (length := motion_length(model, chosen)) < (shoot or math.inf):
         spans = [(s.recording, (float(s.trial.sample_times[0]), float(s.trial.sample_times[-1]))) for s in chosen]
         short_segments = [s for k, span in spans for s in _cut(model, recordings[k], k, span, length, fit_start=True)]
     return Split(tuple(chosen), tuple(validation), tuple(test), tuple(short_segments), len(train))
 
 
-def _evenly(segments: Sequence[Segment], joints: int) -> list[Segment]:
-    """Every so manieth shooting interval, counted through all recordings, so that they last ``MOST_TIME`` at most."""
+def _some(segments: Sequence[Segment], joints: int) -> list[Segment]:
+    """Shooting intervals that last ``MOST_TIME`` at most, as large a share of each recording's, of one at least.
+
+    They go evenly through a recording's intervals in the order of how fast the joints move, from the fastest on: the
+    quick end of a chirp shows what its slow beginning does not, and a rest next to nothing.
+    """
     whole = joints * sum(float(s.trial.sample_times[-1] - s.trial.sample_times[0]) for s in segments)
     every = max(math.ceil(whole / MOST_TIME), 1)
-    by_recording = {k: [s for s in segments if s.recording == k] for k in {s.recording: None for s in segments}}
-    # Each recording begins with another one, and none is left without any.
-    return [s for n, own in enumerate(by_recording.values()) for s in own[min(n % every, len(own) - 1) :: every]]
+    if every == 1:
+        return list(segments)
+    speeds = np.array([_speeds(s, joints) for s in segments])
+    usual = np.sqrt(np.mean(speeds**2, axis=0))
+    motion = (speeds / np.where(usual > 0, usual, 1.0)).sum(axis=1)
+    chosen: list[int] = []
+    for recording in dict.fromkeys(s.recording for s in segments):
+        own = [k for k, s in enumerate(segments) if s.recording == recording]
+        chosen += sorted(own, key=lambda k: -motion[k])[::every]
+    return [segments[k] for k in sorted(chosen)]
+
+
+def _speeds(segment: Segment, joints: int) -> Array:
+    """(nj,) RMS of how fast the joints move."""
+    time, position = segment.trial.sample_times, segment.measured[:, :joints]
+    return np.asarray(np.sqrt(np.mean((np.diff(position, axis=0) / np.diff(time)[:, None]) ** 2, axis=0)))
 
 
 def check_settings(free: FreeParameters, parts: Split) -> None:

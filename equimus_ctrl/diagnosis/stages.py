@@ -50,7 +50,7 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
-from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test, residual_analysis
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test, residual_analysis
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
@@ -229,7 +229,8 @@ def explain_residuals(state: State) -> State:
     """What the effects leave, and which of them residual forces make redundant: these are rejected.
 
     Where others stay, the search goes on beside them. It never comes back to what was rejected
-    (``SearchState.rejecting``), so no effect is both rejected here and part of the end.
+    (``SearchState.rejecting``), so no effect is both rejected here and part of the end. What was left beside effects
+    stays unexplained where without them nothing is: something is missing there, whatever it is.
     """
     search, end, rejected = state.search, state.end, state.rejected
     reasons: dict[str, str] = {}
@@ -245,7 +246,9 @@ def explain_residuals(state: State) -> State:
             end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
             search, end = still_apart(search, end, state.inputs.split)
             further -= 1
-        analysis = residual_analysis(state.data, end.base, end.best, end.without)
+        beside, analysis = analysis, residual_analysis(state.data, end.base, end.best, end.without)
+        if not end.best.hypothesis and not analysis.unexplained:
+            analysis = ResidualAnalysis(beside.unexplained)
     after = replace(
         state,
         search=search,

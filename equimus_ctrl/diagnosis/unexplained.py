@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.confounding import confounded, restates
+from equimus_ctrl.diagnosis.confounding import confounded, generalises, restates
 from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
@@ -40,6 +40,7 @@ REPRODUCED = "one residual force explains as much as all effects together"
 CONFOUNDED = "it explains nothing more beside a residual force"
 REPLACED = "a residual force in its place explains as much"
 DEGENERATE = "its parameters strain its law"
+GENERALISED = "what it leaves at its place goes with more than its law does"
 """Why parts of a hypothesis are rejected."""
 
 
@@ -127,7 +128,8 @@ def redundant_parts(
     """Places of parts that residual forces make redundant, with the reasons.
 
     A part is confounded with a force beside which it explains nothing more; or a force in its place explains as much
-    as the part and the strongest remaining force together; or, where forces remain, it strains its law.
+    as the part and the strongest remaining force together; or, where forces remain, it strains its law; or one
+    says that its law is another, see ``_generalised``.
 
     Args:
         data: what was measured.
@@ -148,9 +150,31 @@ def redundant_parts(
             if _replaced_by_force(data, fitted, best, fall + forces[0].gain, lambda t: t.replaces_one, TRIED):
                 reasons.append((k, REPLACED))
         reasons += [(k, DEGENERATE) for k in _degenerate(data, best)]
+        reasons += [(k, GENERALISED) for force in forces for k in _generalised(data, best, falls, force)]
     return {
         place: "; ".join(reason for k, reason in reasons if k == place) for place in sorted({k for k, _ in reasons})
     }
+
+
+def _generalised(data: Data, best: Fitted, falls: Sequence[float], force: SelectedForce) -> list[int]:
+    """Places of parts whose law a remaining force at their place would have depend on more.
+
+    Friction that grows with the speed, and a force left at its joint that is the speed times a function of the angle:
+    then the friction depends on the angle, which is another law. It is told where that force gains more than the share
+    of the part's own gain from which on hypotheses are distinguished.
+    """
+    if data.free.model.robot.traits.forces_along_actuators:
+        return []
+    return [
+        k
+        for k, (part, fall) in enumerate(zip(best.hypothesis, falls, strict=True))
+        if generalises(force.candidate.group, part)
+        and data.thresholds.decides(partial(_distinguished, force.gain, fall))
+    ]
+
+
+def _distinguished(gain: float, fall: float, t: Thresholds) -> bool:
+    return gain > t.indistinguishable_share * fall
 
 
 def _least(n: int, t: Thresholds) -> float:

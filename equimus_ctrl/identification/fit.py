@@ -37,6 +37,9 @@ ONE_BY_ONE = 10.0 ** np.array([-1.0, 0.0, 1.0, 2.5])
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
 IDLE = 1e-9
 """A parameter with less than this share of the strongest one's effect is not moved."""
+UNSEEN = 1e-3
+"""Nor is one that over all it can be changes the predictions by less than this share of the residuals' RMS, by the root
+of the sum of squares: such as where across a planar arm a mass sits. Rounding would take it to a bound."""
 
 Begin = tuple[Array, Sequence[Array]]
 """Parameters (p,) and, for each segment, its start (2 nj + nz,)."""
@@ -231,7 +234,8 @@ def _fit(
         slopes = slopes or problem.slopes(point)
         weights = np.maximum(weights, np.linalg.norm(slopes.factor, axis=0))
         dampings = np.clip(damping * around, LEAST_DAMPING, MOST_DAMPING)
-        changes = [_step(parameters, point.theta, slopes.damped(d), weights * np.sqrt(d)) for d in dampings]
+        unseen = UNSEEN * np.sqrt(point.cost / samples)
+        changes = [_step(parameters, point.theta, slopes.damped(d), weights * np.sqrt(d), unseen) for d in dampings]
         thetas = [parameters.moved(point.theta, parameters.scale * c) for c in changes]
         starts = [problem.moved_starts(point, slopes, c, d) for c, d in zip(changes, dampings, strict=True)]
         tried: list[Point] = []
@@ -288,9 +292,21 @@ def _fit(
     return found
 
 
-def _step(parameters: FreeParameters, theta: Array, slopes: tuple[Array, Array], damping: Array) -> Array:
-    """(p,) the damped step within bounds, in units of the parameters' scale."""
+def _step(
+    parameters: FreeParameters, theta: Array, slopes: tuple[Array, Array], damping: Array, unseen: float
+) -> Array:
+    """(p,) the damped step within bounds, in units of the parameters' scale.
+
+    Args:
+        parameters: what is free.
+        theta: where it begins.
+        slopes: (R, c).
+        damping: (p,) λD.
+        unseen: a parameter that changes the predictions by less over all it can be stays where it is.
+    """
     factor, aim = slopes
+    over_all = np.linalg.norm(factor, axis=0) * (parameters.high - parameters.low) / parameters.scale
+    factor = np.where(over_all < unseen, 0.0, factor)
     # What has no effect beyond rounding stays where it is.
     least = IDLE * np.linalg.norm(factor, axis=0).max() + 1e-300
     system = np.vstack([factor, np.diag(np.maximum(damping, least))])

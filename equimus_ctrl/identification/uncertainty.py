@@ -63,6 +63,22 @@ class Uncertainty:
     trade_offs: tuple[TradeOff, ...]
     effective_samples: float
 
+    def statistic(self, which: Sequence[int], away: Array) -> float:
+        """Wald's δᵀC⁻¹δ of some parameters, χ² with as many degrees of freedom where they truly are that far off.
+
+        Args:
+            which: their places.
+            away: (k,) δ, how far they are from the values in question.
+
+        Returns:
+            It; nan where one of them is not identifiable.
+        """
+        rows = list(which)
+        if not np.all(np.isfinite(self.standard_error[rows])):
+            return float("nan")
+        scaled = away / np.maximum(self.standard_error[rows], 1e-300)
+        return float(scaled @ np.linalg.lstsq(self.correlation[np.ix_(rows, rows)], scaled, rcond=None)[0])
+
 
 def correlation_time(residuals: Sequence[Array]) -> float:
     """Integrated autocorrelation time in samples of residual series (m, nj), at least 1 (white).

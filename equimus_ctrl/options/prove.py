@@ -9,7 +9,7 @@ from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.options.fields import at_least
 from equimus_ctrl.options.offers import option
 
-KINDS = ("none", "single", "pair", "outside", "all_joints")
+KINDS = ("none", "single", "pair", "outside", "all_joints", "triple")
 """Of ground truths; see ``proof.drawing.Kind``."""
 LEAST_DURATION = 2.0
 """Of a proof's trial; a shorter one does not move the leg enough [s]."""
@@ -37,7 +37,8 @@ class ProveOptions:
     kind: str | None = option(
         None,
         str | None,
-        "none, single, pair, outside or all_joints (friction in each) for all; by default a mixture of the first four.",
+        "none, single, pair, outside, all_joints (friction in each) or triple (three effects) for all; by default a "
+        "mixture of the first four.",
         metavar="KIND",
     )
     trials: int | None = option(None, int | None, "Recorded of each leg; 8 by default.", shown=False)

@@ -127,7 +127,7 @@ class Case:
 
     @property
     def kind(self) -> str:
-        """None, single, pair, outside or all_joints."""
+        """One of ``drawing.Kind``."""
         return str(self.truth["kind"])
 
     @property

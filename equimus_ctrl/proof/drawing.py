@@ -24,11 +24,13 @@ from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import Morphology, elastic_of
 from equimus_ctrl.types import Array, Recording
 
-Kind = Literal["none", "single", "pair", "outside", "all_joints"]
-SHARES: dict[Kind, float] = {"none": 0.3, "single": 0.35, "pair": 0.2, "outside": 0.15, "all_joints": 0.0}
+Kind = Literal["none", "single", "pair", "outside", "all_joints", "triple"]
+SHARES: dict[Kind, float] = {
+    "none": 0.3, "single": 0.35, "pair": 0.2, "outside": 0.15, "all_joints": 0.0, "triple": 0.0,
+}  # fmt: skip
 """How often each kind is drawn where nobody asks for one."""
 EFFECTS: dict[Kind, tuple[int, int]] = {
-    "none": (0, 0), "single": (1, 0), "pair": (2, 0), "outside": (0, 1), "all_joints": (0, 0),
+    "none": (0, 0), "single": (1, 0), "pair": (2, 0), "outside": (0, 1), "all_joints": (0, 0), "triple": (3, 0),
 }  # fmt: skip
 """How many effects of each kind are in the catalogue, and how many outside it, drawn one by one."""
 RUBS = ("coulomb_friction", "viscous_friction")

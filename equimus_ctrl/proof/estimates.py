@@ -144,7 +144,7 @@ def held_out(cases: Sequence[Case]) -> list[HeldOut]:
     """Of the strong cases where exactly what is missing was found."""
     found = []
     for case in cases:
-        if case.kind in ("single", "pair") and case.strength >= STRONG and case.exact(OURS):
+        if case.kind in ("single", "pair", "triple") and case.strength >= STRONG and case.exact(OURS):
             before, after = (heldout_excess_variance(case, state) for state in ("refitted", "corrected"))
             if before > 0:
                 found.append(HeldOut(case.number, 1.0 - after / before))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from equimus_ctrl.proof.answers import BINS, OURS, STRONG, Case, Method, bin_of
+from equimus_ctrl.proof.drawing import Kind
 from equimus_ctrl.proof.shares import Share
 
 CONSISTENT, UNEXPLAINED, FAILED = "consistent", "unexplained", "failed"
@@ -38,6 +39,7 @@ class Tally:
         placed: of what was called so, put where it acts.
         wrong: physics from outside that was given names: all, strong, and by excess.
         all_joints: friction of all joints named exactly right: all, strong ones, and by the weakest one's excess.
+        triple: sets of three exactly right: all, those of which each part alone is strong, and by the weakest's excess.
     """
 
     method: Method
@@ -55,6 +57,7 @@ class Tally:
     placed: Share
     wrong: Table
     all_joints: Table
+    triple: Table
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON data."""
@@ -76,7 +79,7 @@ def by_strength(cases: Sequence[Case], right: Callable[[Case], bool]) -> Table:
 
 def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
     """Count a method's answers."""
-    of = {kind: [c for c in cases if c.kind == kind] for kind in ("none", "single", "pair", "outside", "all_joints")}
+    of = {kind: [c for c in cases if c.kind == kind] for kind in get_args(Kind)}
 
     def false(some: Iterable[Case]) -> Share:
         return Share.among(not c.answer(method).silent for c in some)
@@ -84,7 +87,7 @@ def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
     def exact(c: Case) -> bool:
         return c.exact(method)
 
-    none, single, pair, outside, all_joints = of.values()
+    none, single, pair, outside, all_joints, triple = of.values()
     strong = [c for c in single if c.strength >= STRONG]
     effects = {}
     for name in sorted({effect for c in strong for effect in c.wanted}):
@@ -111,6 +114,7 @@ def tally(cases: Sequence[Case], method: Method = OURS) -> Tally:
         Share.among(c.placed(method) for c in called),
         by_strength(outside, lambda c: bool(c.answer(method).findings)),
         by_strength(all_joints, exact),
+        by_strength(triple, exact),
     )
 
 

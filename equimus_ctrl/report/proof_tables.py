@@ -151,6 +151,7 @@ def strength_sheet(score: Score) -> Sheet:
     kinds: tuple[tuple[str, Callable[[Tally], Mapping[str, Share]]], ...] = (
         ("single", lambda t: t.single),
         ("pair", lambda t: t.pair),
+        ("triple", lambda t: t.triple),
         ("outside", lambda t: t.outside),
         ("wrong names", lambda t: t.wrong),
     )
