@@ -32,8 +32,10 @@ from equimus_ctrl.proof.mjcf_simulation import (
 )
 from equimus_ctrl.proof.outside import OUTSIDE
 from equimus_ctrl.proof.sizes import mjcf_table
+from equimus_ctrl.proof.store import Request
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.models import load_model
+from equimus_ctrl.workflow.prove import far_beyond
 from equimus_ctrl.workflow.scores import gather
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
@@ -221,6 +223,20 @@ def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experi
     assert (
         mjcf_recordings(ground_truth, simulate_mjcf_truth(ground_truth), noise(ground_truth))[0].notes == noted[0].notes
     )
+
+
+@pytest.mark.parametrize(("times", "far"), [((1.0, 1.0, 2.5, 1.0), 0), ((4.0, 1.0, 3.5, 1.0), 2)])
+def test_robots_that_run_away_without_their_controller_are_told(
+    times: tuple[float, ...], far: int, pendulum: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def recorded(folder: Path, model: Model) -> list[Recording]:
+        scale = times[int(folder.name.rpartition("_")[2])]
+        return [replace(r, position=scale * r.position) for r in pendulum.recordings]
+
+    monkeypatch.setattr("equimus_ctrl.workflow.prove.recorded", recorded)
+    said = far_beyond(Request.of_mjcf(tmp_path, 1, None, pendulum), len(times))
+    assert len(said) == (far > 0)
+    assert not far or said[0].startswith(f"{far} of 4 robots moved more than 3 times as far")
 
 
 @pytest.mark.slow

@@ -120,7 +120,7 @@ class PayloadOffCentre(BodyEffect):
 
     @classmethod
     def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
-        ways = [side * excitation.reach for side in (1.0, -1.0)]
+        ways = [side * excitation.reach for side in (1.0, -1.0, 0.3, -0.3)]
         places = [{**dict.fromkeys("xyz", 0.0), axis: way} for axis in "xyz" for way in ways]
         return [{"mass": 0.1 * excitation.mass, **place} for place in places]
 

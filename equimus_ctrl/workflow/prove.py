@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from equimus_ctrl import presets
 from equimus_ctrl.computer import each_apart, worker_count
 from equimus_ctrl.errors import ConfigError, EquimusError
@@ -21,8 +23,9 @@ from equimus_ctrl.proof.drawing import Kind
 from equimus_ctrl.proof.mjcf import Experiment
 from equimus_ctrl.proof.scoring import Score, score
 from equimus_ctrl.proof.seal import seal_of_all
-from equimus_ctrl.proof.store import Prepare, Request, make_cases, open_truth, prepared
+from equimus_ctrl.proof.store import Prepare, Request, make_cases, open_truth, prepared, recorded
 from equimus_ctrl.recordings.folders import read_text
+from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.plugins import load_plugins, plugins_digest
 
 Progress = Callable[[str, int, int], None]
@@ -31,6 +34,8 @@ Say = Callable[[str], None]
 """Called with a sentence for people."""
 HASHED = {"recordings_sha256": "other recordings", "model_sha256": "another model"}
 """Of what the request holds hashes, and what it says where they differ."""
+FAR, SOME = 3.0, 0.1
+"""Robots that cover so many times what the recorded one does ran away; a note says so from this share of them on."""
 STAGES = ("simulating robots", "diagnosing", "scoring")
 
 
@@ -114,7 +119,10 @@ def put_to_proof(
     lines = "".join(f"{one}  case_{case:04d}\n" for case, one in enumerate(seals))
     presets.write_text(folder / "seals.txt", f"{whole}  all\n{lines}")
     say(f"{cases} ground truths are sealed; SHA-256 of the seals: {whole}")
-    notes = _diagnose(request, seals, workers, baselines, prepare, progress, say)
+    notes = far_beyond(request, cases)
+    for note in notes:
+        say(note)
+    notes += _diagnose(request, seals, workers, baselines, prepare, progress, say)
     progress(STAGES[2], 0, cases)
     truths = []
     for case in range(cases):
@@ -124,6 +132,30 @@ def put_to_proof(
     others = [_read(request.baselines(case))["answers"] if baselines else {} for case in range(cases)]
     found = score(truths, reports, others, request.model.robot)
     return Proof(request, whole, found, tuple(notes), time.perf_counter() - begun)
+
+
+def far_beyond(request: Request, cases: int) -> list[str]:
+    """A sentence where many robots moved much farther than the one of the recordings; none where they did not.
+
+    Torques that a controller gave are played as they were, without the controller: what it held then runs away.
+    """
+    if request.experiment is None:
+        return []
+    model = request.experiment.model
+    usual = _covered(request.experiment.recordings)
+    far = [bool(np.any(_covered(recorded(request.recordings(k), model)) > FAR * usual)) for k in range(cases)]
+    if sum(far) <= SOME * cases:
+        return []
+    return [
+        f"{sum(far)} of {cases} robots moved more than {FAR:g} times as far as the recorded one: commands are played "
+        "as recorded, without the controller that gave them, so the score says little of this experiment; give "
+        "recordings of an open loop, or a model whose commands are its servos' goals"
+    ]
+
+
+def _covered(recordings: Sequence[Recording]) -> Array:
+    """(nj,) the most that each joint covers in one of some recordings [rad or m]."""
+    return np.asarray(np.max([np.ptp(r.position, axis=0) for r in recordings], axis=0))
 
 
 def _request(folder: Path, options: ProveOptions, experiment: Experiment | None) -> Request:
