@@ -302,7 +302,7 @@ class Data:
         rows = [i for i, _ in places]
         if len(effect.parameter_info()) == 1:
             return bool(np.all(np.abs(away) < fitted.fit.uncertainty.half_width[rows]))
-        return fitted.fit.uncertainty.statistic(rows, away) < float(chdtri(len(rows), 0.05))
+        return fitted.fit.uncertainty.statistic(rows, away) < float(chdtri(len(rows), 1 - FitSettings().confidence))
 
     def span(self, fitted: Fitted, place: int) -> tuple[float, float]:
         """95 % profile-likelihood interval of a discontinuous parameter; ±inf at a side where it has no end.
