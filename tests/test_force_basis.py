@@ -19,6 +19,7 @@ from equimus_ctrl.diagnosis.explained_variance import explained
 from equimus_ctrl.diagnosis.force_basis import (
     AT_ACTUATORS,
     AT_JOINTS,
+    AT_ONCE,
     MEMORIES,
     Axis,
     Group,
@@ -303,13 +304,17 @@ def test_other_robots_have_groups_too() -> None:
 
 @pytest.mark.slow
 def test_answers_in_batches_are_those_one_by_one() -> None:
-    some = [*everything()[:9], *harmonics(Model(LEG), moved(), [0.5, 2.0])]
-    assert sum(g.size for g in some) > 128
-    found = responses(along(), some)
-    assert len(found) == len(some)
-    for g, answer in zip(some, found, strict=True):
-        for a, b in zip(answer, along().response(g.torques(moved())), strict=True):
-            assert a.shape[2] == g.size and a == pytest.approx(b, abs=1e-12)
+    some = [*everything(), *harmonics(Model(LEG), moved(), np.linspace(0.5, 4.0, 50))]
+    assert sum(g.size for g in some) > AT_ONCE
+    batches = list(responses(along(), some))
+    assert len(batches) > 1 and [g for batch, _ in batches for g in batch] == some
+    for batch, changes in batches:
+        ends = np.cumsum([g.size for g in batch])
+        for trial, whole in enumerate(changes):
+            assert whole.shape[2] == ends[-1]
+            for g, own in zip(batch, np.split(whole, ends[:-1], axis=2), strict=True):
+                alone = along().response(g.torques(moved()))[trial]
+                assert own.shape[2] == g.size and own == pytest.approx(alone, abs=1e-12)
 
 
 def test_harmonics_are_waves_from_the_trials_start() -> None:
@@ -399,7 +404,7 @@ def test_of_one_trial_the_force_that_explains_most_for_its_parameters_is_the_bes
     nothing: list[list[slice]] = []  # a single trial has no folds
     columns = [c[:, 1:2], cause, np.column_stack([cause, c[:, 2:]])]
     forces = [Group(name, ("hip",), "time", None, (), {}) for name in ("other", "cause", "too many")]
-    whitened_fit: Any = SimpleNamespace(residual=r + 30 * cause[:, 0], slopes=q)
+    whitened_fit: Any = SimpleNamespace(residual=r + 30 * cause[:, 0], slopes=q, threads=1)
     at = LinearisedFit(None, whitened_fit, forces, columns, nothing, (), [], 3.0)  # type: ignore[arg-type]
     ranked = force_candidates(at)
     assert [f.group.location for f in ranked] == ["cause", "too many", "other"]
@@ -414,7 +419,7 @@ def test_forces_are_selected_one_beside_the_other_until_only_noise_is_left() -> 
     again = large + 0.5 * c[:, 6:8]
     columns = {"nothing": nothing, "again": again, "small": small, "large": large}
     forces = [Group(name, ("hip",), "time", None, (), {}) for name in columns]
-    whitened_fit: Any = SimpleNamespace(residual=r + large @ [30.0, -20.0] + small @ [15.0, 10.0], slopes=q)
+    whitened_fit: Any = SimpleNamespace(residual=r + large @ [30.0, -20.0] + small @ [15.0, 10.0], slopes=q, threads=1)
     at = LinearisedFit(None, whitened_fit, forces, [*columns.values()], FOLDS, (), [], 3.0)  # type: ignore[arg-type]
     data: Any = SimpleNamespace(n=400, thresholds=Thresholds())
     selected = select_forces(data, at, 0.0)
@@ -484,8 +489,13 @@ def check_concealed(outside: Effect, location: str, depends_on: str) -> None:
     beside = Nuisance.of(basis[:, strength > 1e-6 * strength[0]])
     candidates = [*groups(found.model, motions), *harmonics(found.model, motions, np.arange(0.25, 3.1, 0.25))]
     scores = []
-    for g, answer in zip(candidates, responses(linear, candidates), strict=True):
-        flat = np.concatenate([a.reshape(-1, g.size) for a in answer]) / NOISE
+    answers = {
+        g: [whole[..., end - g.size : end] for whole in changes]
+        for batch, changes in responses(linear, candidates)
+        for g, end in zip(batch, np.cumsum([own.size for own in batch]), strict=True)
+    }
+    for g in candidates:
+        flat = np.concatenate([a.reshape(-1, g.size) for a in answers[g]]) / NOISE
         scores.append(explained(residual, beside, flat, folds=[[rows] for rows in trials]))
     best = max(range(len(scores)), key=lambda i: scores[i].held_out)
     assert (candidates[best].location, candidates[best].depends_on) == (location, depends_on)

@@ -23,7 +23,9 @@ def test_what_is_left_is_what_least_squares_leave() -> None:
     np.testing.assert_allclose(own.project_out(values), expected, rtol=0, atol=1e-13)
     assert own.squares_beyond(values[:, 0]) == pytest.approx(float((expected[:, 0] ** 2).sum()), rel=1e-12)
     np.testing.assert_allclose(own.basis @ own.factor, columns, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(columns @ own.lstsq(values, 1e-14), values - expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        columns @ own.solution(own.basis.T @ values, 1e-14), values - expected, rtol=0, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("place", range(5))
@@ -44,4 +46,4 @@ def test_columns_of_nothing_do_nothing() -> None:
         own = Nuisance.of(columns)
         assert own.basis.shape == (ROWS, 0)
         np.testing.assert_array_equal(own.project_out(values), values)
-        assert own.lstsq(values, 1e-8).shape == (columns.shape[1],)
+        assert own.solution(own.basis.T @ values, 1e-8).shape == (columns.shape[1],)

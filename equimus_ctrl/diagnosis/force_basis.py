@@ -32,7 +32,7 @@ SURFACE = 5
 DEGREE = 3
 SLOW = 1e-3
 """Rate over which dry friction turns [rad/s]; the motions are a model's, without noise."""
-AT_ONCE = 128
+AT_ONCE = 512
 """Columns that are carried along a motion together."""
 WIDTHS = np.geomspace(0.02, 0.7, 6)
 """Ways after which elements slip, as shares of half the way there is."""
@@ -418,24 +418,18 @@ def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
     ]
 
 
-def responses(linearised: ForceResponse, groups: Sequence[Group]) -> list[list[Array]]:
-    """For each group and trial (m, nj, k) the change of the measured angles by each function [rad].
+def responses(linearised: ForceResponse, groups: Sequence[Group]) -> Iterator[tuple[list[Group], list[Array]]]:
+    """Some groups at a time, and for each trial (m, nj, k) the change of the measured angles by all their functions.
 
     Many columns at once take hardly longer than a few.
     """
-    answers: list[list[Array]] = []
     batch: list[Group] = []
     for i, group in enumerate(groups):
         batch.append(group)
-        if i + 1 < len(groups) and sum(g.size for g in batch) < AT_ONCE:
-            continue
-        parts = [g.torques(linearised.motions) for g in batch]
-        joined = [np.concatenate(trial, axis=2) for trial in zip(*parts, strict=True)]
-        edges = np.cumsum([g.size for g in batch])[:-1]
-        split = [np.split(changes, edges, axis=2) for changes in linearised.response(joined)]
-        answers += [list(trials) for trials in zip(*split, strict=True)]
-        batch = []
-    return answers
+        if i + 1 == len(groups) or sum(g.size for g in batch) >= AT_ONCE:
+            parts = [g.torques(linearised.motions) for g in batch]
+            yield batch, linearised.response([np.concatenate(trial, axis=2) for trial in zip(*parts, strict=True)])
+            batch = []
 
 
 def harmonics(model: Model, motions: Sequence[Motion], frequencies: Sequence[float]) -> list[Group]:

@@ -353,12 +353,14 @@ class HypothesisMoves:
     def _coarse_fits(self, fitted: Fitted, proposals: Sequence[Proposal], rival: float) -> list[Fitted]:
         """Those that can be simulated, after a few steps, the best score first.
 
-        Not those whose hope, times ``SearchSettings.optimism``, is less than what the best one gains, or the rival.
+        Not those whose hope, times ``SearchSettings.optimism``, is less than what the best one gains, or the rival, or
+        than the acceptance threshold.
         """
         options, noise = list[Fitted](), white_noise(fitted.fit.residuals)
         most = fitted.deviance - rival
         for proposal in sorted(proposals, key=lambda p: -p.hope):
-            if proposal.hope * self.settings.optimism < most:
+            too_little = proposal.hope * self.settings.optimism < most
+            if too_little or self._cannot_be_accepted(proposal.hypothesis, proposal.hope):
                 continue
             try:
                 option = self.data.coarse_fit(
@@ -370,10 +372,20 @@ class HypothesisMoves:
             most = max(most, fitted.deviance - option.deviance)
         return sorted(options, key=self.score)
 
+    def _cannot_be_accepted(self, hypothesis: Hypothesis, gain: float) -> bool:
+        """Whether a gain so far, times ``SearchSettings.optimism``, is less than a hypothesis' last part has to gain.
+
+        Never where fits have many minima.
+        """
+        parameters, most = hypothesis[-1].candidate.n_parameters, self.settings.optimism * gain
+        enough = self.data.thresholds.decides(lambda t: most > self.threshold(parameters, t))
+        return not (enough or self.settings.many_minima)
+
     def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
         """Coarse fits, best first, of which the first few that are close to the best are fitted until converged.
 
-        Not those that after some more steps lack more than a share of what the rival gains: they do not reach it.
+        Not those that after some more steps lack more than a share of what the rival gains, or gain too little of what
+        they have to: they do not reach it.
         """
         after, settings = [], self.settings
         for k, option in enumerate(options):
@@ -385,8 +397,9 @@ class HypothesisMoves:
                     option.hypothesis, [option.begin], noise, settings.long_steps, settled=fitted.labels
                 )
                 option = min(option, longer, key=lambda f: f.deviance)
-                lacks = option.deviance - rival
-                if lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain:
+                lacks, gain = option.deviance - rival, fitted.deviance - option.deviance
+                near = lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain
+                if near and not self._cannot_be_accepted(option.hypothesis, gain):
                     option = self.data.converge(option, settled=self._settled(option.hypothesis, fitted.labels))
             after.append(option)
         return after

@@ -305,8 +305,9 @@ class SearchSettings:
         kept_share: where they lack less than this share of the best one's gain in −2 ln L,
         kept_gain: and this much.
         rival_share: in the place of a part, only what lacks less than this share of its gain is fitted until converged.
-        optimism: beside other parts, fits gain at most so many times what is expected to first order: what is expected
-            to gain less than the best one, even so, is not fitted. On the real leg's recordings it was up to 1.7 times.
+        optimism: beside other parts, fits gain at most so many times what is expected to first order, and converged
+            fits so many times what quick ones gain: what then gains less than the best one, or than the acceptance
+            threshold, is not fitted further. On the real leg's recordings it was up to 1.7 times.
         coarse_steps: iterations of a first fit.
         long_steps: iterations of the next fit, of the few that are best by then.
         runners_up: so many others than the best first part, of those with about as much gain, are given a second too.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.explained_variance import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.force_basis import Group, groups, harmonics, responses
@@ -87,9 +88,12 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
     forces = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
+    columns: list[Array] = []
     with np.errstate(over="ignore", invalid="ignore"):
-        answers = [discard_unstable(changes) for changes in responses(linearised, forces)]
-    columns = [whitened_fit.columns(data.times, changes) for changes in answers]
+        for batch, changes in responses(linearised, forces):
+            together = whitened_fit.columns(data.times, discard_unstable(changes))
+            ends = np.cumsum([group.size for group in batch])[:-1]
+            columns += [np.ascontiguousarray(own) for own in np.split(together, ends, axis=1)]
     edges = np.cumsum([0, *[s.outputs.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]
@@ -102,7 +106,7 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
 def discard_unstable(answers: Sequence[Array]) -> list[Array]:
     """For each trial (m, nj, k) responses to forces, 0 for those that grew without bound along an unstable motion."""
     bounded = np.all([(np.abs(a) < BOUND).all(axis=(0, 1)) for a in answers], axis=0)
-    return [np.where(bounded, a, 0.0) for a in answers]
+    return list(answers) if bounded.all() else [np.where(bounded, a, 0.0) for a in answers]
 
 
 def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[ForceCandidate]:
@@ -114,10 +118,11 @@ def force_candidates(at: LinearisedFit, extra: Array | None = None) -> list[Forc
     """
     slopes = at.whitened_fit.slopes if extra is None else np.column_stack([at.whitened_fit.slopes, extra])
     beside = Nuisance.of(slopes)
-    candidates = [
-        ForceCandidate(group, explained(at.whitened_fit.residual, beside, columns, folds=at.folds))
-        for group, columns in zip(at.groups, at.columns, strict=True)
-    ]
+
+    def found(group: Group, columns: Array) -> ForceCandidate:
+        return ForceCandidate(group, explained(at.whitened_fit.residual, beside, columns, folds=at.folds))
+
+    candidates = computer.in_threads(at.whitened_fit.threads, found, at.groups, at.columns)
     return sorted(candidates, key=lambda force: -judged(force.found, at))
 
 

@@ -188,7 +188,8 @@ def _evaluated(responses: _Responses) -> dict[Candidate, list[_Guess]]:
         def of_rows(
             whitened_fit: WhitenedFit, columns: Array, rows: list[int], kept: Sequence[int]
         ) -> _FirstOrderGains:
-            return _gains(whitened_fit, columns[:, rows], np.array(kept))
+            own = columns if len(rows) == columns.shape[1] else columns[:, rows]
+            return _gains(whitened_fit, own, np.array(kept))
 
         threads = responses.whitened_fits[WHITE].threads
         by_whitening = computer.in_threads(
@@ -278,7 +279,8 @@ def _rescreened_at_changed_parameters(
     """By their index, guesses that the parameters nearly cancel, where a second look gains more.
 
     Such a change is simulated together with the change of the model's parameters that cancels it: θ ← θ + S⁺(r − c),
-    c of what both change, by the Jacobian S at the fit (chord method), LOOKS times.
+    c of what both change, by the Jacobian S at the fit (chord method), LOOKS times. Where fits have few minima, only
+    what a look improved is looked at again: what the chord method leads away from, it does not come back to.
     """
     data, fitted, columns = responses.data, responses.fitted, responses.columns
     base, scale = len(data.free.free), fitted.fit.parameters.scale[: len(data.free.free)]
@@ -296,18 +298,27 @@ def _rescreened_at_changed_parameters(
     inverse = np.linalg.pinv(white.slopes[:, :base], rcond=STRONG)
     squares = [_Squares.of(w, {guess.kept for guess in chosen}) for w in responses.whitened_fits]
     steps = [inverse @ (white.residual - columns[WHITE][:, guess.index]) for guess in chosen]
-    thetas = [data.free.moved(fitted.fit.theta[:base], step * scale) for step in steps]
+    thetas = {
+        g.index: data.free.moved(fitted.fit.theta[:base], step * scale) for g, step in zip(chosen, steps, strict=True)
+    }
     replacements: dict[int, _Guess] = {}
     for _ in range(LOOKS):
-        changes = _changes(data, fitted, [responses.guesses[guess.index] for guess in chosen], thetas)
+        moved = [thetas[guess.index] for guess in chosen]
+        changes = _changes(data, fitted, [responses.guesses[guess.index] for guess in chosen], moved)
         changed = [w.columns(data.times, changes) for w in responses.whitened_fits]
+        again = []
         for k, guess in enumerate(chosen):
             gains = tuple(s.gain(guess.kept, c[:, k]) for s, c in zip(squares, changed, strict=True))
-            theta = data.free.moved(thetas[k], inverse @ (white.residual - changed[WHITE][:, k]) * scale)
-            if gains[WHITE] > replacements.get(guess.index, guess).gains[WHITE]:
+            theta = data.free.moved(moved[k], inverse @ (white.residual - changed[WHITE][:, k]) * scale)
+            improved = gains[WHITE] > replacements.get(guess.index, guess).gains[WHITE]
+            if improved:
                 whole = np.concatenate([theta, guess.theta[base:]])
                 replacements[guess.index] = replace(guess, factor=1.0, gains=gains, theta=whole)
-            thetas[k] = theta
+            if improved or data.policy.many_minima:
+                thetas[guess.index] = theta
+                again.append(guess)
+        if not (chosen := again):
+            break
     return replacements
 
 
@@ -400,10 +411,11 @@ def _adds(hypothesis: Sequence[Part]) -> list[tuple[str, tuple[str, ...], str, s
 def _gains(whitened_fit: WhitenedFit, columns: Array, kept: Array) -> _FirstOrderGains:
     """First-order gains of changes (N, k) beside the kept parameters (indices in θ), see the module's law."""
     nuisance = Nuisance.of(whitened_fit.slopes[:, kept])
-    residual, beyond = nuisance.project_out(whitened_fit.residual), nuisance.project_out(columns)
-    strength = (beyond**2).sum(axis=0)
+    along = nuisance.basis.T @ columns
+    residual, beyond = nuisance.project_out(whitened_fit.residual), columns - nuisance.basis @ along
+    strength = np.einsum("nk,nk->k", beyond, beyond)
     agreement = residual @ beyond
     factor = np.clip(agreement / np.maximum(strength, 1e-300), LEAST, MOST)
     gain = 2 * factor * agreement - factor**2 * strength
-    change = nuisance.lstsq(whitened_fit.residual[:, None] - columns * factor, WEAK)
+    change = nuisance.solution((nuisance.basis.T @ whitened_fit.residual)[:, None] - along * factor, WEAK)
     return _FirstOrderGains(gain, factor, strength, change)

@@ -53,6 +53,9 @@ class Nuisance:
         """‖v − QQᵀv‖² of values v (N,)."""
         return float((values**2).sum() - ((self.basis.T @ values) ** 2).sum())
 
-    def lstsq(self, values: Array, cut: float) -> Array:
-        """(p,) or (p, k) of the columns, of the least-squares fit to values, without directions weaker than ``cut``."""
-        return np.asarray(np.linalg.lstsq(self.factor, self.basis.T @ values, rcond=cut)[0])
+    def solution(self, along: Array, cut: float) -> Array:
+        """(p,) or (p, k) of the columns, of the least-squares fit to values v of which Qᵀv (r,) or (r, k) is given.
+
+        Without directions weaker than ``cut``.
+        """
+        return np.asarray(np.linalg.lstsq(self.factor, along, rcond=cut)[0])
