@@ -127,7 +127,7 @@ def test_both_ways_to_step_an_effect_agree(name: str, two_joints: Experiment) ->
     ground_truth = _ground_truth(model, two_joints.recordings[:1], real.effects)
     stepped, (trial,) = Stepped(ground_truth), trials_of(ground_truth)
     # Steps that both can take: how far errors of steps grow along this trial is another matter.
-    own = 2 * stepped.measured(trial, FINER) - stepped.measured(trial, FINER // 2)
+    own = 2 * stepped.done(trial, FINER).shown - stepped.done(trial, FINER // 2).shown
     (other,), (without,) = (without_steps(m, [trial]) for m in (real, model))
     apart, does = np.abs(own - other).max(), np.abs(own - without).max()
     assert apart < max(ALIKE, 0.05 * does), (effect, apart, does)
@@ -138,8 +138,8 @@ def test_a_ground_truth_is_what_finer_steps_tell_too(pendulum: Experiment) -> No
     drawn = pendulum.draw(3, 1)
     ground_truth = replace(drawn, trials=drawn.trials[:1])
     stepped, trial = Stepped(ground_truth), trials_of(ground_truth)[0]
-    finer = 2 * stepped.measured(trial, 8 * FINER) - stepped.measured(trial, 4 * FINER)
-    assert np.abs(simulate_mjcf_truth(ground_truth)[0] - finer).max() < 2 * EXACT * ground_truth.noise[0]
+    finer = 2 * stepped.done(trial, 8 * FINER).shown - stepped.done(trial, 4 * FINER).shown
+    assert np.abs(simulate_mjcf_truth(ground_truth)[1][0] - finer).max() < 2 * EXACT * ground_truth.noise[0]
 
 
 def test_a_motion_that_no_step_tells_is_no_ground_truth(
@@ -160,7 +160,7 @@ def test_a_case_repeats_and_its_neighbour_differs(pendulum: Experiment) -> None:
     assert first.robot.parameters() == again.robot.parameters()
     assert first.effects == again.effects and first.noise == again.noise
     assert first.robot.parameters() != pendulum.draw(3, 2).robot.parameters()
-    one, two = simulate_mjcf_truth(first), simulate_mjcf_truth(again)
+    (_, one), (_, two) = simulate_mjcf_truth(first), simulate_mjcf_truth(again)
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
     assert all(np.array_equal(a, b) for a, b in zip(noise(first), noise(again), strict=True))
 
@@ -191,10 +191,10 @@ def test_all_kinds_are_drawn_and_each_is_what_it_says(two_joints: Experiment) ->
 @pytest.mark.slow
 def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment) -> None:
     plain = pendulum.draw(5, 0, "none")
-    clean = simulate_mjcf_truth(plain)
+    _, clean = simulate_mjcf_truth(plain)
     assert mjcf_excess(plain, clean).total < 0.02
     rubbing = replace(plain, kind="single", effects=(REGISTRY["coulomb_friction"]("hinge", friction=0.1),))
-    clean = simulate_mjcf_truth(rubbing)
+    _, clean = simulate_mjcf_truth(rubbing)
     assert mjcf_excess(rubbing, clean).total > 10
     assert mjcf_excess(rubbing, clean, rubbing.effects).total < 0.02
 
@@ -202,7 +202,7 @@ def test_nothing_left_out_leaves_nothing_and_friction_does(pendulum: Experiment)
 @pytest.mark.slow
 def test_what_is_recorded_is_noise_upon_the_motion(pendulum: Experiment) -> None:
     ground_truth = pendulum.draw(5, 1, "none")
-    clean = simulate_mjcf_truth(ground_truth)
+    _, clean = simulate_mjcf_truth(ground_truth)
     seen = mjcf_recordings(ground_truth, clean, noise(ground_truth))
     error = np.concatenate([r.position - c for r, c in zip(seen, clean, strict=True)])
     assert error.std() == pytest.approx(ground_truth.noise[0], rel=0.1)
@@ -218,10 +218,11 @@ def test_what_differs_between_trials_is_simulated_and_passed_on(pendulum: Experi
     heavy = ground_truth.model.with_parameters({"arm.mass": 0.9})
     bare = [replace(t, settings={}) for t in trials_of(ground_truth)]
     light, right = (without_steps(m, bare) for m in (Model(ground_truth.robot), heavy))
-    for own, wrong, other in zip(simulate_mjcf_truth(ground_truth), light, right, strict=True):
+    for own, wrong, other in zip(simulate_mjcf_truth(ground_truth)[1], light, right, strict=True):
         assert np.abs(own - other).max() < ALIKE < np.abs(own - wrong).max()
     assert (
-        mjcf_recordings(ground_truth, simulate_mjcf_truth(ground_truth), noise(ground_truth))[0].notes == noted[0].notes
+        mjcf_recordings(ground_truth, simulate_mjcf_truth(ground_truth)[1], noise(ground_truth))[0].notes
+        == noted[0].notes
     )
 
 
@@ -237,6 +238,50 @@ def test_robots_that_run_away_without_their_controller_are_told(
     said = far_beyond(Request.of_mjcf(tmp_path, 1, None, pendulum), len(times))
     assert len(said) == (far > 0)
     assert not far or said[0].startswith(f"{far} of 4 robots moved more than 3 times as far")
+
+
+def tracked(
+    model: Model, recordings: tuple[Recording, ...], effects: tuple[Effect, ...]
+) -> tuple[GroundTruth, list[Array]]:
+    """Of an arm a fifth heavier than the model, whose controllers know the model alone."""
+    masses = {name: 1.2 * value for name, value in model.parameters().items() if name.endswith((".mass", ".inertia"))}
+    heavier = replace(_ground_truth(model, recordings, effects), robot=model.with_parameters(masses).robot)
+    return simulate_mjcf_truth(heavier, Experiment(model, recordings, 2.0).tracking)
+
+
+@pytest.mark.parametrize(
+    "effects", [(), (REGISTRY["transport_delay"]("motor2", delay=0.015),)], ids=["bare", "delayed"]
+)
+@pytest.mark.parametrize("linear", [False, True])
+def test_controllers_keep_robots_near_the_recorded_motion(
+    effects: tuple[Effect, ...], linear: bool, two_joints: Experiment
+) -> None:
+    model, (first, _) = two_joints.model, two_joints.recordings
+    if linear:
+        first = replace(first, notes={"interpolation": "linear"})
+    truth, (shown,) = tracked(model, (first,), effects)
+    _, (alone,) = simulate_mjcf_truth(replace(truth, trials=_ground_truth(model, (first,), ()).trials))
+    off = [np.abs(found - first.position).max() for found in (shown, alone)]
+    assert off[0] < 0.4 * off[1] and off[0] < 0.1
+    assert np.ptp(truth.trials[0].command - first.command, axis=0).min() > 0.1
+    # The commands are those that acted: given as they stand in the recording they do the same.
+    stepped, (trial,), (controller,) = Stepped(truth), trials_of(truth), Experiment(model, (first,), 2.0).tracking
+    own = stepped.done(trial, FINER, controller)
+    again = stepped.done(replace(trial, commands=own.command), FINER)
+    np.testing.assert_allclose(again.shown, own.shown, rtol=0, atol=1e-7)
+
+
+def test_what_tracks_has_no_servo_and_samples_close_enough(two_joints: Experiment) -> None:
+    with pytest.raises(
+        ConfigError, match=r"track is 9 Hz, expected more than 0 and at most 8\.33 Hz, a twelfth of the"
+    ):
+        replace(two_joints, track=9.0)
+    arm = load_model(Path(__file__).resolve().parents[1] / "benchmarks" / "real_machines" / "xl330.xml")
+    time = np.arange(0.0, 2.0, 0.01)
+    goal = np.sin(time)[:, None]
+    at = Recording("r", time, goal, goal, arm.robot.actuator_names, arm.robot.joint_names)
+    with pytest.raises(ConfigError, match="is a servo, which tracks by itself; leave --track out"):
+        Experiment(arm, (at, at), 2.0)
 
 
 @pytest.mark.slow

@@ -53,7 +53,7 @@ def prove(
     that a goal is missed; times are reported, not judged.
 
     With --model the robots are like yours, driven by the commands of your recordings: the score says what a
-    diagnosis of such an experiment can find.
+    diagnosis of such an experiment can find. Recorded torques are mostly a controller's: --track gives each robot one.
 
     \b
     [bold]Examples[/bold]
@@ -61,12 +61,13 @@ def prove(
     equimus-ctrl prove --cases 40 --kind none --no-baselines
     equimus-ctrl prove --cases 1000 --seed 7 --output proof_7 --json
     equimus-ctrl prove docs/examples/pendulum --model docs/examples/pendulum.xml --cases 20
+    equimus-ctrl prove arm_runs --model arm.xml --track 2
     """  # noqa: D301
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
     from equimus_ctrl import presets
 
-    experiment = _experiment(recordings or [], model)
+    experiment = _experiment(recordings or [], model, options.track)
     kind = f"_{options.kind}" if options.kind else ""
     name = f"seed_{options.seed}{kind}" + (f"_{experiment.model.name}" if experiment else "")
     folder = output or presets.workspace() / "proof" / "results" / name
@@ -118,7 +119,7 @@ def prove(
         raise typer.Exit(3)
 
 
-def _experiment(recordings: list[Path], model: Path | None) -> Experiment | None:
+def _experiment(recordings: list[Path], model: Path | None, track: float | None) -> Experiment | None:
     """The MJCF robot and what is done with it; None where legs are put to the proof."""
     if model is None:
         if recordings:
@@ -132,7 +133,7 @@ def _experiment(recordings: list[Path], model: Path | None) -> Experiment | None
 
     own = load_model(model)
     require_bare_mjcf(own)  # before its recordings are taken for a leg's
-    return Experiment(own, tuple(gather(recordings, own)))
+    return Experiment(own, tuple(gather(recordings, own)), track)
 
 
 def _head(found: Proof) -> dict[str, str]:

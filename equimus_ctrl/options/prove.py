@@ -25,6 +25,8 @@ class ProveOptions:
         kind: of all ground truths, one of ``proof.drawing.Kind``; drawn for each by default.
         trials: of each leg; ``proof.designs.TRIALS`` by default.
         duration: of each leg's trials; ``proof.designs.DURATION`` by default [s].
+        track: frequency of controllers that keep an MJCF robot near the recorded motion [Hz]; by default its commands
+            are given as recorded.
         workers: processes at a time; as many as there are processors by default.
         baselines: whether simpler methods are given the same cases; by default those of legs, for which alone they are.
 
@@ -44,6 +46,13 @@ class ProveOptions:
     trials: int | None = option(None, int | None, "Recorded of each leg; 8 by default.", shown=False)
     duration: float | None = option(
         None, float | None, "Of each leg's trials; 12 by default.", metavar="SECONDS", shown=False
+    )
+    track: float | None = option(
+        None,
+        float | None,
+        "With --model: controllers of this frequency keep robots near the recorded motion, as the one that gave the "
+        "recorded torques did; 2 or so.",
+        metavar="HZ",
     )
     workers: int | None = option(None, int | None, "Processes at a time; one a processor by default.")
     baselines: bool | None = option(

@@ -10,7 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -198,8 +198,8 @@ class CaseSource(ABC):
         """
 
     @abstractmethod
-    def simulate(self, ground_truth: GroundTruth) -> list[Array]:
-        """For each trial (n, nj) what the sensors would show without noise [rad or m].
+    def simulate(self, ground_truth: GroundTruth) -> tuple[GroundTruth, list[Array]]:
+        """The ground truth as it was driven, and for each trial (n, nj) what sensors without noise show [rad or m].
 
         Raises:
             SimulationDiverged: where the robot's parameters are none.
@@ -215,8 +215,8 @@ class CaseSource(ABC):
     ) -> Excess:
         """Excess residual variance of the fitted robot with ``effects`` alone, see ``strength.excess``."""
 
-    def hashes(self) -> dict[str, str]:
-        """SHA-256 of what cases are made from beside seeds and settings."""
+    def made_of(self) -> dict[str, Any]:
+        """What cases are made from beside seeds and settings, as JSON."""
         return {}
 
 

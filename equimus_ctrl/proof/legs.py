@@ -66,8 +66,8 @@ class Legs(CaseSource):
         designs = design(stream(seed, case, DESIGN), self.trials, self.duration)
         return draw_case(leg_draws(), designs, bias, seed, case, kind, attempt)
 
-    def simulate(self, ground_truth: GroundTruth) -> list[Array]:
-        return simulate(ground_truth, self.rate)
+    def simulate(self, ground_truth: GroundTruth) -> tuple[GroundTruth, list[Array]]:
+        return ground_truth, simulate(ground_truth, self.rate)
 
     def recorded(self, ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
         return recordings(ground_truth, clean)

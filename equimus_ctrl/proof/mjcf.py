@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from equimus_ctrl.proof.drawing import ALIKE_SHARE, CaseSource, Draws, Excess, G
 from equimus_ctrl.proof.mjcf_simulation import FINER, mjcf_excess, mjcf_recordings, simulate_mjcf_truth
 from equimus_ctrl.proof.seal import digest
 from equimus_ctrl.proof.sizes import Table, measured_by, mjcf_table
+from equimus_ctrl.proof.tracking import Tracking
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
@@ -42,15 +44,27 @@ class Experiment(CaseSource):
 
     Attributes:
         model: the nominal robot.
-        recordings: whose commands, times, first angles and notes are used; what else was measured only gives scales.
+        recordings: whose commands, times, first angles and notes are used; what else was measured only gives scales,
+            and what is tracked.
+        track: frequency of the controllers that keep drawn robots near the recorded motion [Hz], see ``Tracking``; by
+            default commands are given as they were.
     """
 
     model: Model
     recordings: tuple[Recording, ...]
+    track: float | None = None
 
     def __post_init__(self) -> None:
         require_bare_mjcf(self.model)
         split(self.model, self.recordings)  # what cannot be diagnosed makes no proof
+        _ = self.tracking  # nor does what cannot be tracked
+
+    @cached_property
+    def tracking(self) -> tuple[Tracking, ...]:
+        """The controller of each trial; none where commands are given as they were."""
+        if self.track is None:
+            return ()
+        return tuple(Tracking.of(self.model, recording, self.track) for recording in self.recordings)
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -100,8 +114,8 @@ class Experiment(CaseSource):
         }
         return replace(found, scales=scales)
 
-    def simulate(self, ground_truth: GroundTruth) -> list[Array]:
-        return simulate_mjcf_truth(ground_truth)
+    def simulate(self, ground_truth: GroundTruth) -> tuple[GroundTruth, list[Array]]:
+        return simulate_mjcf_truth(ground_truth, self.tracking)
 
     def recorded(self, ground_truth: GroundTruth, clean: Sequence[Array]) -> list[Recording]:
         return mjcf_recordings(ground_truth, clean, noise(ground_truth))
@@ -111,9 +125,10 @@ class Experiment(CaseSource):
     ) -> Excess:
         return mjcf_excess(ground_truth, clean, effects)
 
-    def hashes(self) -> dict[str, str]:
+    def made_of(self) -> dict[str, Any]:
         robot = mjcf_of(self.model.robot)
-        return {"recordings_sha256": digest(self.recordings), "model_sha256": robot.digest}
+        hashes = {"recordings_sha256": digest(self.recordings), "model_sha256": robot.digest}
+        return {**hashes, "track_hz": self.track}
 
 
 def require_bare_mjcf(model: Model) -> None:

@@ -8,11 +8,12 @@ evaluates the rest in machine code at the start of its own, longer steps. Dry fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.diagnosis.holdout import split
@@ -34,6 +35,7 @@ from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.proof.drawing import Excess, GroundTruth, recordings_of
 from equimus_ctrl.proof.outside import Motion, MotionEffect
 from equimus_ctrl.proof.strength import rounded
+from equimus_ctrl.proof.tracking import Tracking
 from equimus_ctrl.robots.mjcf.parts import harden
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
@@ -47,29 +49,51 @@ SEARCH = FitSettings(tolerance=1e-3, steps=30)
 """Of the refit that says how strong a case is; it begins at the truth."""
 
 
-def simulate_mjcf_truth(truth: GroundTruth) -> list[Array]:
-    """For each trial (n, nj) what the sensors would show without noise [rad or m].
+@dataclass(frozen=True, eq=False)
+class Done:
+    """What was done in a trial.
+
+    Attributes:
+        shown: (n, nj) by sensors without noise [rad or m].
+        command: (n, na) as it was given.
+    """
+
+    shown: Array
+    command: Array
+
+
+def simulate_mjcf_truth(truth: GroundTruth, tracking: Sequence[Tracking] = ()) -> tuple[GroundTruth, list[Array]]:
+    """The ground truth with the commands that were given, and for each trial (n, nj) what sensors show [rad or m].
+
+    Without noise.
+
+    Args:
+        truth: what there is.
+        tracking: the controller of each trial; none where commands are given as they are.
 
     Raises:
         SimulationDiverged: where the robot's parameters are impossible, or its motion is too sensitive to be simulated.
     """
     stepped = Stepped(truth)
-    return [_without_step(stepped, trial) for trial in trials_of(truth)]
+    controllers: Sequence[Tracking | None] = tracking or [None] * len(truth.trials)
+    done = [_without_step(stepped, *both) for both in zip(trials_of(truth), controllers, strict=True)]
+    trials = tuple(replace(trial, command=own.command) for trial, own in zip(truth.trials, done, strict=True))
+    return replace(truth, trials=trials), [own.shown for own in done]
 
 
-def _without_step(stepped: Stepped, trial: Trial) -> Array:
-    """(n, nj) extrapolated to an infinitely short step (Richardson), steps halved until that has converged.
+def _without_step(stepped: Stepped, trial: Trial, tracking: Tracking | None) -> Done:
+    """What was done, extrapolated to an infinitely short step (Richardson), steps halved until that has converged.
 
     Where errors grow along a trial, two motions that have diverged from each other cannot be extrapolated.
     """
     truth, steps, before = stepped.truth, FINER, None
-    coarse = stepped.measured(trial, steps // 2)
+    coarse = stepped.done(trial, steps // 2, tracking)
     while steps <= FINEST:
-        fine = stepped.measured(trial, steps)
-        found = 2.0 * fine - coarse  # the error of a step is of first order (Richardson, 1911)
+        fine = stepped.done(trial, steps, tracking)
+        found = 2.0 * fine.shown - coarse.shown  # the error of a step is of first order (Richardson, 1911)
         # The remaining error is of second order: a quarter at half the step.
         if before is not None and np.all(np.abs(found - before) / 3.0 < EXACT * np.array(truth.noise)):
-            return found
+            return Done(found, 2.0 * fine.command - coarse.command)
         steps, coarse, before = 2 * steps, fine, found
     raise SimulationDiverged(
         f"case {truth.case} of seed {truth.seed}: {trial.name} is so sensitive that its motion converges at no step"
@@ -84,18 +108,18 @@ class Stepped:
         self._bodies = Model(truth.robot, tuple(e for e in truth.effects if not isinstance(e, ForceEffect)))
         self._applied = _applied_forces(truth)
 
-    def measured(self, trial: Trial, steps: int) -> Array:
-        """(n, nj) what the sensors show without noise, with so many steps for each of the XML's [rad or m].
+    def done(self, trial: Trial, steps: int, tracking: Tracking | None = None) -> Done:
+        """What is done in a trial, with so many steps for each of the XML's.
 
         Raises:
             SimulationDiverged: where it diverges.
         """
         own = realise(self._bodies, trial, mjcf_of(self.truth.robot).timestep / steps)
         with quietly():
-            course = _follow(own, trial, self._applied)
+            course, command = _follow(own, trial, self._applied, tracking)
         if course.sound < len(course.q):
             raise SimulationDiverged(f"case {self.truth.case} of seed {self.truth.seed}: the simulation diverged")
-        return measured_of(own, course, trial.sample_times)[0]
+        return Done(measured_of(own, course, trial.sample_times)[0], command)
 
 
 def trials_of(truth: GroundTruth) -> list[Trial]:
@@ -155,7 +179,10 @@ def _applied_forces(truth: GroundTruth) -> _AppliedForces | None:
     return _AppliedForces(ca.Function("forces", [q, v, load, command, time], [torque, bound]), tuple(sorted(rubbing)))
 
 
-def _follow(own: Realised, trial: Trial, applied: _AppliedForces | None) -> Course:
+def _follow(
+    own: Realised, trial: Trial, applied: _AppliedForces | None, tracking: Tracking | None
+) -> tuple[Course, Array]:
+    """The course of a trial, and the commands (n, na) that were given."""
     model, nj = own.mujoco, len(own.places)
     dt = float(model.opt.timestep)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
@@ -170,6 +197,7 @@ def _follow(own: Realised, trial: Trial, applied: _AppliedForces | None) -> Cour
         data.qpos[place] = trial.position[joint]
     data.act[:] = filled(own, trial)
     ctrl, steps = commands_on(own, trial), steps_of(trial, dt)
+    given, due = trial.commands.copy(), _steps_of_samples(trial, dt)
     q, v = np.zeros((2, steps + 1, nj))
     sound = steps + 1
     for k in range(steps + 1):
@@ -179,6 +207,14 @@ def _follow(own: Realised, trial: Trial, applied: _AppliedForces | None) -> Cour
             break
         if k == steps:
             break
+        while tracking is not None and len(due) and due[0] <= k:
+            # Commands along a line have to be known one sample ahead.
+            sample, ahead = len(given) - len(due), int(trial.linear)
+            due = due[1:]
+            if sample + ahead < len(given):
+                given[sample + ahead] = tracking.at(sample + ahead, q[k], v[k])
+            if len(due):
+                _arrive(own, trial, given[: sample + ahead + 1], ctrl[: due[0] + 1])
         data.ctrl[:] = ctrl[k]
         if applied is not None:
             gain = 0.5 * (v[k] - v[max(k - 1, 0)])
@@ -188,7 +224,19 @@ def _follow(own: Realised, trial: Trial, applied: _AppliedForces | None) -> Cour
             data.qfrc_applied[dofs] = torque
             model.dof_frictionloss[dofs] = loss + bound
         mujoco.mj_step(model, data)
-    return Course(trial.start, dt, q, v, ctrl, sound)
+    return Course(trial.start, dt, q, v, ctrl, sound), given
+
+
+def _steps_of_samples(trial: Trial, dt: float) -> NDArray[np.int64]:
+    """(n,) the physics step in which each command is given."""
+    return np.floor((trial.times - trial.start) / dt + 1e-9).astype(np.int64)
+
+
+def _arrive(own: Realised, trial: Trial, given: Array, ctrl: Array) -> None:
+    """Write what arrives at the actuators over physics steps (k, na), of commands (i, na) that were given so far."""
+    until = trial.start + len(ctrl) * float(own.mujoco.opt.timestep)
+    so_far = replace(trial, times=trial.times[: len(given)], commands=given, sample_times=np.array([until]))
+    ctrl[:] = commands_on(own, so_far)[: len(ctrl)]
 
 
 def mjcf_recordings(truth: GroundTruth, clean: Sequence[Array], disturbed: Sequence[Array]) -> list[Recording]:

@@ -91,7 +91,7 @@ class Request:
             # What flies apart was no robot; another is drawn, from a stream of its own.
             found = self.source.draw(self.seed, case, self.kind, attempt)
             try:
-                return found, self.source.simulate(found)
+                return self.source.simulate(found)
             except SimulationDiverged:
                 continue
         raise ConfigError(f"case {case} of seed {self.seed}: {ATTEMPTS} robots in turn diverged on these commands")

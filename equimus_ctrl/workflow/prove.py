@@ -34,6 +34,8 @@ Say = Callable[[str], None]
 """Called with a sentence for people."""
 HASHED = {"recordings_sha256": "other recordings", "model_sha256": "another model"}
 """Of what the request holds hashes, and what it says where they differ."""
+UNSAID: Mapping[str, Any] = {"track_hz": None}
+"""What a request that does not say it was made with."""
 FAR, SOME = 3.0, 0.1
 """Robots that cover so many times what the recorded one does ran away; a note says so from this share of them on."""
 STAGES = ("simulating robots", "diagnosing", "scoring")
@@ -137,19 +139,20 @@ def put_to_proof(
 def far_beyond(request: Request, cases: int) -> list[str]:
     """A sentence where many robots moved much farther than the one of the recordings; none where they did not.
 
-    Torques that a controller gave are played as they were, without the controller: what it held then runs away.
+    Where nothing tracks, torques that a controller gave are played as they were: what it held then runs away.
     """
     if request.experiment is None:
         return []
+    tracked = request.experiment.track is not None
     model = request.experiment.model
     usual = _covered(request.experiment.recordings)
     far = [bool(np.any(_covered(recorded(request.recordings(k), model)) > FAR * usual)) for k in range(cases)]
     if sum(far) <= SOME * cases:
         return []
     return [
-        f"{sum(far)} of {cases} robots moved more than {FAR:g} times as far as the recorded one: commands are played "
-        "as recorded, without the controller that gave them, so the score says little of this experiment; give "
-        "recordings of an open loop, or a model whose commands are its servos' goals"
+        f"{sum(far)} of {cases} robots moved more than {FAR:g} times as far as the recorded one, so the score says "
+        "little of this experiment; "
+        + ("track at another frequency" if tracked else "where a controller gave these commands, add --track HZ")
     ]
 
 
@@ -161,6 +164,8 @@ def _covered(recordings: Sequence[Recording]) -> Array:
 def _request(folder: Path, options: ProveOptions, experiment: Experiment | None) -> Request:
     kind = cast("Kind | None", options.kind)
     if experiment is None:
+        if options.track is not None:
+            raise ConfigError("--track is for an MJCF robot; the valves of a leg hold it")
         trials = TRIALS if options.trials is None else options.trials
         return Request(folder, options.seed, kind, trials, DURATION if options.duration is None else options.duration)
     if options.baselines:
@@ -181,7 +186,7 @@ def _claim(request: Request, plugins: Sequence[Path]) -> None:
         "physics_hz": request.rate,
         "robot": request.model.name,
     }
-    wanted |= request.source.hashes()
+    wanted |= request.source.made_of()
     digest = plugins_digest(plugins)
     wanted |= {} if digest is None else {"plugins_sha256": digest}
     text = read_text(path)
@@ -192,12 +197,10 @@ def _claim(request: Request, plugins: Sequence[Path]) -> None:
     if found.get("plugins_sha256") != digest:
         raise ConfigError(f"{request.root}: holds a proof with other plugins; choose another folder")
     for key, value in wanted.items():
-        if found.get(key, value) != value:
+        if (known := found.get(key, UNSAID.get(key, value))) != value:
             if key in HASHED:
                 raise ConfigError(f"{request.root}: holds a proof with {HASHED[key]}; choose another folder")
-            raise ConfigError(
-                f"{request.root}: holds a proof with {key} {found[key]}, not {value}; choose another folder"
-            )
+            raise ConfigError(f"{request.root}: holds a proof with {key} {known}, not {value}; choose another folder")
 
 
 @dataclass(frozen=True, eq=False)

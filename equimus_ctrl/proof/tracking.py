@@ -1,0 +1,115 @@
+"""Controllers of drawn robots: torques that hold each near the recorded motion, as those of the recording did.
+
+Recorded torques are mostly a controller's. Played to a robot of other masses without it they let the robot run away, so
+nothing could be learned from its motion. With ``Tracking`` each drawn robot has a controller of its own:
+
+    u_k = u_k(recorded) + G⁺ (M ω² (q_r(t_k) − q) + 2 M ω (v_r(t_k) − v)),    ω = 2πf
+
+q_r, v_r are the recorded motion and its rates by a smoothing spline (Craven & Wahba, 1979), M the nominal robot's
+joint-space inertia in the pose where the trial begins, G the joints' torques by commands there. So joints go back to
+the recorded motion like critically damped second-order systems of frequency f (computed torque).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.interpolate import make_smoothing_spline
+
+from equimus_ctrl.engines.mjcf import realise
+from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
+from equimus_ctrl.types import Array, Recording
+
+MOST = 1 / 12
+"""Of the sampling rate, the highest frequency of a controller: its crossover is at twice that, where holding a command
+for one sample turns the phase by 30°."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """The controller of one trial.
+
+    Attributes:
+        command: (n, na) recorded, at each sample.
+        position: (n, nj) that the joints are to have there [rad or m].
+        velocity: (n, nj) of that motion [rad/s or m/s].
+        stiffness: (na, nj) G⁺ M ω², in units of commands.
+        damping: (na, nj) 2 G⁺ M ω.
+        low: (na,) of the commands.
+        high: (na,) of them.
+    """
+
+    command: Array
+    position: Array
+    velocity: Array
+    stiffness: Array
+    damping: Array
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, model: Model, recording: Recording, frequency: float) -> Tracking:
+        """The controller that keeps robots near a recorded motion.
+
+        Args:
+            model: the nominal robot.
+            recording: of the motion.
+            frequency: f [Hz].
+
+        Raises:
+            ConfigError: where an actuator is a servo, or samples are too far apart for that frequency.
+        """
+        robot = mjcf_of(model.robot)
+        if servos := [drive.name for drive in robot.actuators if drive.servo]:
+            raise ConfigError(f"{robot.name}: {servos[0]} is a servo, which tracks by itself; leave --track out")
+        most = MOST / float(np.median(np.diff(recording.time)))
+        if not 0 < frequency <= most:
+            raise ConfigError(
+                f"track is {frequency:g} Hz, expected more than 0 and at most {most:.3g} Hz, a twelfth of the rate of "
+                f"{recording.name}"
+            )
+        splines = [make_smoothing_spline(recording.time, column) for column in recording.position.T]
+        inertia, by_command = _inertia_and_gains(model, recording)
+        omega, back = 2 * np.pi * frequency, np.linalg.pinv(by_command)
+        low, high = np.array([drive.range for drive in robot.actuators]).T
+        return cls(
+            recording.command,
+            np.column_stack([spline(recording.time) for spline in splines]),
+            np.column_stack([spline.derivative()(recording.time) for spline in splines]),
+            back @ inertia * omega**2,
+            back @ inertia * (2 * omega),
+            low,
+            high,
+        )
+
+    def at(self, sample: int, q: Array, v: Array) -> Array:
+        """(na,) the command of a sample, for joints at q (nj,) with rates v (nj,)."""
+        own = self.stiffness @ (self.position[sample] - q) + self.damping @ (self.velocity[sample] - v)
+        return np.asarray(np.clip(self.command[sample] + own, self.low, self.high))
+
+
+def _inertia_and_gains(model: Model, recording: Recording) -> tuple[Array, Array]:
+    """(nj, nj) inertia of the joints where a recording begins, and (nj, na) torques by commands there."""
+    own = realise(model, Trial.of(recording, recording.position[0]))
+    at, dofs, drives = own.places.T
+    data = mujoco.MjData(own.mujoco)
+    data.qpos[at] = recording.position[0]
+    mujoco.mj_forward(own.mujoco, data)
+    whole, still = np.zeros((own.mujoco.nv, own.mujoco.nv)), data.qfrc_actuator[drives].copy()
+    mujoco.mj_fullM(own.mujoco, data, whole)
+    columns = []
+    for drive in own.robot.actuators:
+        some = 1.0 if drive.range[1] > 0 else -1.0
+        some = float(np.clip(some, *drive.range))
+        commands = data.ctrl if drive.state is None else data.act
+        place = drive.control if drive.state is None else drive.state
+        commands[place] = some
+        mujoco.mj_forward(own.mujoco, data)
+        columns.append((data.qfrc_actuator[drives] - still) / some)
+        commands[place] = 0.0
+    return np.asarray(whole[np.ix_(dofs, dofs)]), np.column_stack(columns)
