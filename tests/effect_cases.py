@@ -215,6 +215,9 @@ CASES: dict[str, Case] = {
     "spring_tether": Case(
         mjcf={"stiffness": 20.0, "x": 0.4, "y": 0.2, "z": -0.3},
     ),
+    "tether_with_free_length": Case(
+        mjcf={"stiffness": 20.0, "x": 0.4, "y": 0.2, "z": -0.3, "length": 0.25},
+    ),
     "plane_contact": Case(
         mjcf={"height": -0.58},
     ),

@@ -21,6 +21,7 @@ from equimus_ctrl.effects import (
     PlaneContact,
     PositionDependentFriction,
     SpringTether,
+    TetherWithFreeLength,
     TorqueRipple,
     ViscousFriction,
 )
@@ -163,6 +164,7 @@ def test_a_drive_that_gives_way_is_mujocos_without_its_step() -> None:
         (ViscousFriction("shoulder", 0.4),),
         (CoulombFriction("reach", 2.0),),
         (SpringTether("tip", 20.0, 0.4, 0.2, -0.3),),
+        (TetherWithFreeLength("tip", 20.0, 0.4, 0.2, -0.3, 0.25),),
         (TorqueRipple("shoulder", 0.8, -0.5, 0.4),),
         (PositionDependentFriction("shoulder", 0.1, 0.8, 0.5),),
         (DirectionalLoadFriction("reach", 0.1, 0.4),),

@@ -189,10 +189,11 @@ def test_a_tether_is_a_spring_along_a_slide() -> None:
     np.testing.assert_allclose(found.x, at - 0.7 * np.cos(math.sqrt(k / M) * found.t), rtol=0, atol=1e-6)
 
 
-def test_a_tether_is_written_as_a_tendon() -> None:
+@pytest.mark.parametrize("length", [0.0, 0.25])
+def test_a_tether_is_written_as_a_tendon(length: float) -> None:
     """At a site, and at the centre of mass of a last body where there is none."""
     for robot, place in ((CRANE, "tip"), (cart(), "box")):
-        tied = robot.with_tether(place, 20.0, (0.4, 0.2, -0.3))
+        tied = robot.with_tether(place, 20.0, (0.4, 0.2, -0.3), length)
         own = tied.mujoco_model()
         again = mujoco.MjModel.from_xml_string(exported(tied, own))
         for model in (own, again):
@@ -203,11 +204,12 @@ def test_a_tether_is_written_as_a_tendon() -> None:
             way = np.array([0.4, 0.2, -0.3]) - at
             jacobian = np.zeros((3, model.nv))
             mujoco.mj_jac(model, data, jacobian, None, at, model.body("rod" if place == "tip" else "box").id)
+            stiffness = 20.0 * (1 - length / np.linalg.norm(way))
             bare = robot.mujoco_model()
             free = mujoco.MjData(bare)
             free.qpos[:] = 0.2
             mujoco.mj_forward(bare, free)
-            np.testing.assert_allclose(data.qfrc_passive - free.qfrc_passive, jacobian.T @ way * 20.0, atol=1e-9)
+            np.testing.assert_allclose(data.qfrc_passive - free.qfrc_passive, jacobian.T @ way * stiffness, atol=1e-9)
 
 
 def test_a_robot_has_one_tether_at_most_and_where_it_ends() -> None:

@@ -15,6 +15,7 @@ from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
+from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
 from equimus_ctrl.diagnosis.torque_start import worth_simulating
@@ -246,6 +247,8 @@ class HypothesisMoves:
         if not fitted.hypothesis and not tried.first:
             tried = replace(tried, first=tuple(screened))
         proposals = [*self._promising(fitted, screened, choice), *self._splits(tried, fitted)]
+        if self.settings.many_minima and not replaced:
+            proposals += (Proposal(*begun) for begun in richer(self.data, fitted, pool))
         options = self._best_converged(fitted, self._coarse_fits(fitted, proposals, rival), rival)
         return options, tried.having(*options)
 
@@ -360,7 +363,7 @@ class HypothesisMoves:
         most = fitted.deviance - rival
         for proposal in sorted(proposals, key=lambda p: -p.hope):
             too_little = proposal.hope * self.settings.optimism < most
-            if too_little or self._cannot_be_accepted(proposal.hypothesis, proposal.hope):
+            if too_little or self._cannot_be_accepted(fitted, proposal.hypothesis, proposal.hope):
                 continue
             try:
                 option = self.data.coarse_fit(
@@ -372,13 +375,14 @@ class HypothesisMoves:
             most = max(most, fitted.deviance - option.deviance)
         return sorted(options, key=self.score)
 
-    def _cannot_be_accepted(self, hypothesis: Hypothesis, gain: float) -> bool:
-        """Whether a gain so far, times ``SearchSettings.optimism``, is less than a hypothesis' last part has to gain.
+    def _cannot_be_accepted(self, fitted: Fitted, hypothesis: Hypothesis, gain: float) -> bool:
+        """Whether a gain so far, times ``SearchSettings.optimism``, is less than a larger hypothesis has to gain.
 
         Never where fits have many minima.
         """
-        parameters, most = hypothesis[-1].candidate.n_parameters, self.settings.optimism * gain
-        enough = self.data.thresholds.decides(lambda t: most > self.threshold(parameters, t))
+        rich, simple = (sum(p.candidate.n_parameters for p in parts) for parts in (hypothesis, fitted.hypothesis))
+        more, most = max(rich - simple, 1), self.settings.optimism * gain
+        enough = self.data.thresholds.decides(lambda t: most > self.threshold(more, t))
         return not (enough or self.settings.many_minima)
 
     def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
@@ -399,7 +403,7 @@ class HypothesisMoves:
                 option = min(option, longer, key=lambda f: f.deviance)
                 lacks, gain = option.deviance - rival, fitted.deviance - option.deviance
                 near = lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain
-                if near and not self._cannot_be_accepted(option.hypothesis, gain):
+                if near and not self._cannot_be_accepted(fitted, option.hypothesis, gain):
                     option = self.data.converge(option, settled=self._settled(option.hypothesis, fitted.labels))
             after.append(option)
         return after

@@ -10,6 +10,7 @@ The moves:
     exchange   another candidate in a part's place                         ``exchanged``, ``contested``, ``in_place``
     split      a law alike at several places → one at each                 ``extensions``, of what it extends
     merge      laws at single places → one alike at several                ``extensions``: it drops what it excludes
+    enrich     a law → one that holds it as a special case                 ``extensions``, where minima are many
     narrow     a law alike at several places → at one place less           ``narrowed``, ``exchanged_beside_fewer``
     prune      a law with its own parameters at each place → where needed  ``pruned``
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``

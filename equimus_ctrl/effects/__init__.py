@@ -9,6 +9,7 @@ from equimus_ctrl.effects.bodies import (
     PayloadOffCentre,
     PlaneContact,
     SpringTether,
+    TetherWithFreeLength,
 )
 from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.drives import (
@@ -106,6 +107,7 @@ __all__ = [
     "SpringTether",
     "StribeckFriction",
     "SupplyCoupling",
+    "TetherWithFreeLength",
     "TorqueRipple",
     "TorqueSaturation",
     "TransportDelay",

@@ -135,6 +135,16 @@ class Effect:
         return float(meta["low"]), float(meta["high"])
 
     @classmethod
+    def begun_at(cls, simpler: Mapping[str, float], guesses: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+        """Parameter sets from which it is fitted in the place of a law that is a special case of it.
+
+        Args:
+            simpler: values of that law's parameters.
+            guesses: see ``guesses``.
+        """
+        return [{**guess, **simpler} for guess in guesses]
+
+    @classmethod
     def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
         """Parameter sets from which a search for this effect can begin, from weak to strong and of each kind it has.
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar
+
+import numpy as np
 
 from equimus_ctrl.effects.base import Effect, parameter, register
 from equimus_ctrl.effects.description import Description
@@ -152,7 +154,7 @@ class EndEffect(BodyEffect):
 @register
 @dataclass(frozen=True)
 class SpringTether(EndEffect):
-    """stiffness·(anchor − p): a spring of no rest length from a point p of the robot to a point of the room.
+    """stiffness·(anchor − p): a spring of no free length from a point p of the robot to a point of the room.
 
     On the joints it exerts Jᵀ·stiffness·(anchor − p), J = ∂p/∂q (virtual work; Siciliano et al., *Robotics*, 2009,
     chapter 3). p is a site, or where the XML has none the centre of mass of a body that carries no other. What does
@@ -166,7 +168,7 @@ class SpringTether(EndEffect):
     alike = False
     exclusive = "spring_tether"
     mujoco_flags = ("spring",)
-    mjcf_sizes = (
+    mjcf_sizes: ClassVar[tuple[Share, ...]] = (
         Share("stiffness", 0.1, 3.0),
         *(Share(axis, 0.2, 0.8, "either sign", "none") for axis in "xyz"),
     )
@@ -191,6 +193,56 @@ class SpringTether(EndEffect):
         return (
             f"A spring of {t['stiffness']} pulls {t.places[0]} towards the point {t['x']}, {t['y']} and {t['z']} along "
             "the model's axes: a hose, a cable or a balancer that is not in the model."
+        )
+
+
+DISTANCES = np.array([0.5, 1.0, 2.0, 4.0])
+"""Of a spring's end in the room from its other end, in twice the way that this one roams, where fits begin."""
+FREE = (0.3, 0.6, 0.9)
+"""Of that distance the free lengths."""
+
+
+@register
+@dataclass(frozen=True)
+class TetherWithFreeLength(SpringTether):
+    """stiffness·(1 − length/|anchor − p|)·(anchor − p): a spring that is free of force at a length of its own.
+
+    From a point p of the robot to a point of the room, pulling where it is longer and pushing where it is shorter, as
+    MuJoCo's tendons do (documentation, *Modeling*, ``springlength``); see ``SpringTether``.
+    """
+
+    name = "tether_with_free_length"
+    summary = "the same with a length at which it is free of force: a coil spring, an elastic cord"
+    mjcf_sizes = (*SpringTether.mjcf_sizes, Share("length", 0.1, 0.5, "linear", "none"))
+    length: float = parameter("m", 0.0, 10.0, "at which it is free of force")
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        without = super().guesses(excitation)
+        return [{**own, "length": share * excitation.roams} for share in (1.0, 0.2) for own in without]
+
+    @classmethod
+    def begun_at(cls, simpler: Mapping[str, float], guesses: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+        """With the same force where its end is mostly, from a point near or far, hardly or far beyond its length."""
+        middle = np.array([[guess[axis] for axis in "xyz"] for guess in guesses]).mean(axis=0)
+        pull = simpler["stiffness"] * (np.array([simpler[axis] for axis in "xyz"]) - middle)
+        size, way = float(np.linalg.norm(pull)), 2.0 * max(guess["length"] for guess in guesses)
+        found = [{**simpler, "length": way / 10}]
+        for distance in way * DISTANCES:
+            anchor = dict(zip("xyz", (middle + distance * pull / max(size, 1e-300)).tolist(), strict=True))
+            for share in FREE:
+                length = share * distance
+                found.append({"stiffness": size / (distance - length), **anchor, "length": length})
+        return [{key: one[key] for key in guesses[0]} for one in found]
+
+    def changed(self, robot: Any, modelled: Any) -> Any:
+        return robot.with_tether(self.location, self.stiffness, (self.x, self.y, self.z), self.length)
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return (
+            f"A spring of {t['stiffness']}, free of force at a length of {t['length']}, lies between {t.places[0]} and "
+            f"the point {t['x']}, {t['y']} and {t['z']} along the model's axes: it is not in the model."
         )
 
 

@@ -20,6 +20,8 @@ from equimus_ctrl.robots.mjcf.parts import SOLIMP
 
 LEAST = 1e-300
 """Keeps roots of sums of squares differentiable at nothing."""
+NEAREST = 1e-24
+"""The same of a length, which is divided by to the third power [m²]."""
 
 
 def mjcf_equations(form: TreeForm) -> SymbolicModel:
@@ -76,11 +78,12 @@ class _Builder:
             bias += row.T * (along + armature * ca.jtimes(row @ v, q, v))
             mass += armature * _related(form, row.T @ row)
         for i in range(n) if form.tethered else ():
-            tether, *ends = self.parameters(f"tether {i}")
+            tether, length, *ends = self.parameters(f"tether {i}")
             hook = Spot(i, ca.vertcat(*ends[:3]))
             away = frames.position(hook) - ca.vertcat(*ends[3:])
-            bias += tether * (frames.jacobian(hook).T @ away)
-            potential += tether * ca.sumsqr(away) / 2
+            distance = ca.sqrt(ca.sumsqr(away) + NEAREST)
+            bias += tether * (1 - length / distance) * (frames.jacobian(hook).T @ away)
+            potential += tether * (distance - length) ** 2 / 2
         off_joint = {j for j, through in form.clamped if through}
         through = ca.SX(n, 1)
         for i in range(n):

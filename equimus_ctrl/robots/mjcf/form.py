@@ -20,8 +20,8 @@ FAR = 1e300
 N_LINK, N_FLOAT, N_JOINT, N_TENDON, N_LIMIT, N_EQUALITY, N_ACTUATOR, N_MOTOR = 10, 4, 9, 10, 10, 12, 10, 40
 """Parameters of each link, link with weight taken off, joint, tendon, limit, equality, and actuator with a gain and a
 bias or with a law of its own."""
-N_TETHER = 7
-"""Of a spring between a link and the room: stiffness, its end in the link's frame, its end in the room."""
+N_TETHER = 8
+"""Of a spring between a link and the room: stiffness, free length, its end in the link's frame, its end in the room."""
 N_SURFACE, N_TOUCH = 11, 4
 """Of a surface in the room: the way up, its height, stiffness, damping and impedance of contact, the inverse inertia of
 what touches it. Of each link: whether it may touch it, and its point there."""

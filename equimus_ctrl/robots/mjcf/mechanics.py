@@ -49,7 +49,7 @@ def mechanics_of(
     springs, touches = {}, {}
     for tether in tethers:
         body, point = hook_of(model, tether.place)
-        springs[body] = tether.stiffness, point, np.array(tether.anchor)
+        springs[body] = tether.stiffness, tether.length, point, np.array(tether.anchor)
     for surface in surfaces:
         body, point = hook_of(model, surface.place)
         touches[body] = point, np.array(surface.up), surface.height, surface.time_constant

@@ -32,8 +32,8 @@ TINY = 1e-15
 SHARP = 2000.0
 """Rate of the motion at the ends of a play, critically damped [1/s]."""
 Drive = tuple[float, float, float, float]
-Tether = tuple[float, Array, Array]
-"""Of a spring to a point of the room: stiffness, the point in its body's frame, that in the room."""
+Tether = tuple[float, float, Array, Array]
+"""Of a spring to a point of the room: stiffness, free length, the point in its body's frame, that in the room."""
 Touch = tuple[Array, Array, float, float]
 """Of a surface in the room: the point in its body's frame that touches it, the way up, its height, how hard it is."""
 USUAL = 0.02, 1.0
@@ -167,8 +167,8 @@ def _tethers(form: TreeForm, tethers: Mapping[int, Tether]) -> Array:
     rows = np.zeros((len(form.links), N_TETHER))
     for body, link, place, turn in form.hooks:
         if body in tethers and "spring" not in form.off:
-            stiffness, point, anchor = tethers[body]
-            rows[link] = [stiffness, *(np.array(place) + np.array(turn).reshape(3, 3) @ point), *anchor]
+            stiffness, length, point, anchor = tethers[body]
+            rows[link] = [stiffness, length, *(np.array(place) + np.array(turn).reshape(3, 3) @ point), *anchor]
     return rows
 
 

@@ -41,17 +41,19 @@ class Compliance:
 
 @dataclass(frozen=True)
 class Tether:
-    """A spring of no rest length from a site, or a body's centre of mass, to a point of the room.
+    """A spring from a site, or a body's centre of mass, to a point of the room.
 
     Attributes:
         place: the site or body.
         stiffness: [N/m].
         anchor: the point, along the room's axes [m].
+        length: at which it is free of force [m].
     """
 
     place: str
     stiffness: float
     anchor: Place
+    length: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -195,9 +197,10 @@ def loosen(model: Any, compliance: Compliance, armature: float) -> None:
 
 
 def stretch(model: Any, tether: Tether) -> None:
-    """Give a spring to the room, see ``with_parts``, its stiffness and its end."""
+    """Give a spring to the room, see ``with_parts``, its stiffness, free length and end."""
     name, end, point = tether_of(tether.place)
-    model.tendon_stiffness[model.tendon(name).id] = tether.stiffness
+    tendon = model.tendon(name).id
+    model.tendon_stiffness[tendon], model.tendon_lengthspring[tendon] = tether.stiffness, tether.length
     model.site_pos[model.site(end).id] = tether.anchor
     own = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, point)
     if own >= 0:

@@ -272,9 +272,9 @@ class MjcfRobot(Robot):
         """A copy that carries a mass [kg] at a site, or at the centre of mass of a body, or beside it [m]."""
         return replace(self, payloads=(*self.payloads, (place, mass, beside)))
 
-    def with_tether(self, place: str, stiffness: float, anchor: Place) -> MjcfRobot:
+    def with_tether(self, place: str, stiffness: float, anchor: Place, length: float = 0.0) -> MjcfRobot:
         """A copy with a spring from a site or a body's centre of mass to a point of the room, see ``Tether``."""
-        return replace(self, tethers=(*self.tethers, Tether(place, stiffness, anchor)))
+        return replace(self, tethers=(*self.tethers, Tether(place, stiffness, anchor, length)))
 
     @property
     def up(self) -> Array | None:

@@ -1,0 +1,70 @@
+"""Laws in the place of one that is a special case of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pendulum_runs import recorded
+
+from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
+from equimus_ctrl.diagnosis.richer_laws import holds, richer
+from equimus_ctrl.effects import (
+    CoulombFriction,
+    PayloadMass,
+    PositionDependentFriction,
+    SpringTether,
+    TetherWithFreeLength,
+)
+from equimus_ctrl.identification.noise import white_noise
+from equimus_ctrl.identification.parameters import free_parameters
+from equimus_ctrl.identification.segments import cut
+from equimus_ctrl.identification.simulators import reduced_simulator
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+
+ARM = MjcfRobot(
+    "arm",
+    """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
+      <body name="turn"><joint name="pan" axis="0 0 1" armature="0.1" damping="1"/>
+        <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+        <body name="upper"><joint name="lift" axis="0 1 0" armature="0.1" damping="1"/>
+          <inertial pos="0.15 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+          <body name="fore" pos="0.3 0 0"><joint name="elbow" axis="0 1 0" armature="0.1" damping="1"/>
+            <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.005 0.005 0.005"/><site name="tip" pos="0.3 0 0"/>
+    </body></body></body></worldbody><actuator><motor name="m1" joint="pan"/><motor name="m2" joint="lift"/>
+      <motor name="m3" joint="elbow"/></actuator></mujoco>""",
+)
+PULLS = {"stiffness": 20.0, "x": 0.5, "y": 0.3, "z": 0.4}
+LENGTH = 0.3
+
+
+def test_a_law_holds_another_at_its_places_with_more_parameters() -> None:
+    tether, longer = (Candidate(law, ("tip",), ()) for law in (SpringTether, TetherWithFreeLength))
+    assert holds(longer, tether) and not holds(tether, longer) and not holds(tether, tether)
+    assert not holds(longer, replace(tether, locations=("fore",)))
+    assert not holds(longer, Candidate(PayloadMass, ("tip",), ()))  # another slot
+    rough, dry = (Candidate(law, ("pan",), ()) for law in (PositionDependentFriction, CoulombFriction))
+    assert holds(rough, dry)
+
+
+def test_a_free_length_is_found_from_the_spring_without_one() -> None:
+    """From what was fitted of the simpler law; from where its own guesses are it is not."""
+    nominal = Model(ARM)
+    real = replace(nominal, effects=(TetherWithFreeLength("tip", **PULLS, length=LENGTH),))
+    segments = cut(nominal, recorded(real, count=2, seconds=4.0, size=3.0, dt=0.01), shoot=2.0)
+    data = Data(free_parameters(nominal, ["fore.mass"]), list(segments), reduced_simulator(threads=1))
+    noise, starts = white_noise([np.full((9, 3), 5e-4)]), [s.start for s in segments]
+    simple = Candidate(SpringTether, ("tip",), (PULLS,))
+    begin = data.theta_of(data.free.start, (Part(simple, PULLS),))
+    fitted = data.coarse_fit((Part(simple, PULLS),), [(begin, starts)], noise, 30)
+    seen = excitation_of(nominal, segments)["tip"]
+    rich = Candidate(TetherWithFreeLength, ("tip",), tuple(TetherWithFreeLength.guesses(seen)))
+    ((hypothesis, begins),) = richer(data, fitted, [rich, simple, Candidate(CoulombFriction, ("pan",), ())])
+    assert [part.candidate for part in hypothesis] == [rich] and len(begins) == 13
+    found = data.coarse_fit(hypothesis, begins, noise, 30)
+    assert found.hypothesis[0].values == pytest.approx({**PULLS, "length": LENGTH}, rel=0.02)
+    assert fitted.deviance - found.deviance > 1e3
