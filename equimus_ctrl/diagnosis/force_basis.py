@@ -157,7 +157,7 @@ class Scene:
         return self.model.robot.actuator_names
 
     def since(self) -> list[Array]:
-        """For each trial (m − 1,) the time since its start [s]."""
+        """For each trial (m − 1,) the time since its recording began [s]."""
         return [m.between.time - m.start for m in self.motions]
 
     def values(self, of: Callable[[Inner], Array]) -> list[Array]:
@@ -282,6 +282,12 @@ def _joint_time(s: Scene, j: int) -> Iterator[Group]:
     yield s.group(("joint", j), [TIME])
 
 
+def _time_damping(s: Scene, j: int) -> Iterator[Group]:
+    """Damping that drifts while a trial lasts, as of a drive that warms up."""
+    speed = Coordinate("vel", s.joints[j])
+    yield s.group(("joint", j), [TIME], speed, s.axis(speed)[1])
+
+
 def _own_pressure(s: Scene, a: int) -> Iterator[Group]:
     yield s.group(("actuator", a), [Coordinate("cmd", s.actuators[a])])
 
@@ -379,6 +385,7 @@ AT_JOINTS: dict[str, Maker] = {
     "damping by angle": _angle_damping,
     "friction by angle": _angle_friction,
     "time": _joint_time,
+    "damping by time": _time_damping,
 }
 AT_ACTUATORS: dict[str, Maker] = {
     "own pressure": _own_pressure,
@@ -433,7 +440,7 @@ def responses(linearised: ForceResponse, groups: Sequence[Group]) -> Iterator[tu
 
 
 def harmonics(model: Model, motions: Sequence[Motion], frequencies: Sequence[float]) -> list[Group]:
-    """At every joint and each frequency [Hz] a torque of sine and cosine of the time since a trial's start."""
+    """At every joint and each frequency [Hz] a torque of sine and cosine of the time since a recording began."""
     scene = Scene(model, tuple(motions))
     waves = []
     for j, name in enumerate(scene.joints):

@@ -24,6 +24,8 @@ from equimus_ctrl.types import Array
 
 SLOWEST, FASTEST = 0.2, 4.0
 """Frequencies of a disturbance in time that are looked for [Hz]."""
+LONGEST = 20.0
+"""Frequencies are as close together as a recording of so long tells apart, at most [s]."""
 FOLDS = 3
 """Of the cross-validation."""
 BOUND = 1e9
@@ -84,7 +86,7 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         return None
     linearised = observed(response, model.robot, data.segments)
     motions = list(linearised.motions)
-    longest = max(m.time[-1] - m.time[0] for m in motions)
+    longest = min(max(m.time[-1] - m.start for m in motions), LONGEST)
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
     forces = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]

@@ -133,7 +133,7 @@ def mjcf_motion(model: Model, trial: Trial, start: Array) -> Motion:
     between = _inner(course, gear, middles, np.diff(whole, axis=0) / np.diff(times)[:, None])
     step = np.clip(((times - course.start) / course.dt).astype(int), 0, len(course.ctrl) - 1)
     at = _inner(course, gear, times, course.ctrl[step])
-    return Motion(**vars(at), name=trial.name, start=float(trial.start), between=between)
+    return Motion(**vars(at), name=trial.name, start=float(trial.times[0]), between=between)
 
 
 def _inner(course: Course, gear: Array, times: Array, command: Array) -> Inner:

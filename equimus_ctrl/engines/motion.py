@@ -62,7 +62,7 @@ class Motion(Inner):
 
     Attributes:
         name: of the trial.
-        start: when the motion starts [s].
+        start: when the recording begins that the trial is a part of, with its first command [s].
         between: the motion in the middles of the m − 1 intervals between the samples, with the pressures' means over
             them, so that what is made of them counts a command's change by when it comes.
         coded: what moved, where compiled equations of motion moved it.
@@ -126,7 +126,7 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     middles = (times[1:] + times[:-1]) / 2
     between = grid.at(middles, np.diff(edges, axis=0) / np.diff(times)[:, None])
     at = grid.at(times, grid.pressure(times))
-    return Motion(**vars(at), name=trial.name, start=float(trial.start), between=between, coded=coded)
+    return Motion(**vars(at), name=trial.name, start=float(trial.times[0]), between=between, coded=coded)
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,7 +115,7 @@ class Scene:
             return None if first is None or second is None else first - second
         kind, name, robot = coordinate.kind, coordinate.place, self.model.robot
         if kind == "time" and coordinate.frequency is None:
-            return np.concatenate([s.trial.sample_times - s.trial.start for s in self.segments])
+            return np.concatenate([s.trial.sample_times - s.trial.times[0] for s in self.segments])
         if kind in ("pos", "vel") and name in robot.joint_names:
             return np.asarray((self.angles if kind == "pos" else self.speeds)[:, robot.joint_names.index(name)])
         if kind == "cmd" and name in robot.actuator_names:
