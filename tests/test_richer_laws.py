@@ -46,6 +46,7 @@ def test_a_law_holds_another_at_its_places_with_more_parameters() -> None:
     tether, longer = (Candidate(law, ("tip",), ()) for law in (SpringTether, TetherWithFreeLength))
     assert holds(longer, tether) and not holds(tether, longer) and not holds(tether, tether)
     assert not holds(longer, replace(tether, locations=("fore",)))
+    assert not holds(*(replace(law, locations=("tip", "fore")) for law in (longer, tether)))
     assert not holds(longer, Candidate(PayloadMass, ("tip",), ()))  # another slot
     rough, dry = (Candidate(law, ("pan",), ()) for law in (PositionDependentFriction, CoulombFriction))
     assert holds(rough, dry)

@@ -33,7 +33,8 @@ def richer(data: Data, fitted: Fitted, pool: Sequence[Candidate]) -> Iterator[tu
 
 
 def holds(rich: Candidate, simple: Candidate) -> bool:
-    """Whether a law is another with further parameters, at the same places."""
+    """Whether a law is another with further parameters, at the same place alone."""
     same = rich.effect.exclusive == simple.effect.exclusive is not None and rich.locations == simple.locations
+    same = same and len(simple.locations) == 1
     names, fewer = ({own.name for own in law.parameters} for law in (rich, simple))
     return same and fewer < names

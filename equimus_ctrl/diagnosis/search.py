@@ -34,12 +34,14 @@ first-order gains predict little. What differs:
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from equimus_ctrl.diagnosis.alternatives import contested, exchanged_beside_fewer, narrowed, pruned, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory, SearchState, StopReason
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
+from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.torque_start import begun, worth_simulating
 from equimus_ctrl.errors import SimulationDiverged
@@ -111,10 +113,22 @@ class Search(HypothesisMoves):
             start = data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps)
             if start.deviance > base.deviance:  # far from any minimum: it holds the model without effects too
                 return state
-            start = data.converge(start)
+            start = data.converge(self._enriched(start))
         except SimulationDiverged:  # so it cannot be what happened
             return state
         return self.beginning(base, start) if self.accepts(base, start) else state
+
+    def _enriched(self, fitted: Fitted) -> Fitted:
+        """A hypothesis, or a better one with a richer law in a part's place: too simple a law makes others look needed.
+
+        Raises:
+            BudgetSpent: where the budget ends.
+        """
+        options, noise = [fitted], white_noise(fitted.fit.residuals)
+        for hypothesis, begins in richer(self.data, fitted, self.pool):
+            with suppress(SimulationDiverged):  # so it cannot be what happened
+                options.append(self.data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps))
+        return min(options, key=self.score)
 
     def go_on(self, state: SearchState, rejected: Sequence[str] = (), further: bool = True) -> SearchState:
         """Search from where one ended; see ``steps``."""
