@@ -24,7 +24,7 @@ from equimus_ctrl.types import Array
 
 SLOWEST, FASTEST = 0.2, 4.0
 """Frequencies of a disturbance in time that are looked for [Hz]."""
-LONGEST = 20.0
+LONGEST = 12.0
 """Frequencies are as close together as a recording of so long tells apart, at most [s]."""
 FOLDS = 3
 """Of the cross-validation."""
