@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import pytest
@@ -95,3 +95,18 @@ def test_a_zero_that_cannot_be_is_told() -> None:
 def test_a_diagnosis_looks_first() -> None:
     said = refusal(lambda: workflow.diagnose_recordings([replace(r, command=-r.command) for r in runs()], Model(ROBOT)))
     assert "look negated" in said
+
+
+@pytest.mark.parametrize(("per_turn", "slow"), [(4096, 0.5), (1000, 2.0)])
+def test_an_encoders_steps_are_told(per_turn: int, slow: float) -> None:
+    """Also through text of few digits."""
+    time, step = np.arange(0, 6, 0.01), 2 * np.pi / per_turn
+    angle = np.sin(slow * time)[:, None]
+    exact = Recording("exact", time, angle, angle, ("drive",), ("hinge",))
+    coarse = replace(exact, position=np.round(np.round(angle / step) * step, 7))
+    noisy = replace(exact, position=coarse.position + np.random.default_rng(0).normal(0, step, angle.shape))
+    told = partial(preflight.coarse_steps, ROBOT)
+    assert told([exact]) == told([noisy]) == []
+    (said,) = told([coarse, coarse])
+    turn = " (4096 a turn)" if per_turn == 4096 else ""
+    assert said.startswith(f"pos.hinge: measured in steps of {1e3 * step:.3g} mrad{turn}, which are most of the noise")

@@ -36,6 +36,15 @@ LEAST_ROWS = 30
 BEYOND = 0.25
 """Share of a joint's range by which most samples have to lie beyond its end."""
 DEGREE = math.pi / 180
+COARSE = 2.0
+"""Steps of so many standard deviations of the noise by second differences are most of it: evenly spread errors alone
+are of 0.29 steps."""
+POWER = 1e-3
+"""So near to a whole number of bits a turn an encoder has that many."""
+SAME = 1e-9
+"""Of the largest value: nearer values are the same but for rounding."""
+LEAST_STEPS = 10
+"""Fewer different values say nothing of a step."""
 
 
 def check(model: Model, recordings: Sequence[Recording]) -> None:
@@ -49,6 +58,43 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
         _check_angles(model.robot, recordings)
     if applies(model.robot):
         _check_forces(model, mjcf_of(model.robot), recordings)
+
+
+def coarse_steps(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
+    """A sentence for joints whose positions come in steps that are all of their noise: an encoder's resolution.
+
+    Args:
+        robot: whose joints they are.
+        recordings: of it.
+    """
+    noise, found = noise_of_differences([np.array(r.position) for r in recordings]), dict[str, list[str]]()
+    for j, name in enumerate(robot.joint_names):
+        step = _step(np.concatenate([r.position[:, j] for r in recordings]))
+        if step >= COARSE * noise[j].sigma:
+            found.setdefault(_in_words(step, robot.slides(name)), []).append(f"pos.{name}")
+    return [f"{', '.join(names)}: {words}" for words, names in found.items()]
+
+
+def _in_words(step: float, slides: bool) -> str:
+    unit, bits = "mm" if slides else "mrad", math.log2(2 * math.pi / step)
+    whole = f" ({2 ** round(bits)} a turn)" if not slides and abs(bits - round(bits)) < POWER else ""
+    size, error = f"{1e3 * step:.3g} {unit}{whole}", f"{1e3 * step / math.sqrt(12):.2g} {unit}"
+    return (
+        f"measured in steps of {size}, which are most of the noise: whatever the model, an error of {error} is theirs"
+    )
+
+
+def _step(values: Array) -> float:
+    """What differences of values are whole multiples of, as far as they say; 0 where there is no such step."""
+    differences = np.diff(np.unique(values))
+    differences = differences[differences > SAME * np.abs(values).max(initial=1e-300)]
+    if len(differences) < LEAST_STEPS:
+        return 0.0
+    step = float(np.quantile(differences, 0.1))
+    counts = differences / step
+    step = float(np.median(differences[counts < 1.5]))
+    even = np.abs(differences / step - np.round(differences / step)) < 0.05
+    return step if even.mean() > 0.95 else 0.0
 
 
 def _check_angles(robot: Robot, recordings: Sequence[Recording]) -> None:
