@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.richer_laws import holds, richer
+from equimus_ctrl.diagnosis.torque_guesses import far_above_noise
+from equimus_ctrl.diagnosis.torque_screening import torque_domain
+from equimus_ctrl.diagnosis.torque_start import begun
 from equimus_ctrl.effects import (
     CoulombFriction,
     PayloadMass,
@@ -52,20 +56,38 @@ def test_a_law_holds_another_at_its_places_with_more_parameters() -> None:
     assert holds(rough, dry)
 
 
-def test_a_free_length_is_found_from_the_spring_without_one() -> None:
-    """From what was fitted of the simpler law; from where its own guesses are it is not."""
+@lru_cache(maxsize=1)
+def observed() -> tuple[Data, Candidate, Candidate]:
+    """Of an arm that a spring with a free length pulls, and the laws of springs without one and with one."""
     nominal = Model(ARM)
     real = replace(nominal, effects=(TetherWithFreeLength("tip", **PULLS, length=LENGTH),))
     segments = cut(nominal, recorded(real, count=2, seconds=4.0, size=3.0, dt=0.01), shoot=2.0)
     data = Data(free_parameters(nominal, ["fore.mass"]), list(segments), reduced_simulator(threads=1))
-    noise, starts = white_noise([np.full((9, 3), 5e-4)]), [s.start for s in segments]
-    simple = Candidate(SpringTether, ("tip",), (PULLS,))
+    seen = excitation_of(nominal, segments)["tip"]
+    laws = (Candidate(law, ("tip",), tuple(law.guesses(seen))) for law in (SpringTether, TetherWithFreeLength))
+    return data, *laws
+
+
+def test_a_free_length_is_found_from_the_spring_without_one() -> None:
+    """From what was fitted of the simpler law; from where its own guesses are it is not."""
+    data, simple, rich = observed()
+    noise, starts = white_noise([np.full((9, 3), 5e-4)]), [s.start for s in data.segments]
     begin = data.theta_of(data.free.start, (Part(simple, PULLS),))
     fitted = data.coarse_fit((Part(simple, PULLS),), [(begin, starts)], noise, 30)
-    seen = excitation_of(nominal, segments)["tip"]
-    rich = Candidate(TetherWithFreeLength, ("tip",), tuple(TetherWithFreeLength.guesses(seen)))
     ((hypothesis, begins),) = richer(data, fitted, [rich, simple, Candidate(CoulombFriction, ("pan",), ())])
     assert [part.candidate for part in hypothesis] == [rich] and len(begins) == 13
     found = data.coarse_fit(hypothesis, begins, noise, 30)
     assert found.hypothesis[0].values == pytest.approx({**PULLS, "length": LENGTH}, rel=0.02)
     assert fitted.deviance - found.deviance > 1e3
+
+
+def test_the_torque_domain_finds_both_ends_of_a_spring() -> None:
+    """No law that is linear in its size explains it, and all parameters of a spring are fitted then."""
+    data, simple, rich = observed()
+    pool = [simple, rich, Candidate(CoulombFriction, ("pan",), ({"friction": 0.5},))]
+    domain = torque_domain(data, pool)
+    assert domain is not None
+    ((part,), _) = begun(data, domain, pool, 3)
+    assert part.candidate is rich
+    assert part.values == pytest.approx({**PULLS, "length": LENGTH}, rel=0.1)
+    assert not far_above_noise(data, domain, np.full(3, 1e-3)) and far_above_noise(data, domain, np.full(3, 10.0))

@@ -21,11 +21,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
@@ -133,6 +134,7 @@ class TorqueScreen:
         gram: (p + k + 1,) squared: of [J, C, r], each joint's rows over its standard deviation, the prior included.
         samples: how many independent ones there are.
         robot: whose exclusive slots count.
+        sigma: (nj,) standard deviation of each joint's forces that the parameters and the usual laws leave.
     """
 
     free: FreeParameters
@@ -141,6 +143,7 @@ class TorqueScreen:
     gram: Array
     samples: float
     robot: Robot
+    sigma: Array
 
     @cached_property
     def _inverse(self) -> Array:
@@ -233,15 +236,50 @@ class TorqueDomain:
     Attributes:
         motions: what was measured, recording by recording.
         width: of the test functions, in samples.
+        guesses: further ones of candidates, by their labels, see ``torque_guesses``.
     """
 
     motions: tuple[MeasuredMotion, ...]
     width: int
+    guesses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def interval(self) -> float:
         """Time between samples [s]."""
         return max(motion.interval for motion in self.motions)
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """A model's inverse dynamics along measured motions, weighted.
+
+    Attributes:
+        motions: what was measured.
+        width: of the test functions, in samples.
+        at: of each motion.
+        counts: (m, nj) what counts.
+    """
+
+    motions: Sequence[MeasuredMotion]
+    width: int
+    at: Sequence[InverseDynamics]
+    counts: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, model: Model, motions: Sequence[MeasuredMotion], width: int) -> Along:
+        """Those of a model."""
+        at = inverse_dynamics(model, motions, width)
+        return cls(motions, width, at, np.concatenate([one.counts for one in at]))
+
+    def rows_of(self, values: Sequence[Array]) -> Array:
+        """(m, nj) forces at the instants (n, nj) of each motion, weighted; 0 where dry friction may exert anything."""
+        whole = np.concatenate([one.weighted(value) for one, value in zip(self.at, values, strict=True)])
+        return np.asarray(np.where(self.counts, whole, 0.0))
+
+    def changed(self, other: Model) -> Array:
+        """(m, nj) what of the missing forces another model adds."""
+        after = inverse_dynamics(other, self.motions, self.width)
+        return self.rows_of([one.missing - two.missing for one, two in zip(self.at, after, strict=True)])
 
 
 def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
@@ -285,7 +323,7 @@ def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion]
     usable = [w for w in WIDTHS if w <= max(CROSSES * crossing, WIDTHS[0]) and 8 * w < len(motions[0].time)]
     best, least = WIDTHS[0], math.inf
     for width in usable:
-        sigma = _columns_of(free, theta, motions, width, rough, lambda: None)[3]
+        sigma = columns_of(free, theta, motions, width, rough, lambda: None)[3]
         left = float(np.log(np.maximum(sigma, 1e-300)).sum())
         if left > least + FLAT * len(sigma):
             break
@@ -299,7 +337,7 @@ def _screen(
     check: Callable[[], None],
 ) -> TorqueScreen:  # fmt: skip
     """The Gram matrix of all columns, with what is known of the model's parameters."""
-    found, columns, counts, sigma = _columns_of(free, theta, domain.motions, domain.width, pool, check)
+    found, columns, counts, sigma = columns_of(free, theta, domain.motions, domain.width, pool, check, domain.guesses)
     p = len(theta)
     scaled = (columns / sigma[:, None]).reshape(-1, columns.shape[2])
     gram = scaled.T @ scaled
@@ -310,28 +348,17 @@ def _screen(
     gram[:p, -1] += prior * away
     gram[-1, :p] += prior * away
     gram[-1, -1] += float(prior @ away**2)
-    return TorqueScreen(free, theta, tuple(found), gram, float(counts.sum()) / CORRELATED, free.model.robot)
+    return TorqueScreen(free, theta, tuple(found), gram, float(counts.sum()) / CORRELATED, free.model.robot, sigma)
 
 
-def _columns_of(
+def columns_of(
     free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], width: int, pool: Sequence[Candidate],
-    check: Callable[[], None],
-) -> tuple[list[Columns], Array, Array, Array]:  # fmt: skip
+    check: Callable[[], None], guesses: Mapping[str, Mapping[str, float]] | None = None,
+) -> tuple[list[Columns], Array, NDArray[np.bool_], Array]:  # fmt: skip
     """Candidates, (m, nj, p + k + 1) [J, C, r], (m, nj) what counts, (nj,) standard deviations of what remains."""
     model = free.model_at(theta)
-    at = inverse_dynamics(model, motions, width)
-    counts = np.concatenate([one.counts for one in at])
-
-    def rows_of(values: Sequence[Array]) -> Array:
-        """(m, nj) forces at the instants (n, nj) of each motion, weighted; 0 where dry friction may exert anything."""
-        whole = np.concatenate([one.weighted(value) for one, value in zip(at, values, strict=True)])
-        return np.asarray(np.where(counts, whole, 0.0))
-
-    def changed(other: Model) -> Array:
-        """What of the missing forces another model adds."""
-        after = inverse_dynamics(other, motions, width)
-        return rows_of([one.missing - two.missing for one, two in zip(at, after, strict=True)])
-
+    along = Along.of(model, motions, width)
+    at, counts, rows_of, changed = along.at, along.counts, along.rows_of, along.changed
     slopes = []
     for i, own in enumerate(free.free):
         check()
@@ -345,7 +372,8 @@ def _columns_of(
         check()
         if any((candidate.effect, place) in present for place in candidate.locations):
             continue
-        for seen, columns in singles.of(candidate):
+        further = [guesses[candidate.label]] if guesses and candidate.label in guesses else []
+        for seen, columns in singles.of(candidate, further):
             found.append(replace(seen, place=tuple(range(len(forces), len(forces) + len(columns)))))
             forces += columns
     missing = rows_of([one.missing for one in at])
@@ -407,8 +435,15 @@ class _Singles:
         self.model, self.at, self.rows_of, self.changed = model, at, rows_of, changed
         self._known: dict[tuple[type[Effect], str, tuple[float, ...]], Mapping[str, Array] | None] = {}
 
-    def of(self, candidate: Candidate) -> Iterator[tuple[Columns, list[Array]]]:
-        """A candidate's columns at each choice of the parameters that it is not linear in; none that is not seen."""
+    def of(
+        self, candidate: Candidate, further: Sequence[Mapping[str, float]] = ()
+    ) -> Iterator[tuple[Columns, list[Array]]]:
+        """A candidate's columns at each choice of the parameters that it is not linear in; none that is not seen.
+
+        Args:
+            candidate: which.
+            further: guesses beside its own.
+        """
         effect = candidate.effect
         if not effect.in_torques or (issubclass(effect, ForceEffect) and not _is_linear(effect)):
             return
@@ -416,7 +451,7 @@ class _Singles:
             effect.neutral if issubclass(effect, ForceEffect) else candidate.alone(candidate.locations[0]).grows_from()
         )
         seen = set()
-        for guess in _tried(candidate):
+        for guess in (*_tried(candidate), *further):
             others = tuple(guess[own.name] for own in candidate.parameters if own.key not in scaled)
             if scaled and not effect.delays and others in seen:  # linear in its size
                 continue
@@ -474,7 +509,7 @@ def _tried(candidate: Candidate) -> Sequence[Mapping[str, float]]:
     return guesses[:: max(len(guesses) // 2, 1)][:2] if candidate.effect.delays else guesses
 
 
-def _remaining(columns: Array, p: int, found: Sequence[Columns], counts: Array) -> Array:
+def _remaining(columns: Array, p: int, found: Sequence[Columns], counts: NDArray[np.bool_]) -> Array:
     """(nj,) standard deviation of each joint's forces that the parameters and the usual laws leave."""
     rough = [k for own in found if own.candidate.effect.name in ROUGH for k in own.place]
     sigma = np.sqrt(np.maximum((columns[:, :, -1] ** 2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1), 1e-300))

@@ -14,7 +14,8 @@ from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, beside, model_of
-from equimus_ctrl.diagnosis.torque_screening import CORRELATED, Columns, TorqueDomain, torque_screen
+from equimus_ctrl.diagnosis.torque_guesses import far_above_noise, refined_guesses
+from equimus_ctrl.diagnosis.torque_screening import CORRELATED, Columns, TorqueDomain, TorqueScreen, torque_screen
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
@@ -36,7 +37,8 @@ def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
     """The laws that the missing forces of the nominal model ask for, and θ of the model's parameters with them.
 
     By forward selection: each the one with the best information criterion beside those before it, as long as it lowers
-    what is missing above the noise by ``START_SHARE``. None where no law does.
+    what is missing above the noise by ``START_SHARE``. None where no law does. Where they leave far more than noise
+    would, also with guesses that are fitted in the torque domain, see ``torque_guesses``.
 
     Args:
         data: what was measured.
@@ -44,7 +46,27 @@ def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
         pool: the candidates.
         most: how many laws.
     """
-    screen = torque_screen(data, domain, None, [candidate for candidate in pool if not candidate.absent])
+    pool = [candidate for candidate in pool if not candidate.absent]
+    screen, chosen, now = _selected(data, domain, pool, most)
+    left = screen.sigma * math.sqrt(now / max(screen.samples * CORRELATED, 1.0))
+    if far_above_noise(data, domain, left) and (guesses := refined_guesses(data, domain, pool)):
+        other, others, after = _selected(data, replace(domain, guesses=guesses), pool, most)
+        if after < now:
+            screen, chosen = other, others
+    _, sizes = screen.fitted(chosen)
+    parts: list[Part] = []
+    for own, values, error in zip(chosen, sizes, screen.errors(chosen) if chosen else (), strict=True):
+        part, needed = Part(own.candidate, own.values(values)), _sure(own, values, error, domain.interval)
+        if needed:
+            parts.append(part if len(needed) == len(own.candidate.locations) else part.narrowed(needed))
+    return (tuple(parts), screen.moved(chosen)) if parts else None
+
+
+def _selected(
+    data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
+) -> tuple[TorqueScreen, list[Columns], float]:
+    """The nominal model's screen, what is selected of it, and χ² of what that leaves."""
+    screen = torque_screen(data, domain, None, pool)
     chosen, price = list[Columns](), math.log(max(screen.samples, 2.0))
     now = screen.missing
     while len(chosen) < most:
@@ -56,13 +78,7 @@ def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
         if gain / CORRELATED <= worth or gain < START_SHARE * above:
             break
         now, chosen = chi2, best
-    _, sizes = screen.fitted(chosen)
-    parts: list[Part] = []
-    for own, values, error in zip(chosen, sizes, screen.errors(chosen) if chosen else (), strict=True):
-        part, needed = Part(own.candidate, own.values(values)), _sure(own, values, error, domain.interval)
-        if needed:
-            parts.append(part if len(needed) == len(own.candidate.locations) else part.narrowed(needed))
-    return (tuple(parts), screen.moved(chosen)) if parts else None
+    return screen, chosen, now
 
 
 def _simplest(tried: Sequence[tuple[float, list[Columns]]], price: float, now: float) -> tuple[float, list[Columns]]:
