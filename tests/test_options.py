@@ -70,7 +70,7 @@ EXAMPLES: dict[str, tuple[str, Any]] = {
     "free": ("--free a.* --free b", ["a.*", "b"]),
     "heldout": ("--heldout one --heldout two", ["one", "two"]),
     "kind": ("--kind pair", "pair"),
-    "track": ("2.5", 2.5),
+    "track": ("--track 2.5", 2.5),
     "quick": ("--quick", True),
     "rate": ("--rate 60", 60.0),
     "shares": ("--share 20 --share -5 --share 20", (-0.05, 0.2)),
