@@ -69,7 +69,7 @@ def observed() -> tuple[Data, Candidate, Candidate]:
 
 
 def test_a_free_length_is_found_from_the_spring_without_one() -> None:
-    """From what was fitted of the simpler law; from where its own guesses are it is not."""
+    """From what was fitted of the simpler law."""
     data, simple, rich = observed()
     noise, starts = white_noise([np.full((9, 3), 5e-4)]), [s.start for s in data.segments]
     begin = data.theta_of(data.free.start, (Part(simple, PULLS),))

@@ -138,6 +138,8 @@ class Effect:
     def begun_at(cls, simpler: Mapping[str, float], guesses: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
         """Parameter sets from which it is fitted in the place of a law that is a special case of it.
 
+        The first is the nearest to that law.
+
         Args:
             simpler: values of that law's parameters.
             guesses: see ``guesses``.
