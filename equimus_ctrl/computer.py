@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
 from functools import cache, lru_cache
 from multiprocessing import resource_tracker
@@ -20,6 +22,7 @@ from equimus_ctrl.errors import ConfigError, NotAvailable
 
 P = ParamSpec("P")
 T = TypeVar("T")
+U = TypeVar("U")
 
 ONE_THREAD = {f"{library}_THREADS": "1" for library in ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM")}
 """Environment in which linear algebra has one thread: the processors are busy with other processes."""
@@ -197,6 +200,38 @@ def in_threads(count: int, work: Callable[..., T], *given: Iterable[Any]) -> lis
     if count <= 1:
         return [work(*row) for row in rows]
     return list(threads(count).map(lambda row: work(*row), rows))
+
+
+@lru_cache(maxsize=8)
+def _coordinators(count: int) -> ThreadPoolExecutor:
+    """Threads beside those of ``threads``, which may share out pieces of their own work among these."""
+    return ThreadPoolExecutor(count, "coordinate")
+
+
+def side_by_side(count: int, work: Callable[[T], U], given: Iterable[T]) -> Iterator[tuple[T, U]]:
+    """What work comes to for each of what is given, in its order, so many at a time.
+
+    While one simulates another computes. What is given is asked for the next where one is done, so it may leave out
+    what is not worth while any more; how far ahead it is asked depends on the count, what a piece comes to does not.
+    """
+    waiting = deque[tuple[T, Future[U]]]()
+    with threadpool_limits(limits=1, user_api="blas"):
+        if count <= 1:
+            yield from ((one, work(one)) for one in given)
+            return
+        try:
+            for one in given:
+                waiting.append((one, _coordinators(count).submit(work, one)))
+                if len(waiting) == count:
+                    first, future = waiting.popleft()
+                    yield first, future.result()
+            while waiting:
+                first, future = waiting.popleft()
+                yield first, future.result()
+        finally:
+            for _, future in waiting:
+                future.cancel()
+            wait_for([future for _, future in waiting])
 
 
 @contextmanager

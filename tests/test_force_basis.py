@@ -23,6 +23,7 @@ from equimus_ctrl.diagnosis.force_basis import (
     MEMORIES,
     Axis,
     Group,
+    batches,
     groups,
     harmonics,
     responses,
@@ -306,9 +307,9 @@ def test_other_robots_have_groups_too() -> None:
 def test_answers_in_batches_are_those_one_by_one() -> None:
     some = [*everything(), *harmonics(Model(LEG), moved(), np.linspace(0.5, 4.0, 50))]
     assert sum(g.size for g in some) > AT_ONCE
-    batches = list(responses(along(), some))
-    assert len(batches) > 1 and [g for batch, _ in batches for g in batch] == some
-    for batch, changes in batches:
+    found = [(batch, responses(along(), batch)) for batch in batches(some)]
+    assert len(found) > 1 and [g for batch, _ in found for g in batch] == some
+    for batch, changes in found:
         ends = np.cumsum([g.size for g in batch])
         for trial, whole in enumerate(changes):
             assert whole.shape[2] == ends[-1]
@@ -491,7 +492,8 @@ def check_concealed(outside: Effect, location: str, depends_on: str) -> None:
     scores = []
     answers = {
         g: [whole[..., end - g.size : end] for whole in changes]
-        for batch, changes in responses(linear, candidates)
+        for batch in batches(candidates)
+        for changes in [responses(linear, batch)]
         for g, end in zip(batch, np.cumsum([own.size for own in batch]), strict=True)
     }
     for g in candidates:

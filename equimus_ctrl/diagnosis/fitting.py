@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtri
 
+from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.budget import Budget
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, parameters_of, refined
 from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
@@ -154,6 +155,11 @@ class Data:
     def derivative_simulator(self) -> Simulator | None:
         """The engine of a quick fit's derivatives; None where it is that of its residuals."""
         return self.coarse if self.policy.coarse_derivatives else None
+
+    @property
+    def threads(self) -> int:
+        """So many fits at a time."""
+        return computer.worker_count(self.simulator.threads)
 
     def theta_of(self, theta: Array, hypothesis: Hypothesis) -> Array:
         """(p,) θ = (model parameters, effect values).

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 
 import numpy as np
+from numba import njit
 from scipy.interpolate import BSpline
 
 from equimus_ctrl.diagnosis.coordinates import TIME, Coordinate, read, written
@@ -121,15 +122,7 @@ class Group:
 
     def torques(self, motions: Sequence[Motion]) -> list[Array]:
         """For each trial (m − 1, nj, k) the joint torques of the functions [N·m]."""
-        nj = motions[0].position.shape[1]
-        torques = [np.zeros((len(m.between.time), nj, self.size)) for m in motions]
-        for (kind, index), columns in self.forces.items():
-            for torque, motion, force in zip(torques, motions, columns, strict=True):
-                if kind == "joint":
-                    torque[:, index] += force
-                else:
-                    torque += along_actuator(motion, index, force)
-        return torques
+        return torques([self], motions)
 
     def curve(self, coefficients: Array, *x: Array) -> Array:
         """(n,) the fitted function, without its factor, at points (n,) of each axis."""
@@ -353,11 +346,28 @@ def _path(s: Scene, a: int) -> Iterator[Group]:
     widths = way * WIDTHS
     columns = []
     for x in lengths:
-        rows = np.zeros((len(x), len(widths)))
-        for k in range(1, len(x)):
-            rows[k] = np.clip(rows[k - 1] + x[k] - x[k - 1], -widths, widths)
-        columns.append(rows / widths)
+        columns.append(_slipped(x, widths) / widths)
     yield Group(name, s.acts_on(a), [Coordinate("path", name)], None, (), {("actuator", a): tuple(columns)})
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slipped(x: Array, widths: Array) -> Array:
+    """(n, k) deflections of elements dragged along x (n,) that slip at these widths (k,)."""
+    rows = np.zeros((len(x), len(widths)))
+    for i in range(1, len(x)):
+        for k in range(len(widths)):
+            rows[i, k] = min(max(rows[i - 1, k] + x[i] - x[i - 1], -widths[k]), widths[k])
+    return rows
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _relaxed(x: Array, kept: Array) -> Array:
+    """(n, k) deflections of springs stretched along x (n,) that keep so much of theirs (n, k) over each step."""
+    rows = np.zeros_like(kept)
+    for i in range(1, len(x)):
+        for k in range(kept.shape[1]):
+            rows[i, k] = kept[i, k] * (rows[i - 1, k] + x[i] - x[i - 1])
+    return rows
 
 
 def _memory(s: Scene, a: int) -> Iterator[Group]:
@@ -367,11 +377,7 @@ def _memory(s: Scene, a: int) -> Iterator[Group]:
     columns = []
     for x, motion in zip(lengths, s.motions, strict=True):
         step = np.diff(motion.between.time, prepend=motion.between.time[0])
-        kept = np.exp(-step[:, None] / np.array(MEMORIES))
-        rows = np.zeros((len(x), len(MEMORIES)))
-        for k in range(1, len(x)):
-            rows[k] = kept[k] * (rows[k - 1] + x[k] - x[k - 1])
-        columns.append(rows)
+        columns.append(_relaxed(x, np.exp(-step[:, None] / np.array(MEMORIES))))
     yield Group(name, s.acts_on(a), [Coordinate("past", name)], None, (), {("actuator", a): tuple(columns)})
 
 
@@ -425,18 +431,36 @@ def groups(model: Model, motions: Sequence[Motion]) -> list[Group]:
     ]
 
 
-def responses(linearised: ForceResponse, groups: Sequence[Group]) -> Iterator[tuple[list[Group], list[Array]]]:
-    """Some groups at a time, and for each trial (m, nj, k) the change of the measured angles by all their functions.
-
-    Many columns at once take hardly longer than a few.
-    """
+def batches(groups: Sequence[Group]) -> Iterator[list[Group]]:
+    """Some groups at a time, whose responses are worked out together: many columns take hardly longer than a few."""
     batch: list[Group] = []
-    for i, group in enumerate(groups):
+    for group in groups:
         batch.append(group)
-        if i + 1 == len(groups) or sum(g.size for g in batch) >= AT_ONCE:
-            parts = [g.torques(linearised.motions) for g in batch]
-            yield batch, linearised.response([np.concatenate(trial, axis=2) for trial in zip(*parts, strict=True)])
+        if sum(own.size for own in batch) >= AT_ONCE:
+            yield batch
             batch = []
+    if batch:
+        yield batch
+
+
+def torques(groups: Sequence[Group], motions: Sequence[Motion]) -> list[Array]:
+    """For each trial (m − 1, nj, k) the joint torques of all functions of some groups [N·m]."""
+    nj, ends = motions[0].position.shape[1], np.cumsum([group.size for group in groups])
+    answers = [np.zeros((len(motion.between.time), nj, int(ends[-1]))) for motion in motions]
+    for group, end in zip(groups, ends, strict=True):
+        own = slice(int(end) - group.size, int(end))
+        for (kind, index), columns in group.forces.items():
+            for torque, motion, force in zip(answers, motions, columns, strict=True):
+                if kind == "joint":
+                    torque[:, index, own] += force
+                else:
+                    torque[:, :, own] += along_actuator(motion, index, force)
+    return answers
+
+
+def responses(linearised: ForceResponse, groups: Sequence[Group]) -> list[Array]:
+    """For each trial (m, nj, k) the change of the measured angles by all functions of some groups."""
+    return linearised.response(torques(groups, linearised.motions))
 
 
 def harmonics(model: Model, motions: Sequence[Motion], frequencies: Sequence[float]) -> list[Group]:

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
+from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.fitting import CONVERGED_GAIN, Data, Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_group
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of
@@ -279,7 +280,7 @@ class HypothesisMoves:
         for ranking in rankings:
             for s in self._different(ranking)[: choice.most]:
                 if choice.keep_all or max(s.gains) > 0:
-                    thetas = [s.begin]
+                    thetas = s.begins(self.data, fitted)
                     if not fitted.hypothesis:
                         thetas.append(self.data.theta_of(self.data.free.start, s.hypothesis))
                     add(s.hypothesis, *((theta, fitted.fit.starts) for theta in thetas))
@@ -361,18 +362,26 @@ class HypothesisMoves:
         """
         options, noise = list[Fitted](), white_noise(fitted.fit.residuals)
         most = fitted.deviance - rival
-        for proposal in sorted(proposals, key=lambda p: -p.hope):
+
+        def hopeless(proposal: Proposal) -> bool:
             too_little = proposal.hope * self.settings.optimism < most
-            if too_little or self._cannot_be_accepted(fitted, proposal.hypothesis, proposal.hope):
-                continue
+            return too_little or self._cannot_be_accepted(fitted, proposal.hypothesis, proposal.hope)
+
+        def after_some_steps(proposal: Proposal) -> Fitted | None:
+            steps = self.settings.coarse_steps
             try:
-                option = self.data.coarse_fit(
-                    proposal.hypothesis, proposal.begins, noise, self.settings.coarse_steps, settled=fitted.labels
+                return self.data.coarse_fit(
+                    proposal.hypothesis, proposal.begins, noise, steps, settled=fitted.labels
                 )
             except SimulationDiverged:  # so it cannot be what happened
-                continue
-            options.append(option)
-            most = max(most, fitted.deviance - option.deviance)
+                return None
+
+        promising = (p for p in sorted(proposals, key=lambda p: -p.hope) if not hopeless(p))
+        for proposal, option in computer.side_by_side(self.data.threads, after_some_steps, promising):
+            # Those fitted before this one may have made it hopeless meanwhile.
+            if option is not None and not hopeless(proposal):
+                options.append(option)
+                most = max(most, fitted.deviance - option.deviance)
         return sorted(options, key=self.score)
 
     def _cannot_be_accepted(self, fitted: Fitted, hypothesis: Hypothesis, gain: float) -> bool:
@@ -388,25 +397,30 @@ class HypothesisMoves:
     def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
         """Coarse fits, best first, of which the first few that are close to the best are fitted until converged.
 
-        Not those that after some more steps lack more than a share of what the rival gains, or gain too little of what
+        Where fits have few minima, also others close to it that were still gaining: their rank is not known yet. Not
+        those that after some more steps lack more than a share of what the rival gains, or gain too little of what
         they have to: they do not reach it.
         """
-        after, settings = [], self.settings
-        for k, option in enumerate(options):
-            best = options[0].deviance
+        settings = self.settings
+
+        def converged(place: int) -> Fitted:
+            option, best = options[place], options[0].deviance
             close = best + settings.kept_share * max(fitted.deviance - best, 0.0) + settings.kept_gain
-            if k < settings.kept and option.deviance <= close:
-                noise = white_noise(option.fit.residuals)
-                longer = self.data.coarse_fit(
-                    option.hypothesis, [option.begin], noise, settings.long_steps, settled=fitted.labels
-                )
-                option = min(option, longer, key=lambda f: f.deviance)
-                lacks, gain = option.deviance - rival, fitted.deviance - option.deviance
-                near = lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain
-                if near and not self._cannot_be_accepted(fitted, option.hypothesis, gain):
-                    option = self.data.converge(option, settled=self._settled(option.hypothesis, fitted.labels))
-            after.append(option)
-        return after
+            ranked = settings.many_minima or option.fit.converged
+            if option.deviance > close or (place >= settings.kept and ranked):
+                return option
+            noise = white_noise(option.fit.residuals)
+            longer = self.data.coarse_fit(
+                option.hypothesis, [option.begin], noise, settings.long_steps, settled=fitted.labels
+            )
+            option = min(option, longer, key=lambda f: f.deviance)
+            lacks, gain = option.deviance - rival, fitted.deviance - option.deviance
+            near = lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain
+            if near and not self._cannot_be_accepted(fitted, option.hypothesis, gain):
+                return self.data.converge(option, settled=self._settled(option.hypothesis, fitted.labels))
+            return option
+
+        return [after for _, after in computer.side_by_side(self.data.threads, converged, range(len(options)))]
 
     def aliased(self, fitted: Fitted) -> bool:
         """Whether the last part of a hypothesis stands for other parameters, see ``Data.aliased``.

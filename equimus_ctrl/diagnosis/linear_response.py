@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from equimus_ctrl.effects.force import force_laws
@@ -104,16 +105,8 @@ class Linearised:
     def _path(self, trial: int, torque: Array, rates: bool) -> Array:
         """(m, nj, k) true positions under torques (m − 1, nj, k), or (m, 2 nj, k) these and their rates."""
         transition = self.transitions[trial]
-        nj, nx, k = len(self.scale), transition.shape[1], torque.shape[2]
         shown = np.concatenate([self.joints, self.coordinates + self.joints]) if rates else self.joints
-        path = np.empty((len(transition) + 1, len(shown), k))
-        path[0] = 0.0
-        given, reached = np.empty((nx + nj, k)), np.zeros((nx, k))
-        for step, force, out in zip(transition, torque, path[1:], strict=True):
-            given[:nx], given[nx:] = reached, force
-            np.matmul(step, given, out=reached)
-            out[:] = reached[shown]
-        return path
+        return _propagated(transition, np.ascontiguousarray(torque), shown)
 
     def _sensor_delayed(self, time: Array, path: Array) -> Array:
         """(m, nj, k) angles as old as the sensors show them, of a path (m, 2 nj, k) of angles and velocities."""
@@ -126,6 +119,34 @@ class Linearised:
             q, v = path[:, j], path[:, nj + j]
             seen[:, j] = hermite_arrays(q[i], v[i], q[i + 1], v[i + 1], step, (at - time[i])[:, None] / step)
         return seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _propagated(transition: Array, torque: Array, shown: NDArray[np.int64]) -> Array:
+    """(m, len(shown), k) of the states x, from rest: x ← T (x, τ) over each interval.
+
+    Args:
+        transition: (m − 1, nx, nx + nj) T.
+        torque: (m − 1, nj, k) τ.
+        shown: which states.
+    """
+    n, nx, width = transition.shape
+    k = torque.shape[2]
+    path = np.zeros((n + 1, len(shown), k))
+    given, reached = np.zeros((width, k)), np.zeros((nx, k))
+    for i in range(n):
+        given[:nx] = reached
+        given[nx:] = torque[i]
+        for row in range(nx):
+            out = reached[row]
+            out[:] = transition[i, row, 0] * given[0]
+            for column in range(1, width):
+                share, of = transition[i, row, column], given[column]
+                for c in range(k):
+                    out[c] += share * of[c]
+        for place in range(len(shown)):
+            path[i + 1, place] = reached[shown[place]]
+    return path
 
 
 def response(model: Model, motion: Motion, torque: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.explained_variance import Explained, explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.force_basis import Group, groups, harmonics, responses
+from equimus_ctrl.diagnosis.force_basis import Group, batches, groups, harmonics, responses
 from equimus_ctrl.diagnosis.force_response import STEP, segment_response
 from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
@@ -90,12 +90,16 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
     top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
     waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
     forces = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
-    columns: list[Array] = []
-    with np.errstate(over="ignore", invalid="ignore"):
-        for batch, changes in responses(linearised, forces):
-            together = whitened_fit.columns(data.times, discard_unstable(changes))
-            ends = np.cumsum([group.size for group in batch])[:-1]
-            columns += [np.ascontiguousarray(own) for own in np.split(together, ends, axis=1)]
+
+    def whitened(batch: list[Group]) -> list[Array]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            changes = discard_unstable(responses(linearised, batch))
+            together = whitened_fit.columns(data.times, changes)
+        ends = np.cumsum([group.size for group in batch])[:-1]
+        return [np.ascontiguousarray(own) for own in np.split(together, ends, axis=1)]
+
+    shared = computer.side_by_side(whitened_fit.threads, whitened, batches(forces))
+    columns = [own for _, batch in shared for own in batch]
     edges = np.cumsum([0, *[s.outputs.size for s in data.segments]])
     slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     folds = [slices[k::FOLDS] for k in range(min(FOLDS, len(slices)))]

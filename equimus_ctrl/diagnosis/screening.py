@@ -37,6 +37,8 @@ STRONG = 0.03
 """Directions of the parameters weaker than this share of the strongest are not changed then."""
 LEAST, MOST = 0.3, 3.0
 """Between these factors a change is taken to grow with its first parameter."""
+SHORTER = (0.5, 0.25)
+"""Shares of a change to first order at which a fit may begin too, where the whole of it leads too far."""
 WEAK = 1e-8
 """Directions of the parameters weaker than this share of the strongest are not changed at all."""
 
@@ -60,6 +62,17 @@ class Screened:
     gains: tuple[float, ...]
     tried: tuple[Mapping[str, float], ...]
     strength: Array
+
+    def begins(self, data: Data, fitted: Fitted) -> list[Array]:
+        """(p,) each, θ to first order, and on the way there from the hypothesis screened against.
+
+        Beside other parts the whole change may lead to a worse fit than none of it: they bend what is first order.
+        """
+        last = self.hypothesis[-1]
+        nothing = Part(last.candidate, {**last.values, **last.candidate.grows_from()})
+        start = data.theta_of(fitted.fit.theta, (*self.hypothesis[:-1], nothing))
+        shares = SHORTER if fitted.hypothesis else ()
+        return [self.begin, *(start + share * (self.begin - start) for share in shares)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -265,12 +265,14 @@ class Search(HypothesisMoves):
         """Whether a residual force explains far more than the next effect: then that effect is not the missing one.
 
         The effect explains χ²(best) − χ²(top), both whitened by the noise of ``best``; the force its gain in
-        cross-validation, or of a single trial its gain on that.
+        cross-validation, or of a single trial its gain on that. No force gains more than there is, χ²(best).
         """
+        before, after = (chi_squared(best.noise, self.data.times, f.fit.residuals) for f in (best, top))
+        if not self.data.thresholds.decides(lambda t: before - after < t.outdone * before):
+            return False
         linearised = linearise_fit(self.data, best, best.noise)
         if linearised is None:
             return False
-        before, after = (chi_squared(best.noise, self.data.times, f.fit.residuals) for f in (best, top))
         force = force_candidates(linearised)[0].found
         most = force.held_out if linearised.folds else force.gain
         return self.data.thresholds.decides(lambda t: before - after < t.outdone * most)
