@@ -10,9 +10,9 @@ import pytest
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory
 from equimus_ctrl.diagnosis.residual_force import discard_unstable
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchHistory
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.base import Effect, parse
 from equimus_ctrl.identification.segments import cut

@@ -19,10 +19,10 @@ from equimus_ctrl.diagnosis.experiment import Design, _pair
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Holdout, choose_holdout, split
 from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters, model_of, parameters_of, with_part
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.localization import localise
 from equimus_ctrl.diagnosis.results import SCHEMA, Diagnosis, Equivalent, Named
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, parse
 from equimus_ctrl.engines.batch import simulate

@@ -22,9 +22,9 @@ from equimus_ctrl.diagnosis.group_splits import own_in_each_group, splits_by_gro
 from equimus_ctrl.diagnosis.groups import Apart, Own, absent_with_common, told_apart
 from equimus_ctrl.diagnosis.holdout import Split, choose_holdout
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of, parameters_of
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.policy import SearchPolicy
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.units_compared import another_unit, differences
 from equimus_ctrl.effects import CoulombFriction, ViscousFriction
 from equimus_ctrl.engines.trials import Trial

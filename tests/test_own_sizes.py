@@ -15,9 +15,10 @@ from equimus_ctrl.diagnosis.alternatives import simpler_laws
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, parameters_of, refined, with_part
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchHistory
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.results import Named
 from equimus_ctrl.diagnosis.screening import _kept, screen
+from equimus_ctrl.diagnosis.search_state import SearchHistory
 from equimus_ctrl.identification.uncertainty import Uncertainty
 from equimus_ctrl.models.model import Model
 

@@ -26,15 +26,10 @@ from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.findings import _alone, _smallest
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
-from equimus_ctrl.diagnosis.hypothesis_moves import (
-    HypothesisMoves,
-    SearchHistory,
-    SearchSettings,
-    SearchState,
-    StopReason,
-)
-from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
+from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.model import nominal_model

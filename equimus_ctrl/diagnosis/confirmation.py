@@ -15,10 +15,11 @@ from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpl
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, SearchState, extra_parameters
+from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, extra_parameters
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.identification.noise import log_likelihood, whiten
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.models.model import Model

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState, extra_parameters
+from equimus_ctrl.diagnosis.hypothesis_moves import extra_parameters
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
 from equimus_ctrl.engines.base import Discretisation
 from equimus_ctrl.errors import SimulationDiverged

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.results import Equivalent, Experiment, Finding, Named
+from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.noise import white_noise, whiten
 from equimus_ctrl.identification.projection import Nuisance

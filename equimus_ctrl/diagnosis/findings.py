@@ -15,7 +15,6 @@ from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import (
     Detectable,
@@ -29,6 +28,7 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.identification.parameters import in_group, place_unit
 from equimus_ctrl.identification.results import zeros_sentence
 from equimus_ctrl.identification.segments import groups_of

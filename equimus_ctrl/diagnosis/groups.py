@@ -22,8 +22,8 @@ from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.parameters import FreeParameters, in_group
 from equimus_ctrl.identification.projection import DEPENDENT, Nuisance

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from scipy.special import chdtri
@@ -18,6 +17,7 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
+from equimus_ctrl.diagnosis.search_state import Choice, Extended, Proposal, SearchHistory, SearchState
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
 from equimus_ctrl.diagnosis.torque_start import worth_simulating
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -27,120 +27,9 @@ from equimus_ctrl.identification.segments import groups_of
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
-StopReason = Literal[
-    "no effect accepted", "a residual force explains more", "no part needed", "most rounds", "no more parts asked for"
-]
-"""Why no more parts were added:
-
-- no effect accepted: none gains as much as the acceptance threshold, or scores better.
-- a residual force explains more: far more than the next effect, in more rounds than ``SearchSettings.patience``.
-- no part needed: the model without any effect fits as well as the hypothesis of this round.
-- most rounds: as many as there can be, see ``SearchSettings.rounds_per_part``.
-- no more parts asked for: only the present ones were exchanged.
-"""
-
 EXCHANGE_MARGIN = 2 * CONVERGED_GAIN
 """Least difference of score for which a part is exchanged. Either fit may end ``CONVERGED_GAIN`` above its minimum, so
 less than twice that ranks nothing: two parts that fit alike would take each other's place round after round."""
-
-
-@dataclass(frozen=True, eq=False)
-class Extended:
-    """A hypothesis whose extensions are known.
-
-    Attributes:
-        base: the fit that was extended.
-        options: hypotheses with one more part, fitted.
-        rival: deviance of what they had to come near to; inf where they had not.
-    """
-
-    base: Fitted
-    options: tuple[Fitted, ...]
-    rival: float = math.inf
-
-
-@dataclass(frozen=True, eq=False)
-class SearchHistory:
-    """What a search has tried so far.
-
-    Attributes:
-        fitted: all hypotheses fitted, converged or not.
-        first: what every candidate would do to the refitted model, alone.
-        rejected: labels of candidates that are not to be part of a hypothesis any more.
-        extended: by a hypothesis' labels, and that of a candidate to replace or "".
-        refits: by the fit that each began at, and the labels and initial values of its parts.
-    """
-
-    fitted: tuple[Fitted, ...] = ()
-    first: tuple[Screened, ...] = ()
-    rejected: frozenset[str] = frozenset()
-    extended: Mapping[tuple[frozenset[str], str], Extended] = field(default_factory=dict)
-    refits: Mapping[tuple[Fitted, tuple[Hashable, ...]], Fitted] = field(default_factory=dict)
-
-    def allows(self, labels: Iterable[str]) -> bool:
-        """Whether none of some candidates was rejected."""
-        return self.rejected.isdisjoint(labels)
-
-    def having(self, *fitted: Fitted) -> SearchHistory:
-        """The same with more fits."""
-        return replace(self, fitted=(*self.fitted, *fitted))
-
-
-@dataclass(frozen=True, eq=False)
-class SearchState:
-    """Where a search is.
-
-    Attributes:
-        base: the model without any effect, refitted.
-        best: the hypothesis accepted.
-        without: for each of its parts the best fit without it.
-        alternatives: for each of its parts the converged hypotheses with another in its place.
-        tried: all that was tried on the way.
-        stopped: why no more parts were added by the last search that ended; None before one has.
-    """
-
-    base: Fitted
-    best: Fitted
-    without: tuple[Fitted, ...] = ()
-    alternatives: tuple[tuple[Fitted, ...], ...] = ()
-    tried: SearchHistory = field(default_factory=SearchHistory)
-    stopped: StopReason | None = None
-
-    def rejecting(self, labels: Iterable[str]) -> SearchState:
-        """The same, some candidates to be no part of it any more."""
-        tried = replace(self.tried, rejected=self.tried.rejected | set(labels))
-        alternatives = tuple(tuple(a for a in fits if tried.allows(a.labels)) for fits in self.alternatives)
-        return replace(self, alternatives=alternatives, tried=tried)
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """A hypothesis to be fitted.
-
-    Attributes:
-        hypothesis: with initial values.
-        begins: (θ, initial states) of which its fit takes the best.
-        hope: fall of the deviance to expect to first order; inf where nothing is known of it.
-    """
-
-    hypothesis: Hypothesis
-    begins: tuple[Begin, ...]
-    hope: float = math.inf
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """Which candidates are fitted as one more part.
-
-    Attributes:
-        pool: the candidates.
-        most: how many of them for each ranking.
-        keep_all: whether also those without a gain to first order.
-    """
-
-    pool: Sequence[Candidate]
-    most: int
-    keep_all: bool
 
 
 def extra_parameters(simple: Fitted, rich: Fitted) -> int:
@@ -370,9 +259,7 @@ class HypothesisMoves:
         def after_some_steps(proposal: Proposal) -> Fitted | None:
             steps = self.settings.coarse_steps
             try:
-                return self.data.coarse_fit(
-                    proposal.hypothesis, proposal.begins, noise, steps, settled=fitted.labels
-                )
+                return self.data.coarse_fit(proposal.hypothesis, proposal.begins, noise, steps, settled=fitted.labels)
             except SimulationDiverged:  # so it cannot be what happened
                 return None
 

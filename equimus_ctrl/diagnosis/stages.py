@@ -38,7 +38,6 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.group_splits import with_groups
 from equimus_ctrl.diagnosis.groups import Apart, told_apart
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.results import (
@@ -49,6 +48,7 @@ from equimus_ctrl.diagnosis.results import (
     Unexplained,
 )
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test, residual_analysis
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart

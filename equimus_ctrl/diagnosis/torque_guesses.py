@@ -19,7 +19,8 @@ from scipy.optimize import least_squares
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
 from equimus_ctrl.diagnosis.richer_laws import holds
-from equimus_ctrl.diagnosis.torque_screening import ROUGH, Along, TorqueDomain, columns_of
+from equimus_ctrl.diagnosis.torque_columns import ROUGH, Along, columns_of
+from equimus_ctrl.diagnosis.torque_screening import TorqueDomain
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.mjcf_inverse import inverse_dynamics
 from equimus_ctrl.errors import ConfigError, ModelError

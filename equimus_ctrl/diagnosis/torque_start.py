@@ -14,8 +14,9 @@ from scipy.special import chdtri
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, beside, model_of
+from equimus_ctrl.diagnosis.torque_columns import Columns
 from equimus_ctrl.diagnosis.torque_guesses import far_above_noise, refined_guesses
-from equimus_ctrl.diagnosis.torque_screening import CORRELATED, Columns, TorqueDomain, TorqueScreen, torque_screen
+from equimus_ctrl.diagnosis.torque_screening import CORRELATED, TorqueDomain, TorqueScreen, torque_screen
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot

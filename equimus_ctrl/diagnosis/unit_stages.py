@@ -8,8 +8,8 @@ from equimus_ctrl.diagnosis.alternatives import simplified
 from equimus_ctrl.diagnosis.findings import ranking
 from equimus_ctrl.diagnosis.groups import Apart, rebuilt, told_apart
 from equimus_ctrl.diagnosis.holdout import Split
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.state import State
 from equimus_ctrl.diagnosis.units_compared import another_unit, differences
 from equimus_ctrl.identification.parameters import in_group

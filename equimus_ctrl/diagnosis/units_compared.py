@@ -24,8 +24,8 @@ from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.groups import Apart
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Part
-from equimus_ctrl.diagnosis.hypothesis_moves import SearchState
 from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.errors import ConfigError, ModelError, SimulationDiverged
 from equimus_ctrl.identification.parameters import FreeParameters, in_group
 from equimus_ctrl.identification.residuals import residuals_of

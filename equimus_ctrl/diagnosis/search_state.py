@@ -1,0 +1,124 @@
+"""Where a search over hypotheses is, and what it has tried."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis
+from equimus_ctrl.diagnosis.screening import Screened
+from equimus_ctrl.identification.fit import Begin
+
+StopReason = Literal[
+    "no effect accepted", "a residual force explains more", "no part needed", "most rounds", "no more parts asked for"
+]
+"""Why no more parts were added:
+
+- no effect accepted: none gains as much as the acceptance threshold, or scores better.
+- a residual force explains more: far more than the next effect, in more rounds than ``SearchSettings.patience``.
+- no part needed: the model without any effect fits as well as the hypothesis of this round.
+- most rounds: as many as there can be, see ``SearchSettings.rounds_per_part``.
+- no more parts asked for: only the present ones were exchanged.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Extended:
+    """A hypothesis whose extensions are known.
+
+    Attributes:
+        base: the fit that was extended.
+        options: hypotheses with one more part, fitted.
+        rival: deviance of what they had to come near to; inf where they had not.
+    """
+
+    base: Fitted
+    options: tuple[Fitted, ...]
+    rival: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class SearchHistory:
+    """What a search has tried so far.
+
+    Attributes:
+        fitted: all hypotheses fitted, converged or not.
+        first: what every candidate would do to the refitted model, alone.
+        rejected: labels of candidates that are not to be part of a hypothesis any more.
+        extended: by a hypothesis' labels, and that of a candidate to replace or "".
+        refits: by the fit that each began at, and the labels and initial values of its parts.
+    """
+
+    fitted: tuple[Fitted, ...] = ()
+    first: tuple[Screened, ...] = ()
+    rejected: frozenset[str] = frozenset()
+    extended: Mapping[tuple[frozenset[str], str], Extended] = field(default_factory=dict)
+    refits: Mapping[tuple[Fitted, tuple[Hashable, ...]], Fitted] = field(default_factory=dict)
+
+    def allows(self, labels: Iterable[str]) -> bool:
+        """Whether none of some candidates was rejected."""
+        return self.rejected.isdisjoint(labels)
+
+    def having(self, *fitted: Fitted) -> SearchHistory:
+        """The same with more fits."""
+        return replace(self, fitted=(*self.fitted, *fitted))
+
+
+@dataclass(frozen=True, eq=False)
+class SearchState:
+    """Where a search is.
+
+    Attributes:
+        base: the model without any effect, refitted.
+        best: the hypothesis accepted.
+        without: for each of its parts the best fit without it.
+        alternatives: for each of its parts the converged hypotheses with another in its place.
+        tried: all that was tried on the way.
+        stopped: why no more parts were added by the last search that ended; None before one has.
+    """
+
+    base: Fitted
+    best: Fitted
+    without: tuple[Fitted, ...] = ()
+    alternatives: tuple[tuple[Fitted, ...], ...] = ()
+    tried: SearchHistory = field(default_factory=SearchHistory)
+    stopped: StopReason | None = None
+
+    def rejecting(self, labels: Iterable[str]) -> SearchState:
+        """The same, some candidates to be no part of it any more."""
+        tried = replace(self.tried, rejected=self.tried.rejected | set(labels))
+        alternatives = tuple(tuple(a for a in fits if tried.allows(a.labels)) for fits in self.alternatives)
+        return replace(self, alternatives=alternatives, tried=tried)
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A hypothesis to be fitted.
+
+    Attributes:
+        hypothesis: with initial values.
+        begins: (θ, initial states) of which its fit takes the best.
+        hope: fall of the deviance to expect to first order; inf where nothing is known of it.
+    """
+
+    hypothesis: Hypothesis
+    begins: tuple[Begin, ...]
+    hope: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Which candidates are fitted as one more part.
+
+    Attributes:
+        pool: the candidates.
+        most: how many of them for each ranking.
+        keep_all: whether also those without a gain to first order.
+    """
+
+    pool: Sequence[Candidate]
+    most: int
+    keep_all: bool

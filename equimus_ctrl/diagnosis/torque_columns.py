@@ -1,0 +1,283 @@
+"""What the parameters, and each candidate, add to the forces that a model lacks along measured motions.
+
+To first order in the parameters and in the sizes of laws. At several places a candidate adds the sum of what it adds at
+each of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
+from equimus_ctrl.effects.base import Effect
+from equimus_ctrl.effects.force import ForceEffect
+from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion, inverse_dynamics, law_slopes
+from equimus_ctrl.errors import ConfigError, ModelError
+from equimus_ctrl.identification.parameters import FreeParameters
+from equimus_ctrl.identification.projection import Nuisance
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.types import Array
+
+STEP = 1e-3
+"""Of differences, as a share of a parameter's scale."""
+ROUGH = ("viscous_friction", "coulomb_friction", "constant_force", "asymmetric_friction", "parallel_spring")
+"""Laws that together leave about the noise of joints' forces, whatever is missing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What a candidate adds to the forces at one choice of the parameters that it is not linear in.
+
+    Attributes:
+        candidate: which.
+        base: values of all its parameters there.
+        scaled: names of those that the columns are of, one each; none where the values are fixed.
+        place: of each column in the Gram matrix.
+    """
+
+    candidate: Candidate
+    base: Mapping[str, float]
+    scaled: tuple[str, ...]
+    place: tuple[int, ...] = ()
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the values stay as they are, for no value of the effect is nothing."""
+        return not self.scaled
+
+    def _key(self, name: str) -> str:
+        return next(own.key for own in self.candidate.parameters if own.name == name)
+
+    def nothing(self, name: str) -> float:
+        """The value of a parameter at which the effect does nothing."""
+        effect = self.candidate.effect
+        if issubclass(effect, ForceEffect):
+            return float(effect.neutral[self._key(name)])
+        return self.candidate.grows_from()[name]
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Between what a parameter can be."""
+        key = self._key(name)
+        info = self.candidate.effect.parameter_info()[key]
+        return float(info["low"]), min(float(info["high"]), self.candidate.most.get(key, math.inf))
+
+    def unit(self, name: str) -> float:
+        """What a coefficient of 1 changes a parameter by: a law's column is its slope, else the guess's own way."""
+        return 1.0 if issubclass(self.candidate.effect, ForceEffect) else self.base[name] - self.nothing(name)
+
+    def values(self, sizes: Sequence[float]) -> dict[str, float]:
+        """All parameters, with those that scale the effect at some sizes."""
+        return {**self.base, **(dict(zip(self.scaled, sizes, strict=True)) if not self.fixed else {})}
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """A model's inverse dynamics along measured motions, weighted.
+
+    Attributes:
+        motions: what was measured.
+        width: of the test functions, in samples.
+        at: of each motion.
+        counts: (m, nj) what counts.
+    """
+
+    motions: Sequence[MeasuredMotion]
+    width: int
+    at: Sequence[InverseDynamics]
+    counts: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, model: Model, motions: Sequence[MeasuredMotion], width: int) -> Along:
+        """Those of a model."""
+        at = inverse_dynamics(model, motions, width)
+        return cls(motions, width, at, np.concatenate([one.counts for one in at]))
+
+    def rows_of(self, values: Sequence[Array]) -> Array:
+        """(m, nj) forces at the instants (n, nj) of each motion, weighted; 0 where dry friction may exert anything."""
+        whole = np.concatenate([one.weighted(value) for one, value in zip(self.at, values, strict=True)])
+        return np.asarray(np.where(self.counts, whole, 0.0))
+
+    def changed(self, other: Model) -> Array:
+        """(m, nj) what of the missing forces another model adds."""
+        after = inverse_dynamics(other, self.motions, self.width)
+        return self.rows_of([one.missing - two.missing for one, two in zip(self.at, after, strict=True)])
+
+
+def columns_of(
+    free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], width: int, pool: Sequence[Candidate],
+    check: Callable[[], None], guesses: Mapping[str, Mapping[str, float]] | None = None,
+) -> tuple[list[Columns], Array, NDArray[np.bool_], Array]:  # fmt: skip
+    """Candidates, (m, nj, p + k + 1) [J, C, r], (m, nj) what counts, (nj,) standard deviations of what remains."""
+    model = free.model_at(theta)
+    along = Along.of(model, motions, width)
+    at, counts, rows_of, changed = along.at, along.counts, along.rows_of, along.changed
+    slopes = []
+    for i, own in enumerate(free.free):
+        check()
+        step = STEP * own.scale * (1.0 if theta[i] + STEP * own.scale <= own.high else -1.0)
+        slopes.append(changed(free.model_at(theta + step * np.eye(len(theta))[i])) / step)
+    singles = _Singles(model, at, rows_of, changed)
+    found: list[Columns] = []
+    forces: list[Array] = []
+    present = {(type(effect), effect.location) for effect in model.effects}
+    for candidate in pool:
+        check()
+        if any((candidate.effect, place) in present for place in candidate.locations):
+            continue
+        further = [guesses[candidate.label]] if guesses and candidate.label in guesses else []
+        for seen, columns in singles.of(candidate, further):
+            found.append(replace(seen, place=tuple(range(len(forces), len(forces) + len(columns)))))
+            forces += columns
+    missing = rows_of([one.missing for one in at])
+    whole = np.stack([*slopes, *forces, missing], axis=-1)
+    if zeros := [rows_of(change) for change in _by_zeros(model, motions, at, width)]:
+        beside = Nuisance.of(np.stack(zeros, axis=-1).reshape(-1, len(zeros)))
+        whole = beside.project_out(whole.reshape(-1, whole.shape[2])).reshape(whole.shape)
+    return found, whole, counts, _remaining(whole, len(slopes), found, counts)
+
+
+def _by_zeros(
+    model: Model, motions: Sequence[MeasuredMotion], at: Sequence[InverseDynamics], width: int
+) -> Iterator[list[Array]]:
+    """For each unknown zero the change of the missing forces (n, nj) of each motion by it."""
+    for k, motion in enumerate(motions):
+        for j in motion.zeros:
+            step = STEP * float(np.ptp(motion.position[:, j]))
+            moved = replace(motion, position=motion.position - step * np.eye(len(motion.noise))[j])
+            (after,) = inverse_dynamics(model, [moved], width)
+            change = [np.zeros_like(one.missing) for one in at]
+            change[k] = (after.missing - at[k].missing) / step
+            yield change
+
+
+def _only(j: int, values: Array, count: int) -> Array:
+    whole = np.zeros((len(values), count))
+    whole[:, j] = values
+    return whole
+
+
+def _is_linear(effect: type[ForceEffect]) -> bool:
+    """Whether a law has no states and is linear in the parameters that switch it off."""
+    if effect.n_states:
+        return False
+    x, rate, load = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("load")
+    p = {key: ca.SX.sym(key) for key in effect.parameter_info()}
+    chosen = ca.vertcat(*(p[key] for key in effect.neutral))
+    slope = ca.jacobian(effect.sliding_force(x, rate, [], load, p), chosen)
+    return not ca.depends_on(slope, chosen)
+
+
+class _Singles:
+    """What effects at single places add to the forces; at several places it is the sum of these, to first order.
+
+    Args:
+        model: that lacks them.
+        at: its inverse dynamics.
+        rows_of: weighs forces (n, nj) of each motion.
+        changed: what of the missing forces another model adds.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        at: Sequence[InverseDynamics],
+        rows_of: Callable[[Sequence[Array]], Array],
+        changed: Callable[[Model], Array],
+    ) -> None:
+        self.model, self.at, self.rows_of, self.changed = model, at, rows_of, changed
+        self._known: dict[tuple[type[Effect], str, tuple[float, ...]], Mapping[str, Array] | None] = {}
+
+    def of(
+        self, candidate: Candidate, further: Sequence[Mapping[str, float]] = ()
+    ) -> Iterator[tuple[Columns, list[Array]]]:
+        """A candidate's columns at each choice of the parameters that it is not linear in; none that is not seen.
+
+        Args:
+            candidate: which.
+            further: guesses beside its own.
+        """
+        effect = candidate.effect
+        if not effect.in_torques or (issubclass(effect, ForceEffect) and not _is_linear(effect)):
+            return
+        scaled = (
+            effect.neutral if issubclass(effect, ForceEffect) else candidate.alone(candidate.locations[0]).grows_from()
+        )
+        seen = set()
+        for guess in (*_tried(candidate), *further):
+            others = tuple(guess[own.name] for own in candidate.parameters if own.key not in scaled)
+            if scaled and not effect.delays and others in seen:  # linear in its size
+                continue
+            seen.add(others)
+            by_place = {place: self._single(effect, place, candidate.at(guess, place)) for place in candidate.locations}
+            if any(own is None for own in by_place.values()):
+                continue
+            if not scaled:
+                yield Columns(candidate, guess, ()), [_sum(one[""] for one in by_place.values() if one)]
+                continue
+            names = [own for own in candidate.parameters if own.key in scaled]
+            columns = [_sum(one[own.key] for place in own.places if (one := by_place[place])) for own in names]
+            base = guess
+            if issubclass(effect, ForceEffect):
+                base = {own.name: effect.neutral.get(own.key, guess[own.name]) for own in candidate.parameters}
+            yield Columns(candidate, base, tuple(own.name for own in names)), columns
+
+    def _single(self, effect: type[Effect], place: str, values: Mapping[str, float]) -> Mapping[str, Array] | None:
+        """For each parameter that scales an effect (m, nj) its column; None where the robot cannot have it."""
+        key = (effect, place, tuple(values.values()))
+        if key not in self._known:
+            self._known[key] = (
+                self._law(effect, place, values)
+                if issubclass(effect, ForceEffect)
+                else (self._change(effect, place, values))
+            )
+        return self._known[key]
+
+    def _law(self, effect: type[ForceEffect], place: str, values: Mapping[str, float]) -> Mapping[str, Array]:
+        joints, keys = self.model.robot.joint_names, list(effect.parameter_info())
+        j = joints.index(place)
+        of = [law_slopes(effect, values, o.position[:, j], o.rate[:, j], o.drives[:, j]) for o in self.at]
+        return {
+            key: self.rows_of([_only(j, slope[:, keys.index(key)], len(joints)) for slope in of])
+            for key in keys
+            if key in effect.neutral
+        }
+
+    def _change(self, effect: type[Effect], place: str, values: Mapping[str, float]) -> Mapping[str, Array] | None:
+        single = Candidate(effect, (place,), (values,))
+        try:
+            change = self.changed(model_of(self.model, (Part(single, values),)))
+        except (ConfigError, ModelError):
+            return None
+        return dict.fromkeys(single.grows_from() or {"": 0.0}, change)
+
+
+def _sum(columns: Iterable[Array]) -> Array:
+    return np.asarray(sum(columns))
+
+
+def _tried(candidate: Candidate) -> Sequence[Mapping[str, float]]:
+    """The guesses that are evaluated: of delays, in which forces bend, two."""
+    guesses = candidate.guesses
+    return guesses[:: max(len(guesses) // 2, 1)][:2] if candidate.effect.delays else guesses
+
+
+def _remaining(columns: Array, p: int, found: Sequence[Columns], counts: NDArray[np.bool_]) -> Array:
+    """(nj,) standard deviation of each joint's forces that the parameters and the usual laws leave."""
+    rough = [k for own in found if own.candidate.effect.name in ROUGH for k in own.place]
+    sigma = np.sqrt(np.maximum((columns[:, :, -1] ** 2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1), 1e-300))
+    for _ in range(2):
+        whole = columns[:, :, [*range(p), *(p + k for k in dict.fromkeys(rough))]] / sigma[:, None]
+        whole = whole.reshape(-1, whole.shape[2])
+        size = np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
+        target = (columns[:, :, -1] / sigma).ravel()
+        fitted = whole @ (np.linalg.lstsq(whole / size, target, rcond=1e-6)[0] / size)
+        left = (target - fitted).reshape(counts.shape) * sigma
+        own = np.sqrt((left**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
+        sigma = np.maximum(own, 1e-3 * sigma)
+    return np.asarray(sigma)
