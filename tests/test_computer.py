@@ -171,3 +171,62 @@ def test_threads_stay() -> None:
     pool = computer.threads(2)
     assert computer.threads(2) is pool
     assert list(pool.map(fail, [3, 4])) == [3, 4]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_pieces_side_by_side_come_in_order_and_may_be_left_out_meanwhile(count: int) -> None:
+    """The largest so far leaves out what is smaller and has not begun."""
+    begun: list[int] = []
+    largest = 0
+
+    def work(piece: int) -> int:
+        begun.append(piece)
+        time.sleep(0.01 * (5 - piece % 5))
+        return fail(piece)
+
+    found = []
+    for piece, result in computer.side_by_side(count, work, (p for p in (2, 9, 4, 5, 11, 3) if p > largest)):
+        assert result == piece
+        if piece > largest:
+            found.append(piece)
+            largest = piece
+    assert found == [2, 9, 11] and {2, 9, 11} <= set(begun)
+    assert set(begun) <= {1: {2, 9, 11}, 2: {2, 9, 4, 11}}.get(count, {2, 9, 4, 5, 11})
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_linear_algebra_has_one_thread_side_by_side(count: int) -> None:
+    before = who(0)
+    assert {threads for _, (_, threads) in computer.side_by_side(count, who, [0, 1, 2])} == {1}
+    assert who(0) == before
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_an_error_side_by_side_is_that_of_the_whole(count: int) -> None:
+    ended: list[int] = []
+
+    def work(piece: int) -> int:
+        try:
+            return fail(piece)
+        finally:
+            time.sleep(0.02 * piece)
+            ended.append(piece)
+
+    done: list[int] = []
+    with pytest.raises(ConfigError, match="index is 0, expected more"):
+        done.extend(piece for piece, _ in computer.side_by_side(count, work, [2, 0, 3, 4]))
+    assert done == [2] and 4 not in ended and set(ended) >= {0, 2}
+
+
+def test_who_wants_no_more_waits_for_what_has_begun() -> None:
+    ended: list[int] = []
+
+    def work(piece: int) -> int:
+        time.sleep(0.02)
+        ended.append(piece)
+        return piece
+
+    pieces = computer.side_by_side(2, work, range(1, 9))
+    assert next(pieces) == (1, 1)
+    pieces.close()  # type: ignore[attr-defined]
+    assert sorted(ended) in ([1, 2], [1, 2, 3])

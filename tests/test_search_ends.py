@@ -28,6 +28,7 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
+from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
 from equimus_ctrl.effects import REGISTRY
@@ -497,3 +498,73 @@ def test_alone_is_the_best_fit_with_nothing_else() -> None:
     assert _alone(end, OFF) is None
     assert _alone(replace(end, without=()), RUB) is worse
     assert _alone(SearchState(base, only), RUB) is only
+
+
+# --- which fits go on
+
+
+def coarse(deviance: float, label: str, converged: bool) -> Fitted:
+    """A fit after a few steps."""
+    own = fitted(deviance, label)
+    return replace(own, fit=SimpleNamespace(**vars(own.fit), converged=converged))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("deviance", "converged", "many_minima", "goes_on"),
+    [
+        (1500.0, False, False, True),
+        (1500.0, True, False, False),
+        (1500.0, False, True, False),
+        (3900.0, False, False, False),
+    ],
+    ids=["still gaining", "at its end", "where fits have many minima", "far behind"],
+)
+def test_a_fit_behind_the_first_ones_goes_on_where_its_rank_is_not_known(
+    deviance: float, converged: bool, many_minima: bool, goes_on: bool
+) -> None:
+    settings = SearchSettings(kept=3, many_minima=many_minima)
+    search = OnPaper(Known({(): 5000.0}), settings)
+    options = [coarse(d, label, True) for d, label in ((1000.0, RUB), (1100.0, STICK), (1200.0, DEAD))]
+    options.append(coarse(deviance, OFF, converged))
+    further: list[str] = []
+
+    def longer(hypothesis: tuple[Part, ...], *given: object, settled: object) -> Fitted:
+        further.append(hypothesis[-1].candidate.label)
+        return coarse(900.0, further[-1], True)
+
+    vars(search.data).update(threads=1, coarse_fit=longer, converge=lambda f, settled: f, discontinuous=lambda *a: [])
+    found = search._best_converged(search.known(), options, np.inf)
+    assert further == [RUB, STICK, DEAD, *([OFF] if goes_on else [])]
+    assert [f.deviance for f in found] == [900.0, 900.0, 900.0, 900.0 if goes_on else deviance]
+
+
+@pytest.mark.parametrize(("left", "asked"), [(0.6, True), (0.4, False)])
+def test_residual_forces_are_asked_only_where_one_can_explain_twice_as_much(
+    left: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No force explains more than all there is: an effect that explains more than half of it is not outdone."""
+    looked: list[float] = []
+    monkeypatch.setattr("equimus_ctrl.diagnosis.search.chi_squared", lambda noise, times, residuals: residuals)
+    monkeypatch.setattr("equimus_ctrl.diagnosis.search.linearise_fit", lambda data, fit, noise: looked.append(1.0))
+    own = OnPaper(Known({(): 5000.0}))
+    vars(own.data).update(times=[])
+    best, top = (replace(fitted(1.0), fit=SimpleNamespace(residuals=chi2)) for chi2 in (100.0, 100.0 * left))  # type: ignore[arg-type]
+    assert Search._outdone(own, best, top) is False
+    assert bool(looked) is asked
+
+
+def test_beside_other_effects_a_fit_begins_on_the_way_too() -> None:
+    """Model parameters and the new effect's size at all, a half and a quarter of their change to first order."""
+    part = Part(POOL[OFF], VALUES["sensor_offset"])
+    data: Any = SimpleNamespace(
+        theta_of=lambda theta, parts: np.append(theta, [v for p in parts for v in p.values.values()])
+    )
+    simple = fitted(5000.0)
+    for others, shares in (((), (1.0,)), ((Part(POOL[DEAD], VALUES["dead_zone"]),), (1.0, 0.5, 0.25))):
+        before = np.array([2.0, 3.0, *(v for p in others for v in p.values.values())])
+        of = replace(simple, hypothesis=others, fit=SimpleNamespace(theta=np.array([2.0, 3.0])))  # type: ignore[arg-type]
+        change = np.array([0.4, -0.8, *(0.0 for _ in others), 0.1])
+        whole = np.append(before, 0.0) + change
+        screened = Screened(part.candidate, (*others, part), whole, (1.0, 1.0), (), np.zeros(0))
+        expected = [np.append(before, 0.0) + share * change for share in shares]
+        assert np.array(screened.begins(data, of)) == pytest.approx(np.array(expected))
