@@ -191,7 +191,7 @@ def threads(count: int) -> ThreadPoolExecutor:
 
 
 def in_threads(count: int, work: Callable[..., T], *given: Iterable[Any]) -> list[T]:
-    """What work comes to for each of what is given, shared out among threads; of one, in this.
+    """The results of work for each row of what is given, in order, by so many threads; with one, in the calling thread.
 
     Raises:
         ValueError: where there is more of some of it than of others.
@@ -204,15 +204,28 @@ def in_threads(count: int, work: Callable[..., T], *given: Iterable[Any]) -> lis
 
 @lru_cache(maxsize=8)
 def _coordinators(count: int) -> ThreadPoolExecutor:
-    """Threads beside those of ``threads``, which may share out pieces of their own work among these."""
+    """Threads for work that itself shares out pieces among those of ``threads``."""
     return ThreadPoolExecutor(count, "coordinate")
 
 
-def side_by_side(count: int, work: Callable[[T], U], given: Iterable[T]) -> Iterator[tuple[T, U]]:
-    """What work comes to for each of what is given, in its order, so many at a time.
+def _first_done(waiting: deque[tuple[T, Future[U]]]) -> tuple[T, U]:
+    """The oldest piece under way and what it came to; still among those under way where that ends in an exception."""
+    first, future = waiting[0]
+    result = future.result()
+    waiting.popleft()
+    return first, result
 
-    While one simulates another computes. What is given is asked for the next where one is done, so it may leave out
-    what is not worth while any more; how far ahead it is asked depends on the count, what a piece comes to does not.
+
+def side_by_side(count: int, work: Callable[[T], U], given: Iterable[T]) -> Iterator[tuple[T, U]]:
+    """Call work with each of what is given, so many at a time: while one simulates, another computes.
+
+    The next is taken when the oldest under way is done, so a generator may leave out what earlier results made useless.
+    More may be done then than with one thread, and who consumes has to leave it out again. Until the iterator is
+    exhausted or closed, linear algebra has one thread in the whole process. Not to be called within ``work``: these
+    threads would wait for each other.
+
+    Yields:
+        (what was given, what it came to), in the order given.
     """
     waiting = deque[tuple[T, Future[U]]]()
     with threadpool_limits(limits=1, user_api="blas"):
@@ -223,11 +236,9 @@ def side_by_side(count: int, work: Callable[[T], U], given: Iterable[T]) -> Iter
             for one in given:
                 waiting.append((one, _coordinators(count).submit(work, one)))
                 if len(waiting) == count:
-                    first, future = waiting.popleft()
-                    yield first, future.result()
+                    yield _first_done(waiting)
             while waiting:
-                first, future = waiting.popleft()
-                yield first, future.result()
+                yield _first_done(waiting)
         finally:
             for _, future in waiting:
                 future.cancel()

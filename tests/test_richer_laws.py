@@ -15,7 +15,7 @@ from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.richer_laws import holds, richer
 from equimus_ctrl.diagnosis.torque_guesses import far_above_noise
 from equimus_ctrl.diagnosis.torque_screening import torque_domain
-from equimus_ctrl.diagnosis.torque_start import begun
+from equimus_ctrl.diagnosis.torque_start import laws_asked_for
 from equimus_ctrl.effects import (
     CoulombFriction,
     PayloadMass,
@@ -87,7 +87,7 @@ def test_the_torque_domain_finds_both_ends_of_a_spring() -> None:
     pool = [simple, rich, Candidate(CoulombFriction, ("pan",), ({"friction": 0.5},))]
     domain = torque_domain(data, pool)
     assert domain is not None
-    ((part,), _) = begun(data, domain, pool, 3)
+    ((part,), _) = laws_asked_for(data, domain, pool, 3)
     assert part.candidate is rich
     assert part.values == pytest.approx({**PULLS, "length": LENGTH}, rel=0.1)
     assert not far_above_noise(data, domain, np.full(3, 1e-3)) and far_above_noise(data, domain, np.full(3, 10.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -100,7 +100,7 @@ class OnPaper(Search):
     def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:
         return [], state.tried
 
-    def _outdone(self, best: Fitted, top: Fitted) -> bool:
+    def _outdone(self, best: Fitted, top: Fitted, force: Callable[[], float | None]) -> bool:
         return top.labels in self.known.outdone
 
 
@@ -538,18 +538,26 @@ def test_a_fit_behind_the_first_ones_goes_on_where_its_rank_is_not_known(
     assert [f.deviance for f in found] == [900.0, 900.0, 900.0, 900.0 if goes_on else deviance]
 
 
-@pytest.mark.parametrize(("left", "asked"), [(0.6, True), (0.4, False)])
+@pytest.mark.parametrize(
+    ("left", "by_force", "asked", "outdone"),
+    [(0.6, 70.0, True, False), (0.6, 90.0, True, True), (0.6, None, True, False), (0.4, 100.0, False, False)],
+    ids=["force explains less", "more", "motion not followed", "no force can"],
+)
 def test_residual_forces_are_asked_only_where_one_can_explain_twice_as_much(
-    left: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+    left: float, by_force: float | None, asked: bool, outdone: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No force explains more than all there is: an effect that explains more than half of it is not outdone."""
-    looked: list[float] = []
+    looked: list[float | None] = []
     monkeypatch.setattr("equimus_ctrl.diagnosis.search.chi_squared", lambda noise, times, residuals: residuals)
-    monkeypatch.setattr("equimus_ctrl.diagnosis.search.linearise_fit", lambda data, fit, noise: looked.append(1.0))
     own = OnPaper(Known({(): 5000.0}))
     vars(own.data).update(times=[])
     best, top = (replace(fitted(1.0), fit=SimpleNamespace(residuals=chi2)) for chi2 in (100.0, 100.0 * left))  # type: ignore[arg-type]
-    assert Search._outdone(own, best, top) is False
+
+    def force() -> float | None:
+        looked.append(by_force)
+        return by_force
+
+    assert Search._outdone(own, best, top, force) is outdone
     assert bool(looked) is asked
 
 
@@ -568,3 +576,26 @@ def test_beside_other_effects_a_fit_begins_on_the_way_too() -> None:
         screened = Screened(part.candidate, (*others, part), whole, (1.0, 1.0), (), np.zeros(0))
         expected = [np.append(before, 0.0) + share * change for share in shares]
         assert np.array(screened.begins(data, of)) == pytest.approx(np.array(expected))
+
+
+def test_sizes_that_fade_together_shrink_together_on_the_way() -> None:
+    candidate = Candidate(REGISTRY["stribeck_friction"], ("knee",), (VALUES["stribeck_friction"],))
+    data: Any = SimpleNamespace(
+        theta_of=lambda theta, parts: np.append(theta, [v for p in parts for v in p.values.values()])
+    )
+    of = replace(fitted(5000.0, DEAD), fit=SimpleNamespace(theta=np.zeros(0)))  # type: ignore[arg-type]
+    other = of.hypothesis[0]
+    whole = np.array([1e3, 0.01, 0.012, 0.1])
+    screened = Screened(
+        candidate, (other, Part(candidate, VALUES["stribeck_friction"])), whole, (1.0,), (), np.zeros(0)
+    )
+    half = screened.begins(data, of)[1]
+    assert half == pytest.approx([1e3, 0.005, 0.006, 0.1])
+
+
+def test_a_gain_is_as_a_fall_of_the_deviance() -> None:
+    """n ln(n/(n − gain)): what leaves a hundredth of the variance gains n ln 100; small gains are their own."""
+    search = OnPaper(Known({(): 5000.0}))
+    n = search.data.n
+    assert search._fall(0.99 * n) == pytest.approx(n * np.log(100))
+    assert search._fall(1.0) == pytest.approx(1.0, rel=1e-3) and np.isfinite(search._fall(float(n)))

@@ -15,8 +15,9 @@ from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Part, default_free_parameters
+from equimus_ctrl.diagnosis.torque_columns import columns_of
 from equimus_ctrl.diagnosis.torque_screening import torque_domain, torque_screen
-from equimus_ctrl.diagnosis.torque_start import begun, worth_simulating
+from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
 from equimus_ctrl.effects import (
     CoulombFriction,
     Effect,
@@ -137,7 +138,7 @@ def test_a_search_begins_with_the_missing_law(effect: Effect, labels: set[str], 
     pool = candidates(Model(ROBOT), data.segments)
     domain = torque_domain(data, pool)
     assert domain is not None
-    found = begun(data, domain, pool, 3)
+    found = laws_asked_for(data, domain, pool, 3)
     assert found is not None
     (part,) = found[0]
     assert part.candidate.label in labels and next(iter(part.values.values())) == pytest.approx(size, rel=0.25)
@@ -149,7 +150,7 @@ def test_a_search_begins_with_nothing_where_nothing_is_missing() -> None:
     data = data_of(ROBOT, recorded(Model(off), seed=3, seconds=8.0))
     pool = candidates(Model(ROBOT), data.segments)
     domain = torque_domain(data, pool)
-    assert domain is not None and begun(data, domain, pool, 3) is None
+    assert domain is not None and laws_asked_for(data, domain, pool, 3) is None
 
 
 def two_joints(damping: float = 0.0) -> MjcfRobot:
@@ -171,7 +172,7 @@ def test_friction_of_all_joints_is_one_law_with_its_own_size_at_each() -> None:
     pool = candidates(Model(robot), data.segments)
     domain = torque_domain(data, pool)
     assert domain is not None
-    found = begun(data, domain, pool, 3)
+    found = laws_asked_for(data, domain, pool, 3)
     assert found is not None
     (part,) = (p for p in found[0] if p.candidate.effect is CoulombFriction)
     assert part.candidate.label == "coulomb_friction:shoulder,reach"
@@ -232,8 +233,36 @@ def test_it_does_not_matter_where_parameters_are_that_forces_are_linear_in() -> 
     assert there.missing == pytest.approx(here.missing, abs=1e-3)
     assert there.alone()[pool[0]].gain == pytest.approx(here.alone()[pool[0]].gain, abs=1e-3)
     own = here.columns[:1]
-    assert there.moved(own) == pytest.approx(here.moved(own), rel=1e-6)
-    assert there.moved(own)[0] == pytest.approx(0.6, rel=0.02), "the mass that it has"
+    moved = [screen.moved(own, screen.fitted(own)[1]) for screen in (here, there)]
+    assert moved[1] == pytest.approx(moved[0], rel=1e-6)
+    assert moved[0][0] == pytest.approx(0.6, rel=0.02), "the mass that it has"
+    nothing = here.moved(own, [[0.0]])
+    assert nothing == pytest.approx(here.moved([], [])) and nothing != pytest.approx(moved[0], rel=1e-3)
+
+
+def test_nothing_is_asked_for_by_a_robot_that_is_held() -> None:
+    """Where nothing moves but the sensors' noise no law explains anything, none more than another."""
+    rng = np.random.default_rng(0)
+    still = [replace(r, position=rng.normal(0, 1e-3, r.position.shape)) for r in recorded(Model(ROBOT))]
+    data = data_of(ROBOT, still)
+    pool = candidates(Model(ROBOT), data.segments)
+    domain = torque_domain(data, pool)
+    assert domain is not None and laws_asked_for(data, domain, pool, 3) is None
+    assert {c.label for c in worth_simulating(data, domain, data.nominal_fit(), pool)} == {c.label for c in pool}
+
+
+def test_of_a_group_of_trials_a_law_adds_nothing_where_it_is_absent() -> None:
+    data = data_of(ROBOT, recorded(Model(ROBOT, (ViscousFriction("hinge", 0.1),)), count=2, seconds=4.0))
+    plain = next(c for c in candidates(Model(ROBOT), data.segments) if c.label == "viscous_friction:hinge")
+    noise = np.array([1e-3])
+    motions = [m for s in data.segments for m in motions_of([s.trial], [s.measured], noise)]
+    groups = ["A" if k % 2 else "B" for k in range(len(motions))]
+    assert len(set(groups)) == 2
+    pool = [plain, replace(plain, absent=("B",)), replace(plain, absent=("A",))]
+    free = data.free
+    found, columns, _, _ = columns_of(free, free.start, motions, 3, pool, lambda: None, groups=groups)
+    everywhere, in_a, in_b = (columns[:, 0, len(free.free) + one.place[0]] for one in found)
+    assert np.array_equal(in_a + in_b, everywhere) and np.any(in_a) and np.any(in_b) and not np.any(in_a * in_b)
 
 
 def test_a_part_narrows_to_places_that_need_it() -> None:

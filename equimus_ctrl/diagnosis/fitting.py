@@ -158,7 +158,7 @@ class Data:
 
     @property
     def threads(self) -> int:
-        """So many fits at a time."""
+        """Threads among which fits, and simulations of each, are shared out."""
         return computer.worker_count(self.simulator.threads)
 
     def theta_of(self, theta: Array, hypothesis: Hypothesis) -> Array:

@@ -28,6 +28,7 @@ def force_response(
     starts: Sequence[Array],
     scale: Callable[[], Array],
     dt: float = STEP,
+    threads: int | None = None,
 ) -> ForceResponse:
     """A model's motions through trials, and its answers to small forces along them.
 
@@ -39,12 +40,13 @@ def force_response(
         scale: gives (nj,) the usual size of forces at the joints [N·m or N]; asked where forces are simulated, for
             what is small beside them.
         dt: physics step of motions that equations are linearised along [s].
+        threads: among which simulated forces are shared out; as many as there are processors by default.
 
     Raises:
         SimulationDiverged: where a motion cannot be followed.
     """
     if engine.responds_by == "simulated":
-        return simulated_response(model, trials, starts, scale())
+        return simulated_response(model, trials, starts, scale(), threads)
     step = min(dt, engine.step or dt)
     return linearise(model, [motion(model, trial, start, step) for trial, start in zip(trials, starts, strict=True)])
 
@@ -86,6 +88,7 @@ def segment_response(
     starts: Sequence[Array],
     scale: Callable[[], Array],
     dt: float = STEP,
+    threads: int | None = None,
 ) -> ForceResponse:
     """``force_response`` through segments, from starts as the sensors show them, the model as it is in each group."""
     groups = dict.fromkeys(segment.group for segment in segments)
@@ -95,5 +98,5 @@ def segment_response(
         own = model.in_group(group)
         shown = [segments[k].parted(starts[k][None, :])[0] for k in of]
         true = [behind_sensors([own], start)[0] for start in shown]
-        parts.append(force_response(engine, own, [segments[k].trial for k in of], true, scale, dt))
+        parts.append(force_response(engine, own, [segments[k].trial for k in of], true, scale, dt, threads))
     return _ByGroup(rows, tuple(parts))

@@ -24,9 +24,12 @@ from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.segments import groups_of
+from equimus_ctrl.types import Array
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
+LEAST_LEFT = 1e-9
+"""Share of the residuals' variance that is left at least, by which a gain is bounded."""
 EXCHANGE_MARGIN = 2 * CONVERGED_GAIN
 """Least difference of score for which a part is exchanged. Either fit may end ``CONVERGED_GAIN`` above its minimum, so
 less than twice that ranks nothing: two parts that fit alike would take each other's place round after round."""
@@ -130,8 +133,8 @@ class HypothesisMoves:
         """
         pool = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
         most = min(self.settings.tried, self.settings.tried_in_place) if replaced else self.settings.tried
-        if (torques := self.torques) is not None:
-            pool = worth_simulating(self.data, torques, fitted, pool)
+        if (domain := self.torque_domain) is not None:
+            pool = worth_simulating(self.data, domain, fitted, pool)
         choice = Choice(pool, most if known is None else len(pool), known is not None)
         screened = screen(self.data, fitted, pool)
         if not fitted.hypothesis and not tried.first:
@@ -159,11 +162,10 @@ class HypothesisMoves:
             label = hypothesis[-1].candidate.label
             earlier = chosen[label].begins if label in chosen else ()
             known = label in hopes and fitted.hypothesis and not self.settings.many_minima
-            hope = max(hopes[label]) if known else math.inf
+            hope = self._fall(max(hopes[label])) if known else math.inf
             chosen[label] = Proposal(hypothesis, (*begins, *earlier), hope)
             if (split := own_in_each_group(hypothesis, groups_of(self.data.segments))) is not None:
-                sizes = list(split[-1].values.values())[len(hypothesis[-1].values) :]
-                wider = tuple((np.append(theta, sizes), starts) for theta, starts in begins)
+                wider = tuple((self._in_each_group(theta, hypothesis, split), starts) for theta, starts in begins)
                 chosen.setdefault(split[-1].candidate.label, Proposal(split, wider))
 
         for ranking in rankings:
@@ -176,6 +178,20 @@ class HypothesisMoves:
         for hypothesis, begin in self._fitted_on_short_intervals(fitted, {c.label for c in choice.pool}, choice.most):
             add(hypothesis, begin)
         return list(chosen.values())
+
+    def _fall(self, gain: float) -> float:
+        """By how much the deviance falls where χ² of n whitened residuals falls by a gain: n ln(n/(n − gain)).
+
+        As of any fall of the residuals' variance, which the noise estimated follows.
+        """
+        return -self.data.n * math.log(max(1.0 - gain / self.data.n, LEAST_LEFT))
+
+    def _in_each_group(self, theta: Array, hypothesis: Hypothesis, split: Hypothesis) -> Array:
+        """θ of a hypothesis whose last part has sizes of its own in groups of trials, all like the common ones in θ."""
+        values = hypothesis[-1].values
+        common = dict(zip(values, theta[len(theta) - len(values) :], strict=True))
+        own = split[-1].candidate.own
+        return np.append(theta, [common[name] for name, _ in own])
 
     def _different(self, ranking: Sequence[Screened]) -> Sequence[Screened]:
         """Each effect once, where it is most promising, if it is tried in more ways than at this joint and that.
@@ -222,7 +238,7 @@ class HypothesisMoves:
         return self.data.nominal_fit()
 
     @cached_property
-    def torques(self) -> TorqueDomain | None:
+    def torque_domain(self) -> TorqueDomain | None:
         """The measurements in the torque domain; None where the robot has none."""
         return torque_domain(self.data, self.pool)
 
@@ -265,7 +281,7 @@ class HypothesisMoves:
 
         promising = (p for p in sorted(proposals, key=lambda p: -p.hope) if not hopeless(p))
         for proposal, option in computer.side_by_side(self.data.threads, after_some_steps, promising):
-            # Those fitted before this one may have made it hopeless meanwhile.
+            # Dropped again here, so that the answer does not depend on how many were fitted at a time.
             if option is not None and not hopeless(proposal):
                 options.append(option)
                 most = max(most, fitted.deviance - option.deviance)
@@ -276,10 +292,11 @@ class HypothesisMoves:
 
         Never where fits have many minima.
         """
+        if self.settings.many_minima:
+            return False
         rich, simple = (sum(p.candidate.n_parameters for p in parts) for parts in (hypothesis, fitted.hypothesis))
         more, most = max(rich - simple, 1), self.settings.optimism * gain
-        enough = self.data.thresholds.decides(lambda t: most > self.threshold(more, t))
-        return not (enough or self.settings.many_minima)
+        return not self.data.thresholds.decides(lambda t: most > self.threshold(more, t))
 
     def _best_converged(self, fitted: Fitted, options: Sequence[Fitted], rival: float) -> list[Fitted]:
         """Coarse fits, best first, of which the first few that are close to the best are fitted until converged.

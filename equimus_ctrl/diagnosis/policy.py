@@ -301,7 +301,7 @@ class SearchSettings:
         rounds_per_part: rounds for each of them, at most: each adds a part, and may drop another beside it.
         tried: candidates fitted at each step, for each whitening of the residuals.
         tried_in_place: the same of candidates that are to take a part's place.
-        kept: of them, how many are fitted until converged,
+        kept: of them, how many are fitted until converged, where fits have few minima others too that still gain,
         kept_share: where they lack less than this share of the best one's gain in −2 ln L,
         kept_gain: and this much.
         rival_share: in the place of a part, only what lacks less than this share of its gain is fitted until converged.

@@ -25,7 +25,7 @@ from equimus_ctrl.types import Array
 SLOWEST, FASTEST = 0.2, 4.0
 """Frequencies of a disturbance in time that are looked for [Hz]."""
 LONGEST = 12.0
-"""Frequencies are as close together as a recording of so long tells apart, at most [s]."""
+"""Frequencies are twice as close together as a recording of so long tells apart, at most [s]."""
 FOLDS = 3
 """Of the cross-validation."""
 BOUND = 1e9
@@ -81,7 +81,9 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         return np.array([excitation[name].force for name in model.robot.joint_names])
 
     try:
-        response = segment_response(data.simulator.engine, model, data.segments, fitted.fit.starts, scale, dt)
+        response = segment_response(
+            data.simulator.engine, model, data.segments, fitted.fit.starts, scale, dt, data.simulator.threads
+        )
     except SimulationDiverged:
         return None
     linearised = observed(response, model.robot, data.segments)

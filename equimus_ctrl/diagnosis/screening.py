@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -64,14 +65,18 @@ class Screened:
     strength: Array
 
     def begins(self, data: Data, fitted: Fitted) -> list[Array]:
-        """(p,) each, θ to first order, and on the way there from the hypothesis screened against.
+        """(p,) each, θ to first order; beside other parts also part of the way there from no effect of the last one.
 
-        Beside other parts the whole change may lead to a worse fit than none of it: they bend what is first order.
+        The whole change may lead to a worse fit than none of it: other parts bend what is first order.
+
+        Args:
+            data: what was measured.
+            fitted: the hypothesis screened against.
         """
         last = self.hypothesis[-1]
-        nothing = Part(last.candidate, {**last.values, **last.candidate.grows_from()})
+        nothing = Part(last.candidate, {**last.values, **last.candidate.fades_to()})
         start = data.theta_of(fitted.fit.theta, (*self.hypothesis[:-1], nothing))
-        shares = SHORTER if fitted.hypothesis else ()
+        shares = SHORTER if fitted.hypothesis and last.candidate.fades_to() else ()
         return [self.begin, *(start + share * (self.begin - start) for share in shares)]
 
 
@@ -96,7 +101,7 @@ class _Responses:
 
 @dataclass(frozen=True, eq=False)
 class _FirstOrderGains:
-    """Of k guesses, each at its best factor between LEAST and MOST, by one whitening.
+    """First-order gains of k guesses by one whitening, each at its best factor between LEAST and MOST.
 
     Attributes:
         gain: (k,) fall of χ².
@@ -198,16 +203,11 @@ def _evaluated(responses: _Responses) -> dict[Candidate, list[_Guess]]:
     for kept in dict.fromkeys(kept_by):
         rows = [k for k, own in enumerate(kept_by) if own == kept]
 
-        def of_rows(
-            whitened_fit: WhitenedFit, columns: Array, rows: list[int], kept: Sequence[int]
-        ) -> _FirstOrderGains:
-            own = columns if len(rows) == columns.shape[1] else columns[:, rows]
-            return _gains(whitened_fit, own, np.array(kept))
-
-        threads = responses.whitened_fits[WHITE].threads
+        own_columns = [c if len(rows) == c.shape[1] else c[:, rows] for c in responses.columns]
         by_whitening = computer.in_threads(
-            threads, of_rows, responses.whitened_fits, responses.columns, [rows, rows], [kept, kept]
-        )
+            responses.whitened_fits[WHITE].threads, partial(_gains, kept=np.array(kept)), responses.whitened_fits,
+            own_columns,
+        )  # fmt: skip
         for place, k in enumerate(rows):
             theta = np.array(fitted.fit.theta)[list(kept)]
             theta += by_whitening[WHITE].change[:, place] * scale[list(kept)]

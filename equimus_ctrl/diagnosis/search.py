@@ -15,6 +15,9 @@ The moves:
     prune      a law with its own parameters at each place → where needed  ``pruned``
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
 
+A search of an MJCF robot begins with the laws that its measured torques ask for (``begun_in_torques``), each enriched
+where a richer one fits better; every other search with the refitted model alone.
+
 Where errors grow along a trial, fits have many local minima (``SearchSettings.many_minima``): deviances scatter, and
 first-order gains predict little. What differs:
 
@@ -23,19 +26,22 @@ first-order gains predict little. What differs:
     candidates fitted as one more       the promising ones            all others too, if residuals are large and none is
                                                                       accepted or a residual force explains far more
     their initial guesses               as they are                   also rescaled (``rescaled_guesses``)
+    what seems to gain too little       is not fitted further         is fitted (``SearchSettings.optimism``)
+    fits still gaining after few steps  go on where they are close    by their rank alone (``SearchSettings.kept``)
     rounds outdone by a residual force  none                          one (``PATIENCE``)
     the model without effects           fitted once                   refitted from the first effect's fit
     after each addition                 exchanged, from two parts on  the same, then pruned and simplified
-    at the end                          contested and narrowed        neither
+    at the end                          contested, then fewer places  neither
     what else fits in a part's place    fitted beside the other parts also what did beside any others (``in_place``)
     what held-out trials do not confirm is dropped                    exchanged for another hypothesis fitted, if any
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 
 from equimus_ctrl.diagnosis.alternatives import contested, exchanged_beside_fewer, narrowed, pruned, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
@@ -44,7 +50,7 @@ from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fi
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
-from equimus_ctrl.diagnosis.torque_start import begun, worth_simulating
+from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 
@@ -90,7 +96,9 @@ class Search(HypothesisMoves):
 
     def beginning(self, base: Fitted, start: Fitted) -> SearchState:
         """A hypothesis without the parts that are not needed, and with better fitting ones in its parts' places."""
-        pool = self.pool if self.torques is None else worth_simulating(self.data, self.torques, base, self.pool)
+        pool, domain = self.pool, self.torque_domain
+        if domain is not None:
+            pool = worth_simulating(self.data, domain, base, pool)
         first = SearchHistory(first=tuple(screen(self.data, base, pool)))
         return simplified(self, pruned(self, self.exchanged(SearchState(base, start, tried=first))))
 
@@ -99,7 +107,8 @@ class Search(HypothesisMoves):
 
         Of many joints that all rub, laws come together or not at all: one by one each is hidden by the others.
         """
-        asked = None if self.torques is None else begun(self.data, self.torques, self.pool, self.settings.most_parts)
+        domain, most = self.torque_domain, self.settings.most_parts
+        asked = None if domain is None else laws_asked_for(self.data, domain, self.pool, most)
         if asked is None:
             return state
         hypothesis, theta = asked
@@ -178,14 +187,15 @@ class Search(HypothesisMoves):
         extended, tried = self.challenge(forward.state.tried, best)
         fitted = self._small(extended)
         top = self._top(best, fitted)
-        outdone = top is not None and self._outdone(accepted, top)
+        force = cache(lambda: self._strongest_force(accepted))
+        outdone = top is not None and self._outdone(accepted, top, force)
         if self._may_try_all(best) and (top is None or outdone):
             self.notify("what could be missing, all there is", best.label)
             known = [option.hypothesis[-1].candidate.label for option in fitted]
             others, tried = self.extensions(tried, best, known=known)
             fitted = [*fitted, *others]
             if (better := self._top(best, fitted)) is not top:
-                top, outdone = better, better is not None and self._outdone(accepted, better)
+                top, outdone = better, better is not None and self._outdone(accepted, better, force)
         return _Options(tuple(fitted), top, outdone), tried
 
     def _stop_reason(self, options: _Options, rounds_outdone: int) -> StopReason | None:
@@ -262,18 +272,30 @@ class Search(HypothesisMoves):
             options += self._small(more)
         return options, tried
 
-    def _outdone(self, best: Fitted, top: Fitted) -> bool:
-        """Whether a residual force explains far more than the next effect: then that effect is not the missing one.
+    def _outdone(self, best: Fitted, top: Fitted, force: Callable[[], float | None]) -> bool:
+        """Whether a residual force explains far more than what a larger hypothesis adds: then that is not missing.
 
-        The effect explains χ²(best) − χ²(top), both whitened by the noise of ``best``; the force its gain in
-        cross-validation, or of a single trial its gain on that. No force gains more than there is, χ²(best).
+        The addition explains χ²(best) − χ²(top), both whitened by the noise of ``best``. No force gains more than there
+        is, χ²(best), so it is not asked for where the addition explains enough of that.
+
+        Args:
+            best: the hypothesis accepted.
+            top: the larger one.
+            force: what the strongest residual force of ``best`` explains, see ``_strongest_force``.
         """
         before, after = (chi_squared(best.noise, self.data.times, f.fit.residuals) for f in (best, top))
         if not self.data.thresholds.decides(lambda t: before - after < t.outdone * before):
             return False
-        linearised = linearise_fit(self.data, best, best.noise)
+        most = force()
+        return most is not None and self.data.thresholds.decides(lambda t: before - after < t.outdone * most)
+
+    def _strongest_force(self, fitted: Fitted) -> float | None:
+        """Fall of χ² by the strongest residual force of a hypothesis; None where its motion cannot be followed.
+
+        In cross-validation; of a single trial that on what was fitted.
+        """
+        linearised = linearise_fit(self.data, fitted, fitted.noise)
         if linearised is None:
-            return False
-        force = force_candidates(linearised)[0].found
-        most = force.held_out if linearised.folds else force.gain
-        return self.data.thresholds.decides(lambda t: before - after < t.outdone * most)
+            return None
+        found = force_candidates(linearised)[0].found
+        return found.held_out if linearised.folds else found.gain

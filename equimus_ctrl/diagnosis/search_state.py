@@ -32,7 +32,7 @@ class Extended:
     Attributes:
         base: the fit that was extended.
         options: hypotheses with one more part, fitted.
-        rival: deviance of what they had to come near to; inf where they had not.
+        rival: deviance of the hypothesis that the options were measured against; inf without one.
     """
 
     base: Fitted
@@ -46,7 +46,8 @@ class SearchHistory:
 
     Attributes:
         fitted: all hypotheses fitted, converged or not.
-        first: what every candidate would do to the refitted model, alone.
+        first: what every candidate that was simulated would do to the refitted model, alone; of a robot with a torque
+            domain not those that it ruled out.
         rejected: labels of candidates that are not to be part of a hypothesis any more.
         extended: by a hypothesis' labels, and that of a candidate to replace or "".
         refits: by the fit that each began at, and the labels and initial values of its parts.

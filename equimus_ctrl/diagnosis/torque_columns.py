@@ -25,9 +25,9 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
 STEP = 1e-3
-"""Of differences, as a share of a parameter's scale."""
-ROUGH = ("viscous_friction", "coulomb_friction", "constant_force", "asymmetric_friction", "parallel_spring")
-"""Laws that together leave about the noise of joints' forces, whatever is missing."""
+"""Of differences, as a share of a parameter's scale, or of what a joint covers."""
+USUAL_LAWS = ("viscous_friction", "coulomb_friction", "constant_force", "asymmetric_friction", "parallel_spring")
+"""Laws that real joints have most: beside them what is left of joints' forces is taken for noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Columns:
 
     @property
     def fixed(self) -> bool:
-        """Whether the values stay as they are, for no value of the effect is nothing."""
+        """Whether it has no size to scale: it is taken at its guess or not at all."""
         return not self.scaled
 
     def _key(self, name: str) -> str:
@@ -73,7 +73,7 @@ class Columns:
 
     def values(self, sizes: Sequence[float]) -> dict[str, float]:
         """All parameters, with those that scale the effect at some sizes."""
-        return {**self.base, **(dict(zip(self.scaled, sizes, strict=True)) if not self.fixed else {})}
+        return {**self.base, **dict(zip(self.scaled, sizes, strict=True))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +111,24 @@ class Along:
 
 def columns_of(
     free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], width: int, pool: Sequence[Candidate],
-    check: Callable[[], None], guesses: Mapping[str, Mapping[str, float]] | None = None,
+    check: Callable[[], None], guesses: Mapping[str, Mapping[str, float]] | None = None, groups: Sequence[str] = (),
 ) -> tuple[list[Columns], Array, NDArray[np.bool_], Array]:  # fmt: skip
-    """Candidates, (m, nj, p + k + 1) [J, C, r], (m, nj) what counts, (nj,) standard deviations of what remains."""
+    """What the parameters and candidates add to the missing forces.
+
+    Args:
+        free: the parameters.
+        theta: (p,) where they are.
+        motions: what was measured.
+        width: of the test functions, in samples.
+        pool: the candidates.
+        check: called between them, to end where a budget is spent.
+        guesses: further ones, by candidates' labels.
+        groups: the group of trials of each motion, where candidates may be absent in some.
+
+    Returns:
+        The candidates that can be seen; (m, nj, p + k + 1) [J, C, r] at m test functions; (m, nj) what of them counts;
+        (nj,) standard deviations of what the parameters and the usual laws leave.
+    """
     model = free.model_at(theta)
     along = Along.of(model, motions, width)
     at, counts, rows_of, changed = along.at, along.counts, along.rows_of, along.changed
@@ -132,6 +147,9 @@ def columns_of(
             continue
         further = [guesses[candidate.label]] if guesses and candidate.label in guesses else []
         for seen, columns in singles.of(candidate, further):
+            if candidate.absent:
+                here = np.repeat([group not in candidate.absent for group in groups], [len(one.counts) for one in at])
+                columns = [np.where(here[:, None], column, 0.0) for column in columns]
             found.append(replace(seen, place=tuple(range(len(forces), len(forces) + len(columns)))))
             forces += columns
     missing = rows_of([one.missing for one in at])
@@ -148,7 +166,7 @@ def _by_zeros(
     """For each unknown zero the change of the missing forces (n, nj) of each motion by it."""
     for k, motion in enumerate(motions):
         for j in motion.zeros:
-            step = STEP * float(np.ptp(motion.position[:, j]))
+            step = max(STEP * float(np.ptp(motion.position[:, j])), float(motion.noise[j]))
             moved = replace(motion, position=motion.position - step * np.eye(len(motion.noise))[j])
             (after,) = inverse_dynamics(model, [moved], width)
             change = [np.zeros_like(one.missing) for one in at]
@@ -231,11 +249,10 @@ class _Singles:
         """For each parameter that scales an effect (m, nj) its column; None where the robot cannot have it."""
         key = (effect, place, tuple(values.values()))
         if key not in self._known:
-            self._known[key] = (
-                self._law(effect, place, values)
-                if issubclass(effect, ForceEffect)
-                else (self._change(effect, place, values))
-            )
+            if issubclass(effect, ForceEffect):
+                self._known[key] = self._law(effect, place, values)
+            else:
+                self._known[key] = self._change(effect, place, values)
         return self._known[key]
 
     def _law(self, effect: type[ForceEffect], place: str, values: Mapping[str, float]) -> Mapping[str, Array]:
@@ -269,10 +286,10 @@ def _tried(candidate: Candidate) -> Sequence[Mapping[str, float]]:
 
 def _remaining(columns: Array, p: int, found: Sequence[Columns], counts: NDArray[np.bool_]) -> Array:
     """(nj,) standard deviation of each joint's forces that the parameters and the usual laws leave."""
-    rough = [k for own in found if own.candidate.effect.name in ROUGH for k in own.place]
+    usual = [k for own in found if own.candidate.effect.name in USUAL_LAWS for k in own.place]
     sigma = np.sqrt(np.maximum((columns[:, :, -1] ** 2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1), 1e-300))
     for _ in range(2):
-        whole = columns[:, :, [*range(p), *(p + k for k in dict.fromkeys(rough))]] / sigma[:, None]
+        whole = columns[:, :, [*range(p), *(p + k for k in dict.fromkeys(usual))]] / sigma[:, None]
         whole = whole.reshape(-1, whole.shape[2])
         size = np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
         target = (columns[:, :, -1] / sigma).ravel()

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
 from equimus_ctrl.diagnosis.richer_laws import holds
-from equimus_ctrl.diagnosis.torque_columns import ROUGH, Along, columns_of
+from equimus_ctrl.diagnosis.torque_columns import USUAL_LAWS, Along, columns_of
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.mjcf_inverse import inverse_dynamics
@@ -32,14 +32,16 @@ EVALUATIONS = 20
 FAR = 3.0
 """So many times what noise makes is far above it."""
 WORST = 1e3
-"""In units of what is missing without the effect, where a robot cannot have it so."""
+"""Times the largest missing force: what is left where a robot cannot have the effect so."""
 
 Left = Callable[[Mapping[str, float]], Array]
 """What an effect's parameters leave of the missing forces."""
 
 
 def refined_guesses(data: Data, domain: TorqueDomain, pool: Sequence[Candidate]) -> dict[str, dict[str, float]]:
-    """By their labels further guesses of candidates that forces are not linear in, of laws that can be at one place.
+    """Further guesses, by candidates' labels, for effects whose forces are not linear in all parameters.
+
+    Only of effects that can sit at one place: at several each would have to be fitted beside all others.
 
     Args:
         data: what was measured.
@@ -49,8 +51,8 @@ def refined_guesses(data: Data, domain: TorqueDomain, pool: Sequence[Candidate])
     free, check = data.free, data.budget.check
     model = free.model_at(free.start)
     along = Along.of(model, domain.motions, domain.width)
-    rough = [c for c in pool if c.effect.name in ROUGH and len(c.locations) == 1]
-    _, columns, _, sigma = columns_of(free, free.start, domain.motions, domain.width, rough, check)
+    usual = [c for c in pool if c.effect.name in USUAL_LAWS and len(c.locations) == 1]
+    _, columns, _, sigma = columns_of(free, free.start, domain.motions, domain.width, usual, check)
     whole = (columns / sigma[:, None]).reshape(-1, columns.shape[2])
     beside = Nuisance.of(whole[:, : len(free.start)])
     missing = beside.project_out(whole[:, -1])
@@ -66,7 +68,7 @@ def refined_guesses(data: Data, domain: TorqueDomain, pool: Sequence[Candidate])
             try:
                 change = along.changed(model_of(model, (Part(own, values),)))
             except (ConfigError, ModelError):
-                return np.full(len(missing), WORST)
+                return np.full(len(missing), WORST * np.abs(missing).max(initial=1.0))
             return np.asarray(missing - beside.project_out((change / sigma).ravel()))
 
         starts = [*candidate.guesses]
@@ -103,7 +105,9 @@ def _is_shaped(candidate: Candidate) -> bool:
 def _fitted(candidate: Candidate, start: Mapping[str, float], left: Left) -> tuple[float, dict[str, float]]:
     """χ² and the parameters' values that explain most, from a guess on, within bounds."""
     names, info = list(start), candidate.effect.parameter_info()
-    low, high = (np.array([float(info[own.key][end]) for own in candidate.parameters]) for end in ("low", "high"))
+    low = np.array([float(info[own.key]["low"]) for own in candidate.parameters])
+    most = candidate.most
+    high = np.array([min(float(info[o.key]["high"]), most.get(o.key, np.inf)) for o in candidate.parameters])
     at = np.clip(np.array([start[name] for name in names]), low, high)
     scale = np.maximum(np.abs(at), 0.1 * np.abs(at[1:]).max(initial=1e-9))
     found = least_squares(

@@ -28,7 +28,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate
-from equimus_ctrl.diagnosis.torque_columns import ROUGH, Columns, columns_of
+from equimus_ctrl.diagnosis.torque_columns import USUAL_LAWS, Columns, columns_of
 from equimus_ctrl.engines.mjcf_inverse import (
     MeasuredMotion,
     applies,
@@ -115,9 +115,8 @@ class TorqueScreen:
 
     def fitted(self, chosen: Sequence[Columns]) -> tuple[float, list[list[float]]]:
         """χ² and the sizes of some candidates together, each within its bounds, else without effect."""
-        left = [(c, i) for c, own in enumerate(chosen) for i in range(len(own.place))]
+        left = [(c, i) for c, own in enumerate(chosen) if not own.fixed for i in range(len(own.place))]
         fixed = [own.place[0] for own in chosen if own.fixed]
-        left = [(c, i) for c, i in left if not chosen[c].fixed]
         while True:
             chi2, coefficients = self._least([chosen[c].place[i] for c, i in left], fixed)
             sizes = [[own.nothing(name) for name in own.scaled] for own in chosen]
@@ -152,17 +151,21 @@ class TorqueScreen:
         units = np.array([abs(own.unit(name)) for own in chosen for name in own.scaled])
         return np.split(spread * units, np.cumsum([len(own.place) for own in chosen])[:-1])
 
-    def moved(self, chosen: Sequence[Columns]) -> Array:
-        """(p,) the parameters that go with some candidates, within bounds."""
+    def moved(self, chosen: Sequence[Columns], sizes: Sequence[Sequence[float]]) -> Array:
+        """(p,) the parameters that go with some candidates at some sizes, within bounds."""
         taken = [k for own in chosen for k in own.place]
-        _, coefficients = self._least(taken, ())
+        coefficients = [
+            (size - own.nothing(name)) / own.unit(name)
+            for own, sizes_of_it in zip(chosen, sizes, strict=True)
+            for name, size in zip(own.scaled, sizes_of_it, strict=True)
+        ]
         p = len(self.theta)
-        aim = self.gram[:p, -1] - self.gram[:p, [p + k for k in taken]] @ coefficients
-        return np.clip(self.theta + self._inverse @ aim, self.free.low, self.free.high)
+        aim = self.gram[:p, -1] - self.gram[:p, [p + k for k in taken]] @ np.array(coefficients)
+        return np.asarray(np.clip(self.theta + self._inverse @ aim, self.free.low, self.free.high))
 
 
 def _inverse_of(normal: Array) -> Array:
-    """The inverse of a symmetric matrix, 0 along directions in which it is none."""
+    """The pseudo-inverse of a symmetric matrix; directions below ``WEAK`` are left out."""
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     strength, turn = np.linalg.eigh(normal / np.outer(scale, scale))
     seen = strength > WEAK * max(float(strength[-1]), 1e-300)
@@ -177,21 +180,26 @@ class TorqueDomain:
     Attributes:
         motions: what was measured, recording by recording.
         width: of the test functions, in samples.
+        groups: the group of trials of each motion.
         guesses: further ones of candidates, by their labels, see ``torque_guesses``.
     """
 
     motions: tuple[MeasuredMotion, ...]
     width: int
+    groups: tuple[str, ...]
     guesses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def interval(self) -> float:
-        """Time between samples [s]."""
+        """The longest time between samples of all recordings [s]."""
         return max(motion.interval for motion in self.motions)
 
 
 def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
-    """The torque domain of some recordings; None where a robot has none, or they are too short."""
+    """The torque domain of some recordings; None where a robot has none, or they are too short.
+
+    Recordings shorter than half the longest are left out.
+    """
     if not applies(data.free.model.robot):
         return None
     noise = np.array([own.sigma for own in noise_of_differences([s.measured for s in data.segments])])
@@ -201,8 +209,9 @@ def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
     motions = [m for m in motions if len(m.time) > max(longest / 2, 10 * WIDTHS[0])]
     if not motions:
         return None
-    rough = [c for c in pool if c.effect.name in ROUGH and len(c.locations) == 1]
-    return TorqueDomain(tuple(motions), _width(data.free, data.free.start, motions, rough))
+    usual = [c for c in pool if c.effect.name in USUAL_LAWS and len(c.locations) == 1]
+    groups = tuple(next(s.group for s in data.segments if s.trial is m.trial) for m in motions)
+    return TorqueDomain(tuple(motions), _width(data.free, data.free.start, motions, usual), groups)
 
 
 def torque_screen(data: Data, domain: TorqueDomain, fitted: Fitted | None, pool: Sequence[Candidate]) -> TorqueScreen:
@@ -219,7 +228,7 @@ def torque_screen(data: Data, domain: TorqueDomain, fitted: Fitted | None, pool:
     return _screen(free, theta, data.free, domain, pool, data.budget.check)
 
 
-def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], rough: Sequence[Candidate]) -> int:
+def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], usual: Sequence[Candidate]) -> int:
     """The width of the test functions that leaves least: narrower ones leave noise, wider ones blur what happens.
 
     What is left is that of a least-squares fit of the parameters and the usual laws.
@@ -231,7 +240,7 @@ def _width(free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion]
     usable = [w for w in WIDTHS if w <= max(CROSSES * crossing, WIDTHS[0]) and 8 * w < len(motions[0].time)]
     best, least = WIDTHS[0], math.inf
     for width in usable:
-        sigma = columns_of(free, theta, motions, width, rough, lambda: None)[3]
+        sigma = columns_of(free, theta, motions, width, usual, lambda: None)[3]
         left = float(np.log(np.maximum(sigma, 1e-300)).sum())
         if left > least + FLAT * len(sigma):
             break
@@ -245,7 +254,9 @@ def _screen(
     check: Callable[[], None],
 ) -> TorqueScreen:  # fmt: skip
     """The Gram matrix of all columns, with what is known of the model's parameters."""
-    found, columns, counts, sigma = columns_of(free, theta, domain.motions, domain.width, pool, check, domain.guesses)
+    found, columns, counts, sigma = columns_of(
+        free, theta, domain.motions, domain.width, pool, check, domain.guesses, domain.groups
+    )
     p = len(theta)
     scaled = (columns / sigma[:, None]).reshape(-1, columns.shape[2])
     gram = scaled.T @ scaled

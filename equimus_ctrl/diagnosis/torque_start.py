@@ -34,12 +34,15 @@ SURE = 3.0
 """Standard errors by which a law's own size at a place has to differ from nothing, for a search to begin with it."""
 
 
-def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int) -> tuple[Hypothesis, Array] | None:
+def laws_asked_for(
+    data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
+) -> tuple[Hypothesis, Array] | None:
     """The laws that the missing forces of the nominal model ask for, and θ of the model's parameters with them.
 
     By forward selection: each the one with the best information criterion beside those before it, as long as it lowers
-    what is missing above the noise by ``START_SHARE``. None where no law does. Where they leave far more than noise
-    would, also with guesses that are fitted in the torque domain, see ``torque_guesses``.
+    what is missing above the noise by ``START_SHARE`` and by more than chance would. None where no law does. Where they
+    leave far more than noise explains, it is repeated with guesses fitted in the torque domain, see ``torque_guesses``,
+    and what leaves less is taken.
 
     Args:
         data: what was measured.
@@ -56,11 +59,15 @@ def begun(data: Data, domain: TorqueDomain, pool: Sequence[Candidate], most: int
             screen, chosen = other, others
     _, sizes = screen.fitted(chosen)
     parts: list[Part] = []
+    kept: list[list[float]] = []
     for own, values, error in zip(chosen, sizes, screen.errors(chosen) if chosen else (), strict=True):
         part, needed = Part(own.candidate, own.values(values)), _sure(own, values, error, domain.interval)
         if needed:
             parts.append(part if len(needed) == len(own.candidate.locations) else part.narrowed(needed))
-    return (tuple(parts), screen.moved(chosen)) if parts else None
+        places = {p.name: set(p.places) for p in own.candidate.parameters}
+        stays = [not places[name].isdisjoint(needed) for name in own.scaled]
+        kept.append([v if s else own.nothing(n) for n, v, s in zip(own.scaled, values, stays, strict=True)])
+    return (tuple(parts), screen.moved(chosen, kept)) if parts else None
 
 
 def _selected(
@@ -75,8 +82,9 @@ def _selected(
         tried = [(screen.fitted(whole)[0], whole) for whole in options]
         chi2, best = _simplest(tried, price, now) if tried else (now, chosen)
         gain, above = now - chi2, now - screen.samples * CORRELATED
-        worth = max(_least_gain(data, pool), price * (_count(best) - _count(chosen)))
-        if gain / CORRELATED <= worth or gain < START_SHARE * above:
+        if not _more_than_chance(data, gain, pool) or gain < START_SHARE * above:
+            break
+        if gain / CORRELATED <= price * (_count(best) - _count(chosen)):
             break
         now, chosen = chi2, best
     return screen, chosen, now
@@ -89,7 +97,7 @@ def _simplest(tried: Sequence[tuple[float, list[Columns]]], price: float, now: f
         return one[0] / CORRELATED + price * _count(one[1])
 
     best = min(tried, key=score)
-    close = [one for one in tried if now - one[0] > ABOUT * (now - best[0])]
+    close = [one for one in tried if one[0] <= best[0] + (1 - ABOUT) * max(now - best[0], 0.0)]
     fewest = min(_count(whole) for _, whole in close)
     return min((one for one in close if _count(one[1]) == fewest), key=score)
 
@@ -98,9 +106,10 @@ def _count(chosen: Sequence[Columns]) -> int:
     return sum(own.candidate.n_parameters for own in chosen)
 
 
-def _least_gain(data: Data, pool: Sequence[Candidate]) -> float:
-    """Fall of χ² that none of the candidates has by chance."""
-    return float(chdtri(1, data.thresholds.significance / max(len(pool), 1)))
+def _more_than_chance(data: Data, gain: float, pool: Sequence[Candidate]) -> bool:
+    """Whether none of the candidates lets χ² fall by so much by chance."""
+    count = max(len(pool), 1)
+    return data.thresholds.decides(lambda t: gain / CORRELATED > float(chdtri(1, t.significance / count)))
 
 
 def _sure(own: Columns, values: Sequence[float], error: Array, interval: float) -> tuple[str, ...]:
@@ -148,7 +157,7 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
     """
     fits = torque_screen(data, domain, fitted, pool).alone()
     gains = sorted((fit.gain for fit in fits.values()), reverse=True)
-    prune = len(gains) > AT_LEAST and gains[0] / CORRELATED > _least_gain(data, pool)
+    prune = len(gains) > AT_LEAST and _more_than_chance(data, gains[0], pool)
     least = min(BEHIND * gains[0], gains[AT_LEAST - 1]) if prune else -math.inf
     kept = []
     for candidate in pool:

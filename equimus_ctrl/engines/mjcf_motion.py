@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from equimus_ctrl.computer import processors, threads
+from equimus_ctrl.computer import threads, worker_count
 from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, follow, inner_of, measured_of, realise
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.engines.trials import Condition, Trial
@@ -30,6 +30,7 @@ class SimulatedResponse:
         starts: for each trial (2 nj,) coordinates and rates at its start.
         motions: what came of it.
         scale: (nj,) usual size of forces [N·m or N].
+        threads: among which forces are shared out; as many as there are processors by default.
     """
 
     model: Model
@@ -37,6 +38,7 @@ class SimulatedResponse:
     starts: tuple[Array, ...]
     motions: tuple[Motion, ...]
     scale: Array
+    threads: int | None = None
 
     def response(self, torques: Sequence[Array]) -> list[Array]:
         """For each trial (m, nj, k) the change of the measured coordinates by small forces, over the force.
@@ -90,7 +92,7 @@ class SimulatedResponse:
                     if reached == len(measured):
                         found[i][:, :, column] = (measured - plain) / factor
 
-        parts = processors()
+        parts = worker_count(self.threads)
         with quietly():
             list(threads(parts).map(work, [range(k, count, parts) for k in range(parts)]))
         return found
@@ -159,7 +161,7 @@ def _inner(course: Course, gear: Array, times: Array, command: Array) -> Inner:
 
 
 def simulated_response(
-    model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale: Array
+    model: Model, trials: Sequence[Trial], starts: Sequence[Array], scale: Array, count: int | None = None
 ) -> SimulatedResponse:
     """An MJCF robot with its motions through trials.
 
@@ -168,9 +170,10 @@ def simulated_response(
         trials: what is done.
         starts: for each (2 nj,) coordinates and rates at the start.
         scale: (nj,) usual size of forces [N·m or N].
+        count: of threads among which forces are shared out; as many as there are processors by default.
 
     Raises:
         SimulationDiverged: where it diverges in one of them.
     """
     motions = tuple(mjcf_motion(model, trial, start) for trial, start in zip(trials, starts, strict=True))
-    return SimulatedResponse(model, tuple(trials), tuple(starts), motions, scale)
+    return SimulatedResponse(model, tuple(trials), tuple(starts), motions, scale, count)

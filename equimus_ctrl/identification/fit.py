@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -111,7 +111,7 @@ class Fit:
     derive: Callable[[], Derivatives]
     known: Callable[[], Uncertainty]
 
-    @cached_property
+    @property
     def derivatives(self) -> Derivatives:
         """Where the search ended, worked out when they are first asked for: of most fits nobody does."""
         with threadpool_limits(limits=1, user_api="blas"):
@@ -127,7 +127,7 @@ class Fit:
         """For each segment (m, nj, s) ∂prediction/∂(free initial state)."""
         return self.derivatives[1]
 
-    @cached_property
+    @property
     def uncertainty(self) -> Uncertainty:
         """Of ``theta``, worked out when it is first asked for: a search asks for few of its fits'."""
         # Not the last bit is to depend on who asks.
@@ -286,8 +286,8 @@ def _fit(
         problem.evaluations,
         converged,
         problem,
-        derive,
-        known,
+        cache(derive),
+        cache(known),
     )
     return found
 

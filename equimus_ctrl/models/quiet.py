@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -10,13 +11,35 @@ import mujoco
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """MuJoCo's warnings neither on the screen nor in its log."""
-    previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(_counted)
+    """MuJoCo's warnings neither on the screen nor in its log; in several threads, until the last of them leaves."""
+    _ENTERED.enter()
     try:
         yield
     finally:
-        mujoco.set_mju_user_warning(previous)
+        _ENTERED.leave()
+
+
+class _Entered:
+    """How many are in ``quietly``, and what heard warnings before the first of them: MuJoCo has one handler for all."""
+
+    def __init__(self) -> None:
+        self._lock, self._count, self._before = threading.Lock(), 0, None
+
+    def enter(self) -> None:
+        with self._lock:
+            if self._count == 0:
+                self._before = mujoco.get_mju_user_warning()
+                mujoco.set_mju_user_warning(_counted)
+            self._count += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._count -= 1
+            if self._count == 0:
+                mujoco.set_mju_user_warning(self._before)
+
+
+_ENTERED = _Entered()
 
 
 def _counted(message: str) -> None:

@@ -86,14 +86,21 @@ def _without_step(stepped: Stepped, trial: Trial, tracking: Tracking | None) -> 
 
     Where errors grow along a trial, two motions that have diverged from each other cannot be extrapolated.
     """
-    truth, steps, before = stepped.truth, FINER, None
+    truth, steps, before, exact = stepped.truth, FINER, None, EXACT * np.array(stepped.truth.noise)
     coarse = stepped.done(trial, steps // 2, tracking)
     while steps <= FINEST:
         fine = stepped.done(trial, steps, tracking)
-        found = 2.0 * fine.shown - coarse.shown  # the error of a step is of first order (Richardson, 1911)
+        # The error of a step is of first order (Richardson, 1911).
+        found = Done(2.0 * fine.shown - coarse.shown, 2.0 * fine.command - coarse.command)
+        if tracking is not None:
+            found = replace(found, command=tracking.within(found.command))
         # The remaining error is of second order: a quarter at half the step.
-        if before is not None and np.all(np.abs(found - before) / 3.0 < EXACT * np.array(truth.noise)):
-            return Done(found, 2.0 * fine.command - coarse.command)
+        if (
+            before is not None
+            and np.all(np.abs(found.shown - before.shown) / 3.0 < exact)
+            and (tracking is None or tracking.converged((found.command - before.command) / 3.0, exact))
+        ):
+            return found
         steps, coarse, before = 2 * steps, fine, found
     raise SimulationDiverged(
         f"case {truth.case} of seed {truth.seed}: {trial.name} is so sensitive that its motion converges at no step"

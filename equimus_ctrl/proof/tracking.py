@@ -7,7 +7,9 @@ nothing could be learned from its motion. With ``Tracking`` each drawn robot has
 
 q_r, v_r are the recorded motion and its rates by a smoothing spline (Craven & Wahba, 1979), M the nominal robot's
 joint-space inertia in the pose where the trial begins, G the joints' torques by commands there. So joints go back to
-the recorded motion like critically damped second-order systems of frequency f (computed torque).
+the recorded motion like critically damped second-order systems of frequency f (computed torque). q, v are the true
+motion, without sensors' noise or delay. Commands that are linear between samples have to be known one sample ahead, so
+u_{k+1} follows from q, v at t_k.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ from equimus_ctrl.types import Array, Recording
 
 MOST = 1 / 12
 """Of the sampling rate, the highest frequency of a controller: its crossover is at twice that, where holding a command
-for one sample turns the phase by 30°."""
+for one sample turns the phase by 30°. Half of it where commands are linear between samples, a sample later."""
+FEWEST = 5
+"""Samples that a smoothing spline needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +44,8 @@ class Tracking:
         velocity: (n, nj) of that motion [rad/s or m/s].
         stiffness: (na, nj) G⁺ M ω², in units of commands.
         damping: (na, nj) 2 G⁺ M ω.
-        low: (na,) of the commands.
-        high: (na,) of them.
+        low: (na,) least commands.
+        high: (na,) greatest commands.
     """
 
     command: Array
@@ -62,16 +66,24 @@ class Tracking:
             frequency: f [Hz].
 
         Raises:
-            ConfigError: where an actuator is a servo, or samples are too far apart for that frequency.
+            ConfigError: where an actuator is a servo or there is none, samples are too far apart for that frequency, or
+                too few.
         """
         robot = mjcf_of(model.robot)
         if servos := [drive.name for drive in robot.actuators if drive.servo]:
             raise ConfigError(f"{robot.name}: {servos[0]} is a servo, which tracks by itself; leave --track out")
-        most = MOST / float(np.median(np.diff(recording.time)))
+        if not robot.actuators:
+            raise ConfigError(f"{robot.name} has no actuator, so it cannot track; leave --track out")
+        if len(recording.time) < FEWEST:
+            raise ConfigError(
+                f"{recording.name} has {len(recording.time)} samples, expected at least {FEWEST} to track"
+            )
+        linear = Trial.of(recording, recording.position[0]).linear
+        most = MOST / (2 if linear else 1) / float(np.median(np.diff(recording.time)))
         if not 0 < frequency <= most:
             raise ConfigError(
-                f"track is {frequency:g} Hz, expected more than 0 and at most {most:.3g} Hz, a twelfth of the rate of "
-                f"{recording.name}"
+                f"track is {frequency:g} Hz, expected more than 0 and at most {most:.3g} Hz, a "
+                f"{'twenty-fourth' if linear else 'twelfth'} of the rate of {recording.name}"
             )
         splines = [make_smoothing_spline(recording.time, column) for column in recording.position.T]
         inertia, by_command = _inertia_and_gains(model, recording)
@@ -87,10 +99,18 @@ class Tracking:
             high,
         )
 
+    def converged(self, difference: Array, noise: Array) -> bool:
+        """Whether commands differ by less (n, na) than they would by a motion that differs by noise (nj,)."""
+        return bool(np.all(np.abs(difference) <= np.abs(self.stiffness) @ noise))
+
+    def within(self, command: Array) -> Array:
+        """Commands (n, na) within their ranges."""
+        return np.asarray(np.clip(command, self.low, self.high))
+
     def at(self, sample: int, q: Array, v: Array) -> Array:
         """(na,) the command of a sample, for joints at q (nj,) with rates v (nj,)."""
         own = self.stiffness @ (self.position[sample] - q) + self.damping @ (self.velocity[sample] - v)
-        return np.asarray(np.clip(self.command[sample] + own, self.low, self.high))
+        return self.within(self.command[sample] + own)
 
 
 def _inertia_and_gains(model: Model, recording: Recording) -> tuple[Array, Array]:
