@@ -35,6 +35,15 @@ def test_all_figures_of_every_verdict_can_be_drawn(diagnosis: Diagnosis, verdict
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("joint", ["hip", "knee"])
+def test_what_is_unexplained_is_shown_where_it_is(diagnosis: Diagnosis, joint: str) -> None:
+    d = VERDICTS["unexplained"](diagnosis)
+    d = replace(d, unexplained=(replace(d.unexplained[0], location=joint),))
+    assert d.findings == ()
+    assert diagnosis_figures(d)["summary"].axes[0].get_title(loc="left").startswith(f"{joint}, ")
+
+
+@pytest.mark.slow
 def test_figures_without_held_out_trials_show_those_fitted(diagnosis: Diagnosis) -> None:
     residuals = {state: replace(r, validation=()) for state, r in diagnosis.residuals.items()}
     d = replace(diagnosis, validation=(), residuals=residuals)

@@ -350,7 +350,7 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
         fontweight="bold",
         color=style.INK,
     )
-    k, j = _most_improved(diagnosis)
+    k, j = _most_telling(diagnosis)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.45, 1.0], height_ratios=[2.2, 1.0])
     top, bottom, right = (figure.add_subplot(g) for g in (grid[0, 0], grid[1, 0], grid[:, 1]))
     states = diagnosis_text.states(diagnosis)[-2:]
@@ -374,16 +374,22 @@ def summary_figure(diagnosis: Diagnosis, scene: Scene) -> Figure:
     return figure
 
 
-def _most_improved(diagnosis: Diagnosis) -> tuple[int, int]:
-    """Trial and joint whose error falls most, or is largest where nothing was found, in units of the noise."""
+def _most_telling(diagnosis: Diagnosis) -> tuple[int, int]:
+    """Trial and joint whose error falls most by what was found, in units of the noise.
+
+    Where nothing was found but residuals are unexplained, those whose error is largest, at their joint if it is one.
+    """
     part, segments = _part(diagnosis)
+    nothing_named = bool(diagnosis.unexplained) and not diagnosis.findings
     worse, better = ("refitted", "corrected") if diagnosis.findings else ("nominal", "refitted")
-    sigma = _sigma(diagnosis)
-    falls = []
-    for k in range(len(segments)):
-        before, after = (getattr(diagnosis.residuals[s], part)[k] for s in (worse, better))
-        falls.append(((before**2).mean(axis=0) - (after**2).mean(axis=0)) / sigma**2)
-    best = np.unravel_index(int(np.argmax(falls)), np.shape(falls))
+
+    def squares(state: str) -> Array:
+        return np.array([(getattr(diagnosis.residuals[state], part)[k] ** 2).mean(axis=0) for k in range(len(segments))])
+
+    shown = (squares(better) if nothing_named else squares(worse) - squares(better)) / _sigma(diagnosis) ** 2
+    if nothing_named and (at := diagnosis.unexplained[0].location) in diagnosis.joints:
+        shown[:, [j for j, joint in enumerate(diagnosis.joints) if joint != at]] = -np.inf
+    best = np.unravel_index(int(np.argmax(shown)), shown.shape)
     return int(best[0]), int(best[1])
 
 
