@@ -30,7 +30,7 @@ from equimus_ctrl.diagnosis.force_basis import (
 )
 from equimus_ctrl.diagnosis.linear_response import Linearised, along_actuator, linearise
 from equimus_ctrl.diagnosis.policy import Thresholds
-from equimus_ctrl.diagnosis.residual_force import LinearisedFit, force_candidates, judged
+from equimus_ctrl.diagnosis.residual_force import LinearisedFit, force_candidates, frequencies, judged
 from equimus_ctrl.diagnosis.unexplained import select_forces
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.engines.motion import Motion, motion
@@ -316,6 +316,21 @@ def test_answers_in_batches_are_those_one_by_one() -> None:
             for g, own in zip(batch, np.split(whole, ends[:-1], axis=2), strict=True):
                 alone = along().response(g.torques(moved()))[trial]
                 assert own.shape[2] == g.size and own == pytest.approx(alone, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "step", "slowest", "fastest", "apart"),
+    [(2.0, 0.01, 0.5, 3.75, 0.25), (4.0, 0.2, 0.25, 0.875, 0.125), (60.0, 0.01, 0.2, 4.0 - 0.008333, 1 / 24)],
+    ids=["short", "few samples", "long"],
+)
+def test_frequencies_are_those_that_recordings_tell_apart(
+    seconds: float, step: float, slowest: float, fastest: float, apart: float
+) -> None:
+    times = [3.0 + np.arange(0, length + step / 2, step) for length in (seconds / 2, seconds)]
+    motions: Any = [SimpleNamespace(time=time, start=time[0]) for time in times]
+    found = frequencies(motions)
+    assert (found[0], found[-1]) == pytest.approx((slowest, fastest), abs=0.6 * apart)
+    assert found[0] == pytest.approx(slowest) and np.diff(found) == pytest.approx(apart)
 
 
 def test_harmonics_are_waves_from_the_trials_start() -> None:

@@ -25,10 +25,11 @@ from equimus_ctrl.diagnosis.alternatives import (
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.findings import _alone, _smallest
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.group_splits import own_in_each_group
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, beside
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
-from equimus_ctrl.diagnosis.screening import Screened
+from equimus_ctrl.diagnosis.screening import Screened, _rescaled
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
 from equimus_ctrl.effects import REGISTRY
@@ -599,3 +600,35 @@ def test_a_gain_is_as_a_fall_of_the_deviance() -> None:
     n = search.data.n
     assert search._fall(0.99 * n) == pytest.approx(n * np.log(100))
     assert search._fall(1.0) == pytest.approx(1.0, rel=1e-3) and np.isfinite(search._fall(float(n)))
+
+
+def test_where_minima_are_many_the_model_alone_is_refitted_from_the_first_effect_s_fit() -> None:
+    """Its first fit had ended in a worse minimum; against the better one the effect is not needed."""
+
+    class Refits(OnPaper):
+        def refit(
+            self, tried: SearchHistory, fitted: Fitted, hypothesis: tuple[Part, ...]
+        ) -> tuple[Fitted, SearchHistory]:
+            return (better, tried) if not hypothesis else super().refit(tried, fitted, hypothesis)
+
+    known = Known({(): 5000.0, (RUB,): 3000.0})
+    for deviance, labels in ((2990.0, set()), (4000.0, {RUB}), (6000.0, {RUB})):
+        better = fitted(deviance)
+        end = Refits(known, SearchSettings(many_minima=True)).run(known())
+        assert end.best.labels == labels
+        assert end.base.deviance == min(deviance, 5000.0)
+
+
+def test_sizes_of_its_own_in_each_group_begin_at_the_common_one() -> None:
+    part = Part(POOL[OFF], VALUES["sensor_offset"])
+    split = own_in_each_group((part,), ("A", "B", "C"))
+    assert split is not None
+    theta = OnPaper(Known({(): 1.0}))._in_each_group(np.array([7.0, 0.05]), (part,), split)
+    assert theta.tolist() == [7.0, 0.05, 0.05, 0.05]
+
+
+def test_a_guess_is_rescaled_as_far_as_it_can_be() -> None:
+    model, off = nominal_model(), Part(POOL[OFF], VALUES["sensor_offset"])
+    half = _rescaled(model, (off,), 0.5)
+    assert half is not None and half[-1].values == {"offset": 0.05}
+    assert _rescaled(model, (off,), 1e6) is None

@@ -88,10 +88,7 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         return None
     linearised = observed(response, model.robot, data.segments)
     motions = list(linearised.motions)
-    longest = min(max(m.time[-1] - m.start for m in motions), LONGEST)
-    top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
-    waves = np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)
-    forces = [*groups(model, motions), *harmonics(model, motions, [float(f) for f in waves])]
+    forces = [*groups(model, motions), *harmonics(model, motions, frequencies(motions))]
 
     def whitened(batch: list[Group]) -> list[Array]:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -109,6 +106,16 @@ def linearise_fit(data: Data, fitted: Fitted, noise: Noise, dt: float = STEP) ->
         folds = []
     price = data.thresholds.residual_price_alone
     return LinearisedFit(fitted, whitened_fit, forces, columns, folds, noise, motions, price)
+
+
+def frequencies(motions: Sequence[Motion]) -> list[float]:
+    """Frequencies of disturbances in time that are looked for [Hz].
+
+    The longest recording holds one period of the slowest; samples are at most a fifth of a period of the fastest apart.
+    """
+    longest = min(max(m.time[-1] - m.start for m in motions), LONGEST)
+    top = min(FASTEST, 0.2 / float(np.median(np.diff(motions[0].time))))
+    return [float(f) for f in np.arange(max(SLOWEST, 1.0 / longest), top, 0.5 / longest)]
 
 
 def discard_unstable(answers: Sequence[Array]) -> list[Array]:

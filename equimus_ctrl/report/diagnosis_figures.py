@@ -384,7 +384,9 @@ def _most_telling(diagnosis: Diagnosis) -> tuple[int, int]:
     worse, better = ("refitted", "corrected") if diagnosis.findings else ("nominal", "refitted")
 
     def squares(state: str) -> Array:
-        return np.array([(getattr(diagnosis.residuals[state], part)[k] ** 2).mean(axis=0) for k in range(len(segments))])
+        return np.array(
+            [(getattr(diagnosis.residuals[state], part)[k] ** 2).mean(axis=0) for k in range(len(segments))]
+        )
 
     shown = (squares(better) if nothing_named else squares(worse) - squares(better)) / _sigma(diagnosis) ** 2
     if nothing_named and (at := diagnosis.unexplained[0].location) in diagnosis.joints:
