@@ -632,3 +632,34 @@ def test_a_guess_is_rescaled_as_far_as_it_can_be() -> None:
     half = _rescaled(model, (off,), 0.5)
     assert half is not None and half[-1].values == {"offset": 0.05}
     assert _rescaled(model, (off,), 1e6) is None
+
+
+@pytest.mark.parametrize(
+    ("label", "lower", "many_minima", "asked"),
+    [("nonlinear_stiffness:baa", True, False, True), ("nonlinear_stiffness:baa", False, False, True),
+     ("nonlinear_stiffness:baa", True, True, False), ("sensor_offset:hip", True, False, False)],
+    ids=["lower there", "higher there", "where fits have many minima", "linear"],
+)  # fmt: skip
+def test_the_best_law_is_fitted_from_the_other_sign_too(
+    label: str, lower: bool, many_minima: bool, asked: bool
+) -> None:
+    """A law that has more than a size may have a minimum on each side; a linear one has none but its own."""
+    name, place = label.split(":")
+    shape = {"centre": 0.3} if name == "nonlinear_stiffness" else {}
+    size = "cubic" if shape else "offset"
+    candidate = Candidate(REGISTRY[name], (place,), tuple({size: v, **shape} for v in (0.1, -0.2, 0.3)))
+    search = OnPaper(Known({(): 5000.0}), SearchSettings(many_minima=many_minima))
+    begun: list[list[float]] = []
+
+    def other_side(hypothesis: tuple[Part, ...], begins: Any, *given: object, settled: object) -> Fitted:
+        begun.append([theta[1] for theta, _ in begins])
+        return replace(fitted(900.0 if lower else 1100.0), hypothesis=(Part(candidate, {size: 0.2, **shape}),))
+
+    data: Any = vars(search.data)
+    data.update(coarse_fit=other_side, theta_of=lambda theta, parts: np.append(theta, list(parts[-1].values.values())))
+    data["free"].start = np.array([1.0])
+    simple: Any = replace(fitted(5000.0), fit=SimpleNamespace(theta=np.array([2.0]), starts=[]))
+    option = replace(fitted(1000.0), hypothesis=(Part(candidate, {size: -0.2, **shape}),))
+    found = search._or_of_other_sign(simple, option)
+    assert found.deviance == (900.0 if asked and lower else 1000.0)
+    assert begun == ([[0.1, 0.3, 0.1, 0.3]] if asked else [])

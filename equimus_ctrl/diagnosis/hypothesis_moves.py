@@ -318,6 +318,8 @@ class HypothesisMoves:
                 option.hypothesis, [option.begin], noise, settings.long_steps, settled=fitted.labels
             )
             option = min(option, longer, key=lambda f: f.deviance)
+            if place == 0:
+                option = self._or_of_other_sign(fitted, option)
             lacks, gain = option.deviance - rival, fitted.deviance - option.deviance
             near = lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain
             if near and not self._cannot_be_accepted(fitted, option.hypothesis, gain):
@@ -325,6 +327,37 @@ class HypothesisMoves:
             return option
 
         return [after for _, after in computer.side_by_side(self.data.threads, converged, range(len(options)))]
+
+    def _or_of_other_sign(self, fitted: Fitted, option: Fitted) -> Fitted:
+        """The best option, or the same law fitted from guesses of the other sign where that ends lower.
+
+        A law with a size of either sign and a place or shape may have a minimum on each side. Fits begin at the guess
+        that is best before any step, which may be on the wrong side of strong physics.
+
+        Args:
+            fitted: what was extended.
+            option: by one part.
+        """
+        last = option.hypothesis[-1]
+        nothing, sizes = last.candidate.grows_from(), last.candidate.sizes
+        if self.settings.many_minima or last.candidate.n_parameters < 2 or len(sizes) != 1:
+            return option
+        size, none = sizes[0], nothing[sizes[0]]
+        others = [v for v in last.candidate.guesses if (v[size] - none) * (last.values[size] - none) < 0]
+        thetas = [fitted.fit.theta] if fitted.hypothesis else [fitted.fit.theta, self.data.free.start]
+        begins = [
+            (self.data.theta_of(theta, (*option.hypothesis[:-1], Part(last.candidate, values))), fitted.fit.starts)
+            for theta in thetas
+            for values in others
+        ]
+        if not begins:
+            return option
+        noise, steps = white_noise(option.fit.residuals), self.settings.long_steps
+        try:
+            other = self.data.coarse_fit(option.hypothesis, begins, noise, steps, settled=fitted.labels)
+        except SimulationDiverged:  # so it cannot be what happened
+            return option
+        return min(option, other, key=lambda f: f.deviance)
 
     def aliased(self, fitted: Fitted) -> bool:
         """Whether the last part of a hypothesis stands for other parameters, see ``Data.aliased``.

@@ -28,6 +28,8 @@ first-order gains predict little. What differs:
     their initial guesses               as they are                   also rescaled (``rescaled_guesses``)
     what seems to gain too little       is not fitted further         is fitted (``SearchSettings.optimism``)
     fits still gaining after few steps  go on where they are close    by their rank alone (``SearchSettings.kept``)
+    a law with a size of either sign    the best one also fitted      as its guesses have it
+                                        from the other sign
     rounds outdone by a residual force  none                          one (``PATIENCE``)
     the model without effects           fitted once                   refitted from the first effect's fit
     after each addition                 exchanged, from two parts on  the same, then pruned and simplified
