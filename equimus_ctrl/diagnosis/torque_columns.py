@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -137,7 +138,7 @@ def columns_of(
         check()
         step = STEP * own.scale * (1.0 if theta[i] + STEP * own.scale <= own.high else -1.0)
         slopes.append(changed(free.model_at(theta + step * np.eye(len(theta))[i])) / step)
-    singles = _Singles(model, at, rows_of, changed)
+    single = _singles(model, along)
     found: list[Columns] = []
     forces: list[Array] = []
     present = {(type(effect), effect.location) for effect in model.effects}
@@ -146,7 +147,7 @@ def columns_of(
         if any((candidate.effect, place) in present for place in candidate.locations):
             continue
         further = [guesses[candidate.label]] if guesses and candidate.label in guesses else []
-        for seen, columns in singles.of(candidate, further):
+        for seen, columns in _columns(candidate, single, further):
             if candidate.absent:
                 here = np.repeat([group not in candidate.absent for group in groups], [len(one.counts) for one in at])
                 columns = [np.where(here[:, None], column, 0.0) for column in columns]
@@ -191,87 +192,85 @@ def _is_linear(effect: type[ForceEffect]) -> bool:
     return not ca.depends_on(slope, chosen)
 
 
-class _Singles:
-    """What effects at single places add to the forces; at several places it is the sum of these, to first order.
+Single = Callable[..., "Mapping[str, Array] | None"]
+"""What an effect at a single place adds to the forces, by its class, the place and pairs of a parameter and its value;
+None where the robot cannot have it."""
+
+
+def _singles(model: Model, along: Along) -> Single:
+    """What effects at single places add to a model's forces, each worked out once."""
+
+    @cache
+    def single(effect: type[Effect], place: str, values: tuple[tuple[str, float], ...]) -> Mapping[str, Array] | None:
+        if issubclass(effect, ForceEffect):
+            return _law(model, along, effect, place, dict(values))
+        return _change(model, along, effect, place, dict(values))
+
+    return single
+
+
+def _law(
+    model: Model, along: Along, effect: type[ForceEffect], place: str, values: Mapping[str, float]
+) -> Mapping[str, Array]:
+    """For each parameter that switches a law off (m, nj) the slope of the forces by it."""
+    joints, keys = model.robot.joint_names, list(effect.parameter_info())
+    j = joints.index(place)
+    of = [law_slopes(effect, values, o.position[:, j], o.rate[:, j], o.drives[:, j]) for o in along.at]
+    return {
+        key: along.rows_of([_only(j, slope[:, keys.index(key)], len(joints)) for slope in of])
+        for key in keys
+        if key in effect.neutral
+    }
+
+
+def _change(
+    model: Model, along: Along, effect: type[Effect], place: str, values: Mapping[str, float]
+) -> Mapping[str, Array] | None:
+    """For the parameter that scales an effect (m, nj) the change of the forces by these values."""
+    single = Candidate(effect, (place,), (values,))
+    try:
+        change = along.changed(model_of(model, (Part(single, values),)))
+    except (ConfigError, ModelError):
+        return None
+    return dict.fromkeys(single.grows_from() or {"": 0.0}, change)
+
+
+def _columns(
+    candidate: Candidate, single: Single, further: Sequence[Mapping[str, float]] = ()
+) -> Iterator[tuple[Columns, list[Array]]]:
+    """A candidate's columns at each choice of the parameters that it is not linear in; none that is not seen.
+
+    At several places it adds the sum of what it adds at each, to first order.
 
     Args:
-        model: that lacks them.
-        at: its inverse dynamics.
-        rows_of: weighs forces (n, nj) of each motion.
-        changed: what of the missing forces another model adds.
+        candidate: which.
+        single: what effects at single places add.
+        further: guesses beside its own.
     """
-
-    def __init__(
-        self,
-        model: Model,
-        at: Sequence[InverseDynamics],
-        rows_of: Callable[[Sequence[Array]], Array],
-        changed: Callable[[Model], Array],
-    ) -> None:
-        self.model, self.at, self.rows_of, self.changed = model, at, rows_of, changed
-        self._known: dict[tuple[type[Effect], str, tuple[float, ...]], Mapping[str, Array] | None] = {}
-
-    def of(
-        self, candidate: Candidate, further: Sequence[Mapping[str, float]] = ()
-    ) -> Iterator[tuple[Columns, list[Array]]]:
-        """A candidate's columns at each choice of the parameters that it is not linear in; none that is not seen.
-
-        Args:
-            candidate: which.
-            further: guesses beside its own.
-        """
-        effect = candidate.effect
-        if not effect.in_torques or (issubclass(effect, ForceEffect) and not _is_linear(effect)):
-            return
-        scaled = (
-            effect.neutral if issubclass(effect, ForceEffect) else candidate.alone(candidate.locations[0]).grows_from()
-        )
-        seen = set()
-        for guess in (*_tried(candidate), *further):
-            others = tuple(guess[own.name] for own in candidate.parameters if own.key not in scaled)
-            if scaled and not effect.delays and others in seen:  # linear in its size
-                continue
-            seen.add(others)
-            by_place = {place: self._single(effect, place, candidate.at(guess, place)) for place in candidate.locations}
-            if any(own is None for own in by_place.values()):
-                continue
-            if not scaled:
-                yield Columns(candidate, guess, ()), [_sum(one[""] for one in by_place.values() if one)]
-                continue
-            names = [own for own in candidate.parameters if own.key in scaled]
-            columns = [_sum(one[own.key] for place in own.places if (one := by_place[place])) for own in names]
-            base = guess
-            if issubclass(effect, ForceEffect):
-                base = {own.name: effect.neutral.get(own.key, guess[own.name]) for own in candidate.parameters}
-            yield Columns(candidate, base, tuple(own.name for own in names)), columns
-
-    def _single(self, effect: type[Effect], place: str, values: Mapping[str, float]) -> Mapping[str, Array] | None:
-        """For each parameter that scales an effect (m, nj) its column; None where the robot cannot have it."""
-        key = (effect, place, tuple(values.values()))
-        if key not in self._known:
-            if issubclass(effect, ForceEffect):
-                self._known[key] = self._law(effect, place, values)
-            else:
-                self._known[key] = self._change(effect, place, values)
-        return self._known[key]
-
-    def _law(self, effect: type[ForceEffect], place: str, values: Mapping[str, float]) -> Mapping[str, Array]:
-        joints, keys = self.model.robot.joint_names, list(effect.parameter_info())
-        j = joints.index(place)
-        of = [law_slopes(effect, values, o.position[:, j], o.rate[:, j], o.drives[:, j]) for o in self.at]
-        return {
-            key: self.rows_of([_only(j, slope[:, keys.index(key)], len(joints)) for slope in of])
-            for key in keys
-            if key in effect.neutral
+    effect = candidate.effect
+    if not effect.in_torques or (issubclass(effect, ForceEffect) and not _is_linear(effect)):
+        return
+    scaled = effect.neutral if issubclass(effect, ForceEffect) else candidate.alone(candidate.locations[0]).grows_from()
+    seen = set()
+    for guess in (*_tried(candidate), *further):
+        others = tuple(guess[own.name] for own in candidate.parameters if own.key not in scaled)
+        if scaled and not effect.delays and others in seen:  # linear in its size
+            continue
+        seen.add(others)
+        by_place = {
+            place: single(effect, place, tuple(candidate.at(guess, place).items())) for place in candidate.locations
         }
-
-    def _change(self, effect: type[Effect], place: str, values: Mapping[str, float]) -> Mapping[str, Array] | None:
-        single = Candidate(effect, (place,), (values,))
-        try:
-            change = self.changed(model_of(self.model, (Part(single, values),)))
-        except (ConfigError, ModelError):
-            return None
-        return dict.fromkeys(single.grows_from() or {"": 0.0}, change)
+        if any(own is None for own in by_place.values()):
+            continue
+        if not scaled:
+            yield Columns(candidate, guess, ()), [_sum(one[""] for one in by_place.values() if one)]
+            continue
+        names = [own for own in candidate.parameters if own.key in scaled]
+        columns = [_sum(one[own.key] for place in own.places if (one := by_place[place])) for own in names]
+        base = guess
+        if issubclass(effect, ForceEffect):
+            base = {own.name: effect.neutral.get(own.key, guess[own.name]) for own in candidate.parameters}
+        yield Columns(candidate, base, tuple(own.name for own in names)), columns
 
 
 def _sum(columns: Iterable[Array]) -> Array:
