@@ -539,6 +539,21 @@ def test_a_fit_behind_the_first_ones_goes_on_where_its_rank_is_not_known(
     assert [f.deviance for f in found] == [900.0, 900.0, 900.0, 900.0 if goes_on else deviance]
 
 
+@pytest.mark.parametrize(("deviance", "further"), [(4000.0, True), (4400.0, False)])
+def test_what_cannot_come_near_its_rival_is_not_fitted_further(deviance: float, further: bool) -> None:
+    """The rival gains 3000, so it has to gain 0.7·3000 − 50 = 2050; at most three times what a few steps gain."""
+    search = OnPaper(Known({(): 5000.0}))
+    asked: list[float] = []
+
+    def longer(hypothesis: tuple[Part, ...], *given: object, settled: object) -> Fitted:
+        asked.append(deviance)
+        return coarse(deviance - 100.0, RUB, True)
+
+    vars(search.data).update(threads=1, coarse_fit=longer, converge=lambda f, settled: f, discontinuous=lambda *a: [])
+    (found,) = search._best_converged(search.known(), [coarse(deviance, RUB, False)], 2000.0)
+    assert asked == ([deviance] if further else []) and found.deviance == deviance - (100.0 if further else 0.0)
+
+
 @pytest.mark.parametrize(
     ("left", "by_force", "asked", "outdone"),
     [(0.6, 70.0, True, False), (0.6, 90.0, True, True), (0.6, None, True, False), (0.4, 100.0, False, False)],

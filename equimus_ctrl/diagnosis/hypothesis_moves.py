@@ -303,15 +303,19 @@ class HypothesisMoves:
 
         Where fits have few minima, also others close to it that were still gaining: their rank is not known yet. Not
         those that after some more steps lack more than a share of what the rival gains, or gain too little of what
-        they have to: they do not reach it.
+        they have to, nor those that would even with ``SearchSettings.optimism``: they do not reach it.
         """
         settings = self.settings
+        needed = (1 - settings.rival_share) * (fitted.deviance - rival) - settings.kept_gain
+
+        def out_of_reach(option: Fitted) -> bool:
+            return not settings.many_minima and settings.optimism * (fitted.deviance - option.deviance) < needed
 
         def converged(place: int) -> Fitted:
             option, best = options[place], options[0].deviance
             close = best + settings.kept_share * max(fitted.deviance - best, 0.0) + settings.kept_gain
             ranked = settings.many_minima or option.fit.converged
-            if option.deviance > close or (place >= settings.kept and ranked):
+            if option.deviance > close or (place >= settings.kept and ranked) or out_of_reach(option):
                 return option
             noise = white_noise(option.fit.residuals)
             longer = self.data.coarse_fit(
@@ -320,9 +324,8 @@ class HypothesisMoves:
             option = min(option, longer, key=lambda f: f.deviance)
             if place == 0:
                 option = self._or_of_other_sign(fitted, option)
-            lacks, gain = option.deviance - rival, fitted.deviance - option.deviance
-            near = lacks <= settings.rival_share * (fitted.deviance - rival) + settings.kept_gain
-            if near and not self._cannot_be_accepted(fitted, option.hypothesis, gain):
+            gain = fitted.deviance - option.deviance
+            if gain >= needed and not self._cannot_be_accepted(fitted, option.hypothesis, gain):
                 return self.data.converge(option, settled=self._settled(option.hypothesis, fitted.labels))
             return option
 
