@@ -259,6 +259,7 @@ def test_of_a_group_of_trials_a_law_adds_nothing_where_it_is_absent() -> None:
     groups = ["A" if k % 2 else "B" for k in range(len(motions))]
     assert len(set(groups)) == 2
     pool = [plain, replace(plain, absent=("B",)), replace(plain, absent=("A",))]
+    assert torque_domain(data, pool[1:]) is not None
     free = data.free
     found, columns, _, _ = columns_of(free, free.start, motions, 3, pool, lambda: None, groups=groups)
     everywhere, in_a, in_b = (columns[:, 0, len(free.free) + one.place[0]] for one in found)

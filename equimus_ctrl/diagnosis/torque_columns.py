@@ -110,6 +110,11 @@ class Along:
         return self.rows_of([one.missing - two.missing for one, two in zip(self.at, after, strict=True)])
 
 
+def usual_laws(pool: Sequence[Candidate]) -> list[Candidate]:
+    """The usual laws among candidates, each at one joint alone and in all trials."""
+    return [c for c in pool if c.effect.name in USUAL_LAWS and len(c.locations) == 1 and not c.absent]
+
+
 def columns_of(
     free: FreeParameters, theta: Array, motions: Sequence[MeasuredMotion], width: int, pool: Sequence[Candidate],
     check: Callable[[], None], guesses: Mapping[str, Mapping[str, float]] | None = None, groups: Sequence[str] = (),

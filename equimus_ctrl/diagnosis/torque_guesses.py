@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, model_of
 from equimus_ctrl.diagnosis.richer_laws import holds
-from equimus_ctrl.diagnosis.torque_columns import USUAL_LAWS, Along, columns_of
+from equimus_ctrl.diagnosis.torque_columns import Along, columns_of, usual_laws
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.mjcf_inverse import inverse_dynamics
@@ -51,8 +51,7 @@ def refined_guesses(data: Data, domain: TorqueDomain, pool: Sequence[Candidate])
     free, check = data.free, data.budget.check
     model = free.model_at(free.start)
     along = Along.of(model, domain.motions, domain.width)
-    usual = [c for c in pool if c.effect.name in USUAL_LAWS and len(c.locations) == 1]
-    _, columns, _, sigma = columns_of(free, free.start, domain.motions, domain.width, usual, check)
+    _, columns, _, sigma = columns_of(free, free.start, domain.motions, domain.width, usual_laws(pool), check)
     whole = (columns / sigma[:, None]).reshape(-1, columns.shape[2])
     beside = Nuisance.of(whole[:, : len(free.start)])
     missing = beside.project_out(whole[:, -1])

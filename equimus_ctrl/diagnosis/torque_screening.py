@@ -28,7 +28,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate
-from equimus_ctrl.diagnosis.torque_columns import USUAL_LAWS, Columns, columns_of
+from equimus_ctrl.diagnosis.torque_columns import Columns, columns_of, usual_laws
 from equimus_ctrl.engines.mjcf_inverse import (
     MeasuredMotion,
     applies,
@@ -209,7 +209,7 @@ def torque_domain(data: Data, pool: Sequence[Candidate]) -> TorqueDomain | None:
     motions = [m for m in motions if len(m.time) > max(longest / 2, 10 * WIDTHS[0])]
     if not motions:
         return None
-    usual = [c for c in pool if c.effect.name in USUAL_LAWS and len(c.locations) == 1]
+    usual = usual_laws(pool)
     groups = tuple(next(s.group for s in data.segments if s.trial is m.trial) for m in motions)
     return TorqueDomain(tuple(motions), _width(data.free, data.free.start, motions, usual), groups)
 
