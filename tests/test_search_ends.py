@@ -31,7 +31,7 @@ from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.screening import Screened, _rescaled
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
+from equimus_ctrl.diagnosis.search_state import Proposal, SearchHistory, SearchState, StopReason
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.model import nominal_model
@@ -609,12 +609,39 @@ def test_sizes_that_fade_together_shrink_together_on_the_way() -> None:
     assert half == pytest.approx([1e3, 0.005, 0.006, 0.1])
 
 
-def test_a_gain_is_as_a_fall_of_the_deviance() -> None:
-    """n ln(n/(n − gain)): what leaves a hundredth of the variance gains n ln 100; small gains are their own."""
+def test_a_gain_is_at_most_as_a_fall_of_the_deviance_at_one_joint() -> None:
+    """Σ n_j ln(σ²_before/σ²_after) of two joints with n/2 samples each, however the gain is shared."""
     search = OnPaper(Known({(): 5000.0}))
-    n = search.data.n
-    assert search._fall(0.99 * n) == pytest.approx(n * np.log(100))
-    assert search._fall(1.0) == pytest.approx(1.0, rel=1e-3) and np.isfinite(search._fall(float(n)))
+    simple, n = search.known(), search.data.n
+    assert simple.fit.residuals[0].shape[1] == 2
+    for gain in (1.0, 0.2 * n, 0.45 * n):
+        shares = np.linspace(0, gain, 11)
+        falls = [-n / 2 * (np.log(1 - own / (n / 2)) + np.log(1 - (gain - own) / (n / 2))) for own in shares]
+        assert search._most_fall(simple, gain) == pytest.approx(max(falls))
+    assert search._most_fall(simple, 0.5 * n) == np.inf
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("fails", [False, True])
+def test_what_is_fitted_does_not_depend_on_the_number_of_threads(threads: int, fails: bool) -> None:
+    """The first fit gains so much that others are hopeless; these may have begun, and ended in an error."""
+    search = OnPaper(Known({(): 5000.0}))
+    hopes = {DEAD: 1e4, FULL: 900.0, OFF: 2000.0, RUB: 500.0, STICK: 400.0}
+    gains = {DEAD: 4000.0, FULL: 1000.0, OFF: 1500.0, RUB: 100.0, STICK: 100.0}
+
+    def coarse_fit(hypothesis: tuple[Part, ...], *given: object, settled: object) -> Fitted:
+        label = hypothesis[-1].candidate.label
+        if fails and hopes[label] < 1000.0:
+            raise ValueError(label)
+        return fitted(5000.0 - gains[label], label)
+
+    vars(search.data).update(threads=threads, coarse_fit=coarse_fit)
+    proposals = [Proposal(fitted(0.0, label).hypothesis, (), hope) for label, hope in hopes.items()]
+    found = search._coarse_fits(search.known(), proposals, np.inf)
+    assert [f.label for f in found] == [DEAD, OFF]
+    if fails:
+        with pytest.raises(ValueError, match=FULL):
+            search._coarse_fits(search.known(), [p for p in proposals if p.hope < 1000.0], np.inf)
 
 
 def test_where_minima_are_many_the_model_alone_is_refitted_from_the_first_effect_s_fit() -> None:
@@ -675,6 +702,8 @@ def test_the_best_law_is_fitted_from_the_other_sign_too(
     data["free"].start = np.array([1.0])
     simple: Any = replace(fitted(5000.0), fit=SimpleNamespace(theta=np.array([2.0]), starts=[]))
     option = replace(fitted(1000.0), hypothesis=(Part(candidate, {size: -0.2, **shape}),))
+    split = own_in_each_group(option.hypothesis, ("A", "B"))
+    assert split is not None and search._or_of_other_sign(simple, replace(option, hypothesis=split)).hypothesis == split
     found = search._or_of_other_sign(simple, option)
     assert found.deviance == (900.0 if asked and lower else 1000.0)
     assert begun == ([[0.1, 0.3, 0.1, 0.3]] if asked else [])

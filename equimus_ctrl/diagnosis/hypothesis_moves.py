@@ -28,8 +28,6 @@ from equimus_ctrl.types import Array
 
 Notify = Callable[[str, str], None]
 """Called with the stage and the best hypothesis so far."""
-LEAST_LEFT = 1e-9
-"""Share of the residuals' variance that is left at least, by which a gain is bounded."""
 EXCHANGE_MARGIN = 2 * CONVERGED_GAIN
 """Least difference of score for which a part is exchanged. Either fit may end ``CONVERGED_GAIN`` above its minimum, so
 less than twice that ranks nothing: two parts that fit alike would take each other's place round after round."""
@@ -161,8 +159,9 @@ class HypothesisMoves:
         def add(hypothesis: Hypothesis, *begins: Begin) -> None:
             label = hypothesis[-1].candidate.label
             earlier = chosen[label].begins if label in chosen else ()
+            begins = tuple(b for b in begins if not any(np.array_equal(b[0], e[0]) for e in earlier))
             known = label in hopes and fitted.hypothesis and not self.settings.many_minima
-            hope = self._fall(max(hopes[label])) if known else math.inf
+            hope = self._most_fall(fitted, max(hopes[label])) if known else math.inf
             chosen[label] = Proposal(hypothesis, (*begins, *earlier), hope)
             if (split := own_in_each_group(hypothesis, groups_of(self.data.segments))) is not None:
                 wider = tuple((self._in_each_group(theta, hypothesis, split), starts) for theta, starts in begins)
@@ -179,12 +178,14 @@ class HypothesisMoves:
             add(hypothesis, begin)
         return list(chosen.values())
 
-    def _fall(self, gain: float) -> float:
-        """By how much the deviance falls where χ² of n whitened residuals falls by a gain: n ln(n/(n − gain)).
+    def _most_fall(self, fitted: Fitted, gain: float) -> float:
+        """By how much the deviance falls at most where χ² of whitened residuals falls by a gain.
 
-        As of any fall of the residuals' variance, which the noise estimated follows.
+        The deviance is a sum of n_j ln σ_j² over joints and other channels, n_j samples each. It falls most where the
+        whole gain is at one of them: by n_j ln(n_j/(n_j − gain)), without bound where nothing is left.
         """
-        return -self.data.n * math.log(max(1.0 - gain / self.data.n, LEAST_LEFT))
+        n = self.data.n / fitted.fit.residuals[0].shape[1]
+        return math.inf if gain >= n else -n * math.log(1.0 - gain / n)
 
     def _in_each_group(self, theta: Array, hypothesis: Hypothesis, split: Hypothesis) -> Array:
         """θ of a hypothesis whose last part has sizes of its own in groups of trials, all like the common ones in θ."""
@@ -272,19 +273,22 @@ class HypothesisMoves:
             too_little = proposal.hope * self.settings.optimism < most
             return too_little or self._cannot_be_accepted(fitted, proposal.hypothesis, proposal.hope)
 
-        def after_some_steps(proposal: Proposal) -> Fitted | None:
+        def after_some_steps(proposal: Proposal) -> Fitted | Exception:
             steps = self.settings.coarse_steps
             try:
                 return self.data.coarse_fit(proposal.hypothesis, proposal.begins, noise, steps, settled=fitted.labels)
-            except SimulationDiverged:  # so it cannot be what happened
-                return None
+            except Exception as error:  # of what may turn out not to be worth fitting
+                return error
 
         promising = (p for p in sorted(proposals, key=lambda p: -p.hope) if not hopeless(p))
         for proposal, option in computer.side_by_side(self.data.threads, after_some_steps, promising):
             # Dropped again here, so that the answer does not depend on how many were fitted at a time.
-            if option is not None and not hopeless(proposal):
-                options.append(option)
-                most = max(most, fitted.deviance - option.deviance)
+            if hopeless(proposal) or isinstance(option, SimulationDiverged):  # so it cannot be what happened
+                continue
+            if isinstance(option, Exception):
+                raise option
+            options.append(option)
+            most = max(most, fitted.deviance - option.deviance)
         return sorted(options, key=self.score)
 
     def _cannot_be_accepted(self, fitted: Fitted, hypothesis: Hypothesis, gain: float) -> bool:
@@ -334,7 +338,7 @@ class HypothesisMoves:
     def _or_of_other_sign(self, fitted: Fitted, option: Fitted) -> Fitted:
         """The best option, or the same law fitted from guesses of the other sign where that ends lower.
 
-        A law with a size of either sign and a place or shape may have a minimum on each side. Fits begin at the guess
+        A law with one size of either sign and a place or shape may have a minimum on each side. Fits begin at the guess
         that is best before any step, which may be on the wrong side of strong physics.
 
         Args:
@@ -343,7 +347,8 @@ class HypothesisMoves:
         """
         last = option.hypothesis[-1]
         nothing, sizes = last.candidate.grows_from(), last.candidate.sizes
-        if self.settings.many_minima or last.candidate.n_parameters < 2 or len(sizes) != 1:
+        one_shape = len(sizes) == 1 and len(last.candidate.common) > 1 and not last.candidate.own
+        if self.settings.many_minima or not one_shape:
             return option
         size, none = sizes[0], nothing[sizes[0]]
         others = [v for v in last.candidate.guesses if (v[size] - none) * (last.values[size] - none) < 0]

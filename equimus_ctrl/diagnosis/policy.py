@@ -307,7 +307,8 @@ class SearchSettings:
         rival_share: in the place of a part, only what lacks less than this share of its gain is fitted until converged.
         optimism: beside other parts, fits gain at most so many times what is expected to first order, and converged
             fits so many times what quick ones gain: what then gains less than the best one, or than the acceptance
-            threshold, is not fitted further. On the real leg's recordings it was up to 1.7 times.
+            threshold, is not fitted further. Gains to first order
+            were exceeded up to 1.7 times on the real leg's recordings.
         coarse_steps: iterations of a first fit.
         long_steps: iterations of the next fit, of the few that are best by then.
         runners_up: so many others than the best first part, of those with about as much gain, are given a second too.

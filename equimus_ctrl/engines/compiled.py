@@ -14,6 +14,7 @@ import os
 import stat
 import sys
 import tempfile
+import threading
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -204,15 +205,31 @@ def _digest(parts: list[str]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
+_WRITING = threading.RLock()
+"""A module that another thread imports is not found half made; importing one may write others."""
+
+
 def _written(path: Path, text: str) -> ModuleType:
     """Put a module into the cache folder, whole or not at all, and import it."""
-    if not path.exists():
-        _put(path, text.encode())
+    with _WRITING:
+        known = sys.modules.get(path.stem)
+        if known is not None and known.__file__ == str(path) and path.exists():
+            return known
+        if not path.exists():
+            _put(path, text.encode())
+        return _imported_from(path)
+
+
+def _imported_from(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[path.stem]
+        raise
     return module
 
 

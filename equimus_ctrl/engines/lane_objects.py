@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from equimus_ctrl.models.lane_code import target_machine
 
 _loaded: dict[str, Any] = {}
 """Prefix → what holds the code; it lives as long as the process."""
+_LOADING = threading.Lock()
+"""Code that another thread has handed out must not be replaced."""
 
 
 def load(path: Path, prefix: str, names: Sequence[str]) -> None:
@@ -22,11 +25,15 @@ def load(path: Path, prefix: str, names: Sequence[str]) -> None:
         prefix: of its symbols.
         names: of its functions.
     """
-    if prefix in _loaded:
-        return
+    with _LOADING:
+        if prefix not in _loaded:
+            _loaded[prefix] = _engine(path, prefix, names)
+
+
+def _engine(path: Path, prefix: str, names: Sequence[str]) -> Any:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
     engine.add_object_file(llvm.object_file.ObjectFileRef.from_path(str(path)))
     engine.finalize_object()
     for name in names:
         llvm.add_symbol(f"{prefix}_{name}", engine.get_function_address(f"{prefix}_{name}"))
-    _loaded[prefix] = engine
+    return engine

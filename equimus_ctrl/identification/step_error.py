@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def with_step_error(
     return replace(
         fit,
         derive=lambda: fit.derivatives,
-        known=lambda: replace(fit.uncertainty, half_width=fit.uncertainty.half_width + more),
+        known=cache(lambda: replace(fit.uncertainty, half_width=fit.uncertainty.half_width + more)),
     )
 
 

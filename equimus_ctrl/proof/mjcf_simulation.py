@@ -219,7 +219,7 @@ def _follow(
             sample, ahead = len(given) - len(due), int(trial.linear)
             due = due[1:]
             if sample + ahead < len(given):
-                given[sample + ahead] = tracking.at(sample + ahead, q[k], v[k])
+                given[sample + ahead] = tracking.at(sample, q[k], v[k], ahead)
             if len(due):
                 _arrive(own, trial, given[: sample + ahead + 1], ctrl[: due[0] + 1])
         data.ctrl[:] = ctrl[k]

@@ -9,7 +9,7 @@ q_r, v_r are the recorded motion and its rates by a smoothing spline (Craven & W
 joint-space inertia in the pose where the trial begins, G the joints' torques by commands there. So joints go back to
 the recorded motion like critically damped second-order systems of frequency f (computed torque). q, v are the true
 motion, without sensors' noise or delay. Commands that are linear between samples have to be known one sample ahead, so
-u_{k+1} follows from q, v at t_k.
+what is added to u_{k+1} is of t_k.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ class Tracking:
         damping: (na, nj) 2 G⁺ M ω.
         low: (na,) least commands.
         high: (na,) greatest commands.
+        interval: between samples [s].
     """
 
     command: Array
@@ -55,6 +56,7 @@ class Tracking:
     damping: Array
     low: Array
     high: Array
+    interval: float
 
     @classmethod
     def of(cls, model: Model, recording: Recording, frequency: float) -> Tracking:
@@ -79,7 +81,8 @@ class Tracking:
                 f"{recording.name} has {len(recording.time)} samples, expected at least {FEWEST} to track"
             )
         linear = Trial.of(recording, recording.position[0]).linear
-        most = MOST / (2 if linear else 1) / float(np.median(np.diff(recording.time)))
+        interval = float(np.median(np.diff(recording.time)))
+        most = MOST / (2 if linear else 1) / interval
         if not 0 < frequency <= most:
             raise ConfigError(
                 f"track is {frequency:g} Hz, expected more than 0 and at most {most:.3g} Hz, a "
@@ -97,20 +100,29 @@ class Tracking:
             back @ inertia * (2 * omega),
             low,
             high,
+            interval,
         )
 
     def converged(self, difference: Array, noise: Array) -> bool:
-        """Whether commands differ by less (n, na) than they would by a motion that differs by noise (nj,)."""
-        return bool(np.all(np.abs(difference) <= np.abs(self.stiffness) @ noise))
+        """Whether commands (n, na) differ by less than where motions differ by noise (nj,), and their rates with it."""
+        most = np.abs(self.stiffness) @ noise + np.abs(self.damping) @ noise / self.interval
+        return bool(np.all(np.abs(difference) <= most))
 
     def within(self, command: Array) -> Array:
         """Commands (n, na) within their ranges."""
         return np.asarray(np.clip(command, self.low, self.high))
 
-    def at(self, sample: int, q: Array, v: Array) -> Array:
-        """(na,) the command of a sample, for joints at q (nj,) with rates v (nj,)."""
+    def at(self, sample: int, q: Array, v: Array, ahead: int = 0) -> Array:
+        """(na,) a command, for joints at q (nj,) with rates v (nj,) at a sample.
+
+        Args:
+            sample: where the joints are.
+            q: their positions.
+            v: their rates.
+            ahead: so many samples later the command holds.
+        """
         own = self.stiffness @ (self.position[sample] - q) + self.damping @ (self.velocity[sample] - v)
-        return self.within(self.command[sample] + own)
+        return self.within(self.command[sample + ahead] + own)
 
 
 def _inertia_and_gains(model: Model, recording: Recording) -> tuple[Array, Array]:
