@@ -23,11 +23,12 @@ from equimus_ctrl.identification.whitened_fit import WhitenedFit, whiten_fit
 from equimus_ctrl.types import Array
 
 SLOWEST, FASTEST = 0.2, 4.0
-"""Frequencies of a disturbance in time that are looked for [Hz]."""
+"""Frequencies of a disturbance in time that are looked for [Hz]: slower ones a spline over time follows, faster ones
+move a free joint by less than 1/400 of what the slowest does (it falls with the square of the frequency)."""
 LONGEST = 12.0
 """Frequencies are twice as close together as a recording of so long tells apart, at most [s]."""
 FOLDS = 3
-"""Of the cross-validation."""
+"""Of the cross-validation: of four trials three are fitted, and each of them can judge once."""
 BOUND = 1e9
 """Responses [rad] above this, to a force of size 1, are those of an instability."""
 

@@ -33,9 +33,11 @@ from equimus_ctrl.types import Array
 WHITE, ESTIMATED = 0, 1
 """The two whitenings: by white noise as large as the residuals, and by the noise estimated."""
 LOOKS = 3
-"""How often a guess that the parameters nearly cancel is simulated at changed parameters."""
+"""How often a guess that the parameters nearly cancel is simulated at changed parameters: Newton's steps, of which each
+squares what is left."""
 STRONG = 0.03
-"""Directions of the parameters weaker than this share of the strongest are not changed then."""
+"""Directions of the parameters weaker than this share of the strongest are not changed then: derivatives do not hold as
+far as they would have to move. It says where fits begin, no more, as the next two do."""
 LEAST, MOST = 0.3, 3.0
 """Between these factors a change is taken to grow with its first parameter."""
 SHORTER = (0.5, 0.25)

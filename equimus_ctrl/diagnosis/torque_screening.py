@@ -42,9 +42,10 @@ from equimus_ctrl.types import Array
 WIDTHS = (2, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Widths of the test functions that are tried, in samples."""
 FLAT = 0.1
-"""Wider ones are not tried once ln σ has risen by so much a joint."""
+"""Wider ones are not tried once ln σ has risen by so much a joint: blurring has begun, and it only grows."""
 CROSSES = 0.3
-"""Longest width, as a share of the time in which the fastest joint crosses its range."""
+"""Longest width, as a share of the time in which the fastest joint crosses its range: a spline four widths long then
+spans about one crossing."""
 CORRELATED = 1.5
 """So many test functions a width apart are worth one independent sample: cubic B-splines overlap."""
 WEAK = 1e-10

@@ -23,15 +23,19 @@ from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array
 
 START_SHARE = 0.1
-"""A law that a search begins with lowers what is missing above the noise by this share at least."""
+"""A law that a search begins with lowers what is missing above the noise by this share at least. It saves rounds and
+decides nothing: a law left out is found later, one too many is not accepted by simulation."""
 ABOUT = 0.9
-"""A search begins with the simplest law that gains this share of what the best one does."""
+"""A search begins with the simplest law that gains this share of what the best one does: measured angles bias gains in
+the torque domain by a few per cent. Richer laws are tried in its place by simulation."""
 BEHIND = 0.05
-"""Candidates that explain less than this share of what the best one does are not simulated,"""
+"""Candidates that explain less than this share of what the best one does are not simulated in this round,"""
 AT_LEAST = 12
-"""unless they are among so many best ones."""
+"""unless they are among so many best ones. Both save time: where the best one is accepted, the rest is looked at beside
+it, and where nothing of what is promising is accepted all are."""
 SURE = 3.0
-"""Standard errors by which a law's own size at a place has to differ from nothing, for a search to begin with it."""
+"""Standard errors by which a law's own size at a place has to differ from nothing, for a search to begin with it: on
+noise one place in 370 does."""
 
 
 def laws_asked_for(
