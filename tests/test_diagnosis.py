@@ -444,6 +444,30 @@ def test_what_is_held_out_follows_from_the_names(
     assert chosen == Holdout(*(frozenset(map(int, places)) for places in (validation, test, other)))
 
 
+def test_of_a_trial_alone_of_its_kind_the_end_is_held_out() -> None:
+    names = [*(f"step_{k}" for k in range(8)), "triangle"]
+    chosen = choose_holdout(names)
+    assert chosen == Holdout(frozenset({3}), frozenset({7}), frozenset({2, 6}), frozenset({8}), frozenset({8}))
+    assert choose_holdout([*names[:4], "triangle"]).last == frozenset()  # without a test set all of it validates
+    assert choose_holdout(names, test=["step_0"]).last == frozenset()
+    assert choose_holdout(names, validation=["step_0"]).ends == frozenset()
+    assert choose_holdout(["walk", "run", "jump", "rest", "fall"]).ends == frozenset()  # no kind has several
+
+
+def test_the_end_of_a_trial_alone_of_its_kind_is_divided() -> None:
+    trials = recordings((), count=8)
+    trials = [replace(r, name=f"step_{k}") for k, r in enumerate(trials)] + [replace(trials[0], name="triangle")]
+    parts = split(nominal_model(), trials)
+    first, last = float(trials[-1].time[0]), float(trials[-1].time[-1])
+    times = [
+        [s.trial.sample_times for s in own if s.recording == 8] for own in (parts.train, parts.validation, parts.test)
+    ]
+    ends = [first + share * (last - first) for share in (0.75, 0.875, 1.0)]
+    assert [len(own) for own in times] == [1, 1, 1]
+    assert [own[0][-1] for own in times] == pytest.approx(ends, abs=0.02)
+    assert times[0][0][-1] < times[1][0][0] < times[1][0][-1] < times[2][0][0]
+
+
 def spoilt(change: str) -> list[Recording]:
     good = recordings((), count=2)
     first = good[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -13,7 +12,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
-from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.holdout import Split, kind_of
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, extra_parameters
 from equimus_ctrl.diagnosis.localization import excess_variances
@@ -303,11 +302,6 @@ def confirms(search: Search, ratio: float) -> bool:
     return search.data.thresholds.decides(lambda t: ratio >= t.validation_share)
 
 
-def _kind(name: str) -> str:
-    """A recording's name up to its first digit."""
-    return re.split(r"\d", name, maxsplit=1)[0].rstrip("_- .")
-
-
 class HoldoutResiduals:
     """Residuals of models on held-out trials and on fitted ones, and what they gain there.
 
@@ -341,7 +335,7 @@ class HoldoutResiduals:
         """
         kinds: dict[str, dict[int, list[int]]] = {}
         for k, segment in enumerate(self.split.validation):
-            kinds.setdefault(_kind(segment.recording_name), {}).setdefault(segment.recording, []).append(k)
+            kinds.setdefault(kind_of(segment.recording_name), {}).setdefault(segment.recording, []).append(k)
         names, halves = list[str](), list[list[tuple[int, slice]]]()
         for kind, recordings in kinds.items():
             cuts = [cut for members in recordings.values() for cut in self._at_the_middle(members)]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import fnmatch
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
 
@@ -21,7 +23,7 @@ from equimus_ctrl.types import Array, Recording
 EVERY = 4
 """One trial in so many is held out."""
 LAST = 0.25
-"""Share of a single trial that is held out, its end."""
+"""Share of a trial that is alone, or alone of its kind, which is held out: its end."""
 LEAST_DURATION, LEAST_SAMPLES = 1.0, 60
 """Of a trial to be of use [s] and in samples."""
 MOST_TIME, ENOUGH = 240.0, 8.0
@@ -60,11 +62,20 @@ class Holdout:
         test: touched for the report alone.
         other: for validation in the place of the first, where those show what the rest does not; empty where somebody
             said which judge, or there are too few.
+        ends: trials alone of their kind, the ends of which alone are held out, for validation,
+        last: and of these those whose end's second half is for the test.
     """
 
     validation: frozenset[int] = frozenset()
     test: frozenset[int] = frozenset()
     other: frozenset[int] = frozenset()
+    ends: frozenset[int] = frozenset()
+    last: frozenset[int] = frozenset()
+
+
+def kind_of(name: str) -> str:
+    """A recording's name up to its first digit: those of which it is the same are of one kind."""
+    return re.split(r"\d", name, maxsplit=1)[0].rstrip("_- .")
 
 
 def choose_holdout(
@@ -78,7 +89,8 @@ def choose_holdout(
 
     Where nobody says which are for validation: of four trials or more every fourth, of two or three the last, of one
     none (its end is held out). Of every fourth the later half are the test set, where these are two or more and nobody
-    says which are.
+    says which are. A trial that is alone of its kind beside four or more of another is not among these: nothing else
+    would show what it shows. Its end is held out, one half for validation and one for the test.
 
     Args:
         names: of all trials, in order.
@@ -100,14 +112,24 @@ def choose_holdout(
         raise ConfigError("every trial is for the test, so there is nothing to fit; name fewer")
     if len(set(groups)) > 1:
         parts = [
-            _every_so_manieth([k for k in fitted if groups[k] == g], unseen, bool(test)) for g in sorted({*groups})
+            _of_each_kind(names, [k for k in fitted if groups[k] == g], unseen, bool(test)) for g in sorted({*groups})
         ]
         return Holdout(*(frozenset[int]().union(*of) for of in zip(*(astuple(p) for p in parts), strict=True)))
-    return _every_so_manieth(fitted, unseen, bool(test))
+    return _of_each_kind(names, fitted, unseen, bool(test))
+
+
+def _of_each_kind(names: Sequence[str], fitted: Sequence[int], unseen: frozenset[int], test: bool) -> Holdout:
+    """Of some trials what is held out where nobody says which, see ``choose_holdout``."""
+    counts = Counter(kind_of(names[k]) for k in fitted)
+    if max(counts.values(), default=0) < EVERY:
+        return _every_so_manieth(fitted, unseen, test)
+    alone = frozenset(k for k in fitted if counts[kind_of(names[k])] == 1)
+    found = _every_so_manieth([k for k in fitted if k not in alone], unseen, test)
+    return replace(found, ends=alone, last=frozenset() if test or not found.test else alone)
 
 
 def _every_so_manieth(fitted: Sequence[int], unseen: frozenset[int], test: bool) -> Holdout:
-    """Of some trials what is held out where nobody says which, see ``choose_holdout``."""
+    """Of trials of one kind what is held out, see ``choose_holdout``."""
     if len(fitted) < EVERY:
         return Holdout(frozenset(fitted[-1:] if len(fitted) > 1 else ()), unseen)
     every, before = (frozenset(fitted[EVERY - back :: EVERY]) for back in (1, 2))
@@ -224,7 +246,7 @@ def split(
         )
     if not heldout.other:
         return parts
-    instead = Holdout(heldout.other, heldout.test)
+    instead = replace(heldout, validation=heldout.other)
     other = _parted(model, recordings, instead, edge, window, shoot, short)
     return replace(parts, other=_grouped(other, groups))
 
@@ -289,11 +311,15 @@ def _parted(
             into = test if k in heldout.test else validation
             into += _cut(model, r, k, (low, high), shoot)
             continue
-        edge = high if until is None else min(until, high)
+        edge = high - LAST * (high - low) if k in heldout.ends else high
+        edge = min(until or math.inf, edge)
+        middle = (edge + high) / 2
+        parts = [(edge, middle, validation), (middle, high, test)] if k in heldout.last else [(edge, high, validation)]
         if edge > low:
             train += _cut(model, r, k, (low, edge), shoot, fit_start=True)
-        if edge < high and np.count_nonzero((r.time > edge) & (r.time <= high)) >= LEAST_SAMPLES:
-            validation += _cut(model, r, k, (float(np.nextafter(edge, high)), high), shoot)
+        for begin, end, into in parts:
+            if np.count_nonzero((r.time > begin) & (r.time <= end)) >= LEAST_SAMPLES:
+                into += _cut(model, r, k, (float(np.nextafter(begin, high)), end), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
     short_segments: list[Segment] = []
