@@ -41,7 +41,8 @@ class Recording:
         actuators: names of the command columns.
         joints: names of the position columns.
         velocity: (n, n_joints) measured joint velocities [rad/s], where the sensor gives them.
-        measured: (n, n_actuators) measured pressures [Pa], where a sensor gives them.
+        measured: (n, n_actuators) measured pressures [Pa], of an MJCF robot measured forces before the gear [N·m or N],
+            where a sensor gives them; a column of nan where none does.
         sites: (n,) each, measured coordinates of sites in the room [m], such as ``tip.x``, where something sees them.
         before: (n_actuators,) command in force before the first row, long enough for the robot to have
             settled [Pa]; the first row's command where the recording does not say.
@@ -86,6 +87,13 @@ class Recording:
     def command_before(self) -> Array:
         """(n_actuators,) the command in force before the first row [Pa]."""
         return self.command[0] if self.before is None else self.before
+
+    @property
+    def force_columns(self) -> tuple[int, ...]:
+        """The places of actuators of which something was measured."""
+        if self.measured is None:
+            return ()
+        return tuple(int(i) for i in np.flatnonzero(~np.isnan(self.measured).all(axis=0)))
 
     @property
     def linear(self) -> bool:

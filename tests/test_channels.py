@@ -188,7 +188,7 @@ def test_changes_of_channels_are_their_differences() -> None:
     channels = Channels((1, 0), (("tip", 2), ("floor", 0), ("tip", 0)))
     rng = np.random.default_rng(0)
     along, change, h = rng.normal(0, 0.3, (5, 4)), rng.normal(0, 1, (5, 4, 2)), 1e-5
-    found = channels.changes(CRANE, along, change)
+    found = channels.changes(CRANE, along, change, np.empty((5, 0, 2)))
     for k in range(2):
         moved = np.stack([along + h * change[:, :, k], along - h * change[:, :, k]])
         ahead, behind = channels.of_motion(CRANE, moved)

@@ -75,6 +75,10 @@ class _ByGroup:
         found = [p.inner_response([torques[k] for k in rows]) for rows, p in zip(self.rows, self.parts, strict=True)]
         return _in_order(self.rows, found)
 
+    def drive_response(self, torques: Sequence[Array]) -> list[Array]:
+        found = [p.drive_response([torques[k] for k in rows]) for rows, p in zip(self.rows, self.parts, strict=True)]
+        return _in_order(self.rows, found)
+
 
 def _in_order(rows: Sequence[Sequence[int]], parts: Sequence[Sequence[T]]) -> list[T]:
     placed = {k: own for of, part in zip(rows, parts, strict=True) for k, own in zip(of, part, strict=True)}

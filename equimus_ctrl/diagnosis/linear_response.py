@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY
+from equimus_ctrl.engines.drive_forces import drive_slopes
 from equimus_ctrl.engines.encoding import Encoded
 from equimus_ctrl.engines.field import Field, States
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
@@ -87,6 +88,18 @@ class Linearised:
     def inner_response(self, torques: Sequence[Array]) -> list[Array]:
         """The same (m, 2 nj, k) of the true positions and rates."""
         return [self._path(i, torque, True) for i, torque in enumerate(self._between(torques))]
+
+    def drive_response(self, torques: Sequence[Array]) -> list[Array]:
+        """The same (m, na, k) of the forces of each command's actuator; states of its own are held."""
+        found = []
+        for i, torque in enumerate(self._between(torques)):
+            motion, coordinates = self.motions[i], np.arange(2 * self.coordinates)
+            assert motion.coded is not None  # it was linearised
+            along = np.column_stack([motion.coordinates, motion.rates, motion.state])
+            slopes = drive_slopes(motion.coded, 0, along, motion.pressure)
+            changes = _propagated(self.transitions[i], np.ascontiguousarray(torque), coordinates)
+            found.append(slopes @ changes)
+        return found
 
     def _between(self, torques: Sequence[Array]) -> list[Array]:
         """For each trial (m − 1, nj, k), constant over each interval."""

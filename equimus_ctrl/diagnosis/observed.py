@@ -36,15 +36,23 @@ class ObservedResponse:
     def response(self, torques: Sequence[Array]) -> list[Array]:
         """For each trial (m, nj + ne, k), see ``ForceResponse.response`` and ``Channels.changes``."""
         shown, inner = self.inside.response(torques), self.inner_response(torques)
+        forced = any(segment.channels.forces for segment in self.segments)
+        drives = self.drive_response(torques) if forced else [np.empty((len(c), 0, c.shape[2])) for c in inner]
         found = []
-        for segment, motion, joints, change in zip(self.segments, self.motions, shown, inner, strict=True):
+        parts = zip(self.segments, self.motions, shown, inner, drives, strict=True)
+        for segment, motion, joints, change, forces in parts:
             whole = np.column_stack([motion.position, motion.velocity])
-            found.append(np.concatenate([joints, segment.channels.changes(self.robot, whole, change)], axis=1))
+            more = segment.channels.changes(self.robot, whole, change, forces)
+            found.append(np.concatenate([joints, more], axis=1))
         return found
 
     def inner_response(self, torques: Sequence[Array]) -> list[Array]:
         """The same (m, 2 nj, k) of the true positions and rates."""
         return self.inside.inner_response(torques)
+
+    def drive_response(self, torques: Sequence[Array]) -> list[Array]:
+        """The same (m, na, k) of the drives' forces."""
+        return self.inside.drive_response(torques)
 
 
 def observed(inside: ForceResponse, robot: Robot, segments: Sequence[Segment]) -> ForceResponse:

@@ -13,10 +13,17 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from equimus_ctrl.engines.mjcf_inverse import MeasuredMotion, applies, inverse_dynamics, motions_of
+from equimus_ctrl.engines.mjcf_inverse import (
+    MeasuredMotion,
+    applies,
+    inverse_dynamics,
+    motions_of,
+    weighed_as_motion,
+)
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.channels import channels_of
 from equimus_ctrl.identification.noise import noise_of_differences
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
@@ -58,6 +65,7 @@ def check(model: Model, recordings: Sequence[Recording]) -> None:
         _check_angles(model.robot, recordings)
     if applies(model.robot):
         _check_forces(model, mjcf_of(model.robot), recordings)
+        _check_measured(model, mjcf_of(model.robot), recordings)
 
 
 def coarse_steps(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
@@ -174,6 +182,61 @@ def _check_forces(model: Model, robot: MjcfRobot, recordings: Sequence[Recording
             f"needs is {factors[j]:.3g} times what its drive exerts by the model (correlation {alike[j, j]:.2f}); give "
             "the factor as the actuator's gear or gain"
         )
+
+
+def _check_measured(model: Model, robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
+    """Raise ConfigError where forces that were measured are the opposite of what moves a joint, or far from its size.
+
+    Of drives that drive a joint by itself, all of which have a sensor.
+    """
+    base, channels = robot.plan.base, channels_of(model, recordings[0]).forces
+    for name in robot.joint_names:
+        places = {d.actuator: i for i, d in reversed(list(enumerate(robot.actuators))) if d.joint == name}
+        drives = [robot.actuators[i] for i in places.values()]
+        if not drives or not set(places.values()) <= set(channels) or not all(d.at_joint for d in drives):
+            continue
+        gear = np.array([base.actuator_gear[base.actuator_outadr[d.index], 0] for d in drives])
+        needed, shown = _measured(model, recordings, robot.joint_names.index(name), list(places.values()), gear)
+        if len(needed) < LEAST_ROWS or not shown.any():
+            continue
+        alike = float(needed @ shown / max(np.linalg.norm(needed) * np.linalg.norm(shown), 1e-300))
+        column = " and ".join(f"meas.{robot.actuators[i].name}" for i in places.values())
+        if alike < -ALIKE:
+            raise ConfigError(
+                f"{column} looks negated: what the motion of {name} needs is the opposite of what was measured "
+                f"(correlation {alike:.2f}); change the sign of the column, or that of pos.{name}"
+            )
+        factor = float(needed @ shown / (shown @ shown))
+        if alike > ALIKE and not 1 / UNIT < factor < UNIT:
+            raise ConfigError(
+                f"{column} looks like a force in another unit, such as a current, or behind the gear: what the motion "
+                f"of {name} needs is {factor:.3g} times what was measured (correlation {alike:.2f}); N·m or N before "
+                "the gear are expected"
+            )
+
+
+def _measured(
+    model: Model, recordings: Sequence[Recording], joint: int, places: list[int], gear: Array
+) -> tuple[Array, Array]:
+    """(m,) what a joint's motion needs of its drives, and what was measured of them, at the likest width."""
+    best, found = -math.inf, (np.empty(0), np.empty(0))
+    motions = measured_motions(model, recordings)
+    forces = [
+        np.interp(m.time, r.time, np.asarray(r.measured)[:, places] @ gear)
+        for m, r in zip(motions, recordings, strict=True)
+    ]
+    for width in WIDTHS:
+        long = [k for k, m in enumerate(motions) if len(m.time) > 8 * width]
+        if not long:
+            break
+        at = inverse_dynamics(model, [motions[k] for k in long], width)
+        needed = np.concatenate([one.weighted((one.missing + one.drives)[:, joint]) for one in at])
+        smooth = [one.weighted(weighed_as_motion(forces[k], width)) for k, one in zip(long, at, strict=True)]
+        shown = np.concatenate(smooth)
+        alike = abs(float(needed @ shown)) / max(float(np.linalg.norm(needed) * np.linalg.norm(shown)), 1e-300)
+        if alike > best:
+            best, found = alike, (needed, shown)
+    return found
 
 
 def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array]:

@@ -245,8 +245,9 @@ def _far_above_noise(
     whole, thresholds = excess_variances(residuals, noise), data.thresholds
     joints = data.free.model.robot.joint_names
     excess = whole[: len(joints)].copy()
-    for k, j in enumerate(data.segments[0].channels.velocities):  # recorded velocities are of their joints
-        excess[j] = max(excess[j], whole[len(joints) + k])
+    for k, j in enumerate(data.segments[0].channels.joints(data.free.model.robot)):
+        if j is not None:
+            excess[j] = max(excess[j], whole[len(joints) + k])
     return tuple(
         ResidualAboveNoise(joint, float(own / excess.sum()), own, thresholds.far_off, only_on)
         for joint, own in zip(joints, map(float, excess), strict=True)

@@ -219,6 +219,18 @@ def _remembers(valve: Array) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _settled(times: Array, values: Array, before: float, start: float, valve: Array, linear: bool) -> tuple[float, int]:
+    """The pressure behind a valve at a start, settled under ``before`` until the first command, and the cursor."""
+    if not start > times[0]:
+        return before, -1
+    if not _remembers(valve):
+        cursor = np.searchsorted(times, start - valve[DELAY], side="right") - 1
+        return (values[cursor] if cursor >= 0 else before), cursor
+    pressure, _, _, cursor = _advance(times, values, before, -1, times[0], start - times[0], before, valve, linear)
+    return pressure, cursor
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def pressure_history(
     times: Array,
     commands: Array,
@@ -246,15 +258,7 @@ def pressure_history(
     for i in range(commands.shape[1]):
         for k in range(n):
             column[k] = commands[k, i]
-        pressure, cursor = before[i], -1
-        if start > times[0] and not _remembers(valve[i]):
-            cursor = np.searchsorted(times, start - valve[i, DELAY], side="right") - 1
-            pressure = column[cursor] if cursor >= 0 else before[i]
-        elif start > times[0]:
-            lead = start - times[0]
-            pressure, _, _, cursor = _advance(
-                times, column, before[i], cursor, times[0], lead, pressure, valve[i], linear
-            )
+        pressure, cursor = _settled(times, column, before[i], start, valve[i], linear)
         for s in range(steps):
             pressure, out[s, 0, i], out[s, 1, i], cursor = _advance(
                 times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i], linear
@@ -318,6 +322,36 @@ def follow_history(follow: Array, value: float, dt: float, own: int, out: Array)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _follower_at(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    first: float,
+    start: float,
+    dt: float,
+    own: int,
+    linear: bool,
+) -> float:
+    """What follows an actuator's command at a start: an integrator's first value, or what it came to until then.
+
+    Arguments are those of ``followed_history``, ``follow`` (6,) and ``first`` the actuator's own, ``own`` its column.
+    """
+    if follow[FOLLOW_KIND] == INTEGRATED:
+        return first
+    value = min(max(before[own], follow[FOLLOW_LOW]), follow[FOLLOW_HIGH])
+    value = min(max(value, follow[FOLLOW_LEAST]), follow[FOLLOW_MOST])
+    if start > times[0]:
+        steps = max(math.ceil((start - times[0]) / dt), 1)
+        early = np.empty((steps, 2, commands.shape[1]))
+        part = (start - times[0]) / steps
+        pressure_history(times, commands, before, valve, times[0], part, early, linear)
+        value = follow_history(follow, value, part, own, early)
+    return float(value)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def followed_history(
     times: Array,
     commands: Array,
@@ -348,18 +382,63 @@ def followed_history(
     for i in range(commands.shape[1]):
         if follow[i, FOLLOW_KIND] == DIRECT:
             continue
-        value = first[i]
-        if follow[i, FOLLOW_KIND] != INTEGRATED:
-            value = min(max(before[i], follow[i, FOLLOW_LOW]), follow[i, FOLLOW_HIGH])
-            value = min(max(value, follow[i, FOLLOW_LEAST]), follow[i, FOLLOW_MOST])
-            if start > times[0]:
-                # It has followed since the first command.
-                steps = max(math.ceil((start - times[0]) / dt), 1)
-                early = np.empty((steps, 2, commands.shape[1]))
-                own = (start - times[0]) / steps
-                pressure_history(times, commands, before, valve, times[0], own, early, linear)
-                value = follow_history(follow[i], value, own, i, early)
+        value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear)
         follow_history(follow[i], value, dt, i, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def arrived(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    first: Array,
+    start: float,
+    dt: float,
+    at: Array,
+    out: Array,
+    linear: bool = False,
+) -> None:
+    """What has arrived of the commands at given instants: that of ``followed_history``, not its mean over a step.
+
+    A command counts from the instant on at which it comes.
+
+    Args:
+        times: as in ``followed_history``, as what is not named here.
+        commands: as there.
+        before: as there.
+        valve: as there.
+        follow: as there.
+        first: as there.
+        start: of the motion [s].
+        dt: steps in which what follows the commands is followed until the start [s].
+        at: (m,) ascending, none before the start [s].
+        out: (m, na) written.
+        linear: as there.
+    """
+    column, piece = np.empty(len(times)), np.empty((1, 2, commands.shape[1]))
+    for i in range(commands.shape[1]):
+        for k in range(len(times)):
+            column[k] = commands[k, i]
+        follows, now = follow[i, FOLLOW_KIND] != DIRECT, start
+        at_once = not linear and not _remembers(valve[i])
+        pressure, cursor = _settled(times, column, before[i], start, valve[i], linear)
+        value = pressure
+        if follows:
+            value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear)
+        for k in range(len(at)):
+            span = at[k] - now
+            if span > 0.0:
+                pressure, piece[0, 0, i], piece[0, 1, i], cursor = _advance(
+                    times, column, before[i], cursor, now, span, pressure, valve[i], linear
+                )
+                value = follow_history(follow[i], value, span, i, piece) if follows else pressure
+                now = at[k]
+            if at_once and not follows:
+                last = np.searchsorted(times, now - valve[i, DELAY], side="right") - 1
+                value = column[last] if last >= 0 else before[i]
+            out[k, i] = value
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

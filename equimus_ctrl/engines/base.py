@@ -47,6 +47,10 @@ class ForceResponse(Protocol):
         """The same (m, 2 nj, k) of the true positions and rates."""
         ...
 
+    def drive_response(self, torques: Sequence[Array]) -> list[Array]:
+        """The same (m, na, k) of the forces of each command's actuator, before the gear."""
+        ...
+
 
 class Engine(ABC):
     """Predicts positions for given commands, parameters and effects, many models and trials at once.

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from equimus_ctrl import computer
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import FOLLOW_KIND, FOLLOW_LEAST, FOLLOW_MOST, INTEGRATED
+from equimus_ctrl.effects.command import FOLLOW_KIND, FOLLOW_LEAST, FOLLOW_MOST, INTEGRATED, arrived
 from equimus_ctrl.effects.sensors import SCALE
 from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
+from equimus_ctrl.engines.drive_forces import drive_forces
 from equimus_ctrl.engines.encoding import Encoded, grouped
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
@@ -170,7 +171,7 @@ class _Block:
 
     def __init__(self, coded: Encoded, models: NDArray[np.int64], rows: slice, histories: _Histories) -> None:
         self.coded, self.rows, self.kernel = coded, rows, coded.kernel
-        self.models = _run_of(models)
+        self.models, self.model_places = _run_of(models), models
         self.histories = histories
         own = coded.mechanics[0]
         self.joints, self.moved, self.still = own.joints, own.starts, _run_of(own.joints)
@@ -224,7 +225,10 @@ class _Block:
         steps = np.maximum(np.ceil(np.array(spans) / dt - 1e-9), 1).astype(np.int64)
         position = np.empty((k, place[-1], len(self.moved)))
         reached = np.zeros((len(trials), k), np.int64)
-        motion = np.empty((k, place[-1] if any(trial.inner for trial in trials) else 0, 2 * len(self.moved)))
+        forces = any(trial.forces for trial in trials)
+        inner = forces or any(trial.inner for trial in trials)
+        numbers = self.kernel.N_STATE if forces else 2 * len(self.moved)
+        motion = np.empty((k, place[-1] if inner else 0, numbers))
         self.kernel.run_trials(
             self.parameters,
             trials[0].times,
@@ -255,7 +259,34 @@ class _Block:
             if result.motion is not None:
                 own = motion[:, place[t] : place[t + 1]]
                 result.motion[self.models, :, :nj] = own[:, :, self.still]
-                result.motion[self.models, :, nj:] = own[:, :, len(self.moved) :][:, :, self.still]
+                result.motion[self.models, :, nj:] = own[:, :, len(self.moved) : 2 * len(self.moved)][:, :, self.still]
+        if forces:
+            self._write_forces(trials, dt, first, motion, place, results)
+
+    def _write_forces(
+        self,
+        trials: Sequence[Trial],
+        dt: float,
+        first: Array,
+        motion: Array,
+        place: NDArray[np.int64],
+        results: Sequence[Predicted],
+    ) -> None:
+        """The drives' forces along motions (k, m, 2 nv + nz), see ``run``."""
+        commands, before = self.commands(trials[0])
+        arriving = np.empty((place[-1], commands.shape[2]))
+        models = np.arange(len(self.coded.models))[self.rows]
+        for lane, index in enumerate(models):
+            valve, follow = self.valve[lane], self.follow[lane]
+            for t, own in enumerate(trials):
+                arrived(
+                    own.times, commands[lane], before[lane], valve, follow, first[t, lane], own.start, dt,
+                    own.sample_times, arriving[place[t] : place[t + 1]], own.linear,
+                )  # fmt: skip
+            found = drive_forces(self.coded, int(index), motion[lane], arriving)
+            for t, result in enumerate(results):
+                if result.forces is not None:
+                    result.forces[self.model_places[lane]] = found[place[t] : place[t + 1]]
 
 
 def _run_of(indices: NDArray[np.int64]) -> slice | NDArray[np.int64]:

@@ -193,6 +193,7 @@ class ExtrapolatedEngine(Engine):
                     _extrapolated(a.position, b.position),
                     np.minimum(a.reached, b.reached),
                     None if a.motion is None or b.motion is None else _extrapolated(a.motion, b.motion),
+                    None if a.forces is None or b.forces is None else _extrapolated(a.forces, b.forces),
                 )
                 for a, b in pairs
             ]

@@ -202,7 +202,10 @@ def measure_together(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure_inner(grid: Array, start: float, dt: float, times: Array, out: Array) -> None:
-    """True positions and rates of k lanes at given times (m,), written to out (k, m, 2 nj); see ``measure``."""
+    """True positions and rates of k lanes at given times (m,), and states of laws where these are wanted too.
+
+    They are written to out (k, m, 2 nj) or (k, m, 2 nj + nz); see ``measure``. States go along lines between steps.
+    """
     n = len(grid)
     q, v = np.empty(n), np.empty(n)
     for l in range(len(out)):  # noqa: E741
@@ -210,6 +213,12 @@ def measure_inner(grid: Array, start: float, dt: float, times: Array, out: Array
             for s in range(n):
                 q[s], v[s] = grid[s, j * LANES + l], grid[s, (N_JOINTS + j) * LANES + l]
             inner(q, v, start, dt, times, out[l, :, j], out[l, :, N_JOINTS + j])
+        for i in range(len(times)):
+            place = max((times[i] - start) / dt, 0.0)
+            s = min(int(place), n - 2)
+            for z in range(2 * N_JOINTS, out.shape[2]):
+                begin, end = grid[s, z * LANES + l], grid[s + 1, z * LANES + l]
+                out[l, i, z] = begin + (place - s) * (end - begin)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -260,12 +269,12 @@ def run_trials(
         reached: (trials, k) written: how many samples a trial has where all is well, else the index of the first that
             could not be had.
         linear: commands go along a line from each instant to the next, in place of being held.
-        motion: (k, m, 2 nj) written: true positions and rates; with m = 0 they are not wanted.
+        motion: (k, m, 2 nj) or (k, m, 2 nj + nz) written, see ``measure_inner``; with m = 0 they are not wanted.
     """
     most = steps.max()
     w, same = prepared(parameters), same_as_previous(commands, before, valve, follow)
     drive = np.empty((most, 2, N_ACTUATORS * LANES))
-    grid = np.empty((most + 1, 2 * N_JOINTS * LANES))
+    grid = np.empty((most + 1, motion.shape[2] * LANES))
     for trial in range(len(start)):
         n, low, high = steps[trial], place[trial], place[trial + 1]
         sampled = out_times[low:high]

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import DELAY, FILL, VENT, pressure_history
+from equimus_ctrl.effects.command import DELAY, FILL, VENT, arrived, pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_effects, force_laws
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.mjcf_kernel import drive_forces
 from equimus_ctrl.engines.trials import Condition, Predicted, Trial
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
@@ -36,6 +37,8 @@ SETTLED = 10.0
 """Time constants after which a filter has forgotten what was."""
 AT_ONCE = 1e-9
 """A step in which nothing moves [s]."""
+TO_FORCES = "mj_fwdPosition", "mj_fwdVelocity", "mj_fwdActuation"
+"""What MuJoCo works out of a state until it knows the forces of actuators."""
 
 
 @lru_cache(maxsize=8)
@@ -180,6 +183,7 @@ class Course:
         v: (steps + 1, nj) [rad/s or m/s].
         ctrl: (steps, na) commands that act over each step.
         sound: number of entries that mean something.
+        whole: (steps + 1, nq + nv + na) all of MuJoCo's state; None where it is not wanted.
     """
 
     start: float
@@ -188,6 +192,7 @@ class Course:
     v: Array
     ctrl: Array
     sound: int
+    whole: Array | None = None
 
 
 def steps_of(trial: Trial, dt: float) -> int:
@@ -256,13 +261,14 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     _integrate_from_here(model, data)
     dt = float(model.opt.timestep)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
+    whole = np.empty((len(ctrl) + 1 if trial.forces else 0, model.nq + model.nv + model.na))
     sound = kernel.run_mjcf(
         function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
         np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force, _rests(own, start[:nj]),
         data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
-        out_q, out_v,
+        out_q, out_v, data.act, whole,
     )  # fmt: skip
-    return Course(trial.start, dt, out_q, out_v, ctrl, int(sound))
+    return Course(trial.start, dt, out_q, out_v, ctrl, int(sound), whole if trial.forces else None)
 
 
 def _integrate_from_here(model: Any, data: Any) -> None:
@@ -307,6 +313,40 @@ def inner_of(path: Course, times: Array) -> Array:
         for j in range(nj):
             inner(path.q[:, j].copy(), path.v[:, j].copy(), path.start, path.dt, times, out[j], out[nj + j])
     return out.T
+
+
+def forces_of(own: Realised, path: Course, trial: Trial) -> Array:
+    """(m, na) for each command the force of its actuator before the gear, at a trial's sample times [N·m or N].
+
+    MuJoCo's own law of the actuator, in the state between two steps and under what has arrived of the command by then.
+    """
+    assert path.whole is not None  # of trials that ask for forces
+    model, times = own.mujoco, trial.sample_times
+    nq, nv = model.nq, model.nv  # the same, of hinges and slides
+    given = shaped_commands(own.effects, own.robot.actuator_names, np.vstack([trial.before, trial.commands]))
+    ctrl, at_once = np.empty((len(times), given.shape[1])), np.zeros((given.shape[1], 6))
+    arrived(
+        trial.times, given[1:].copy(), given[0].copy(), own.valve, at_once, given[0], trial.start, path.dt, times, ctrl,
+        trial.linear,
+    )  # fmt: skip
+    place = np.maximum((times - path.start) / path.dt, 0.0)
+    step = np.minimum(place.astype(np.int64), len(path.whole) - 2)
+    with np.errstate(all="ignore"):  # numbers after a divergence mean nothing
+        states = path.whole[step] + (place - step)[:, None] * (path.whole[step + 1] - path.whole[step])
+        for j in range(nq):
+            q, v = path.whole[:, j].copy(), path.whole[:, nq + j].copy()
+            inner(q, v, path.start, path.dt, times, states[:, j], states[:, nv + j])
+    states[step + 1 >= path.sound] = np.nan
+    data, out = scratch.data(model), np.empty_like(ctrl)
+    controls = [drive.control for drive in own.robot.actuators]
+    command = np.zeros((len(times), model.nu))
+    command[:, controls] = ctrl
+    drive_forces(
+        np.array([function_address(name) for name in TO_FORCES], dtype=np.int64), model._address, data._address, states,
+        command, data.qpos, data.qvel, data.act, data.ctrl, data.actuator_force,
+        np.array([model.actuator_outadr[drive.index] for drive in own.robot.actuators], dtype=np.int64), out,
+    )  # fmt: skip
+    return out
 
 
 def simulate_mjcf(
@@ -370,6 +410,8 @@ def simulate_mjcf(
             results[i].position[which], results[i].reached[which] = measured_of(own, path, trial.sample_times)
             if (motion := results[i].motion) is not None:
                 motion[which] = inner_of(path, trial.sample_times)
+            if (forces := results[i].forces) is not None:
+                forces[which] = forces_of(own, path, trial)
 
     tasks = [(which, chunk) for which in range(k) for chunk in chunks]
     with quietly():

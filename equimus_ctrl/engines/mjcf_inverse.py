@@ -126,6 +126,11 @@ def inverse_dynamics(model: Model, motions: Sequence[MeasuredMotion], width: int
     return [_along_motion(known[motion.trial.condition], laws, motion, width) for motion in motions]
 
 
+def weighed_as_motion(values: Array, width: int) -> Array:
+    """(m, …) values (n, …) at a measured motion's times, smoothed and picked as the motion is."""
+    return np.asarray(_smoothed(values[1:-1], width)[:: max(width // 2, 1)])
+
+
 def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMotion, width: int) -> InverseDynamics:
     """The same of one of them, of a robot with its effects but the laws at joints."""
     dt, stride = motion.interval, max(width // 2, 1)
@@ -139,8 +144,8 @@ def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMo
             (shown[rows + 1] - 2 * shown[rows] + shown[rows - 1]) / dt**2,
         )
     )
-    u = _smoothed(_commands(own, motion)[rows], width)
-    q, v, a, u = (values[::stride].copy() for values in (q, v, a, u))
+    u = weighed_as_motion(_commands(own, motion), width)
+    q, v, a = (values[::stride].copy() for values in (q, v, a))
     missing, drives = _evaluated(own, q, v, a, u)
     missing += own.loss * np.sign(v)
     names = own.robot.joint_names

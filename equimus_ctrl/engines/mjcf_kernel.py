@@ -58,6 +58,8 @@ def run_mjcf(
     dt: float,
     out_q: Array,
     out_v: Array,
+    act: Array,
+    whole: Array,
 ) -> int:
     """Step a robot; the number of steps after which all was still sound.
 
@@ -81,13 +83,17 @@ def run_mjcf(
         dt: physics step [s].
         out_q: (steps + 1, nj) written: where the joints are.
         out_v: (steps + 1, nj) written: their rates.
+        act: view of the data's.
+        whole: (steps + 1, nq + nv + na) written: all of qpos, qvel and act; (0, …) where it is not wanted.
     """
-    nj = len(places)
+    nj, nq, nv = len(places), len(qpos), len(qvel)
     for k in range(len(ctrl) + 1):
         for j in range(nj):
             out_q[k, j], out_v[k, j] = qpos[places[j, 0]], qvel[places[j, 1]]
             if not abs(out_v[k, j]) < fastest[j]:
                 return k
+        if len(whole) > 0:
+            whole[k, :nq], whole[k, nq : nq + nv], whole[k, nq + nv :] = qpos, qvel, act
         if k == len(ctrl):
             break
         for i in range(ctrl.shape[1]):
@@ -101,3 +107,47 @@ def run_mjcf(
                 states[j, s] += dt * found[2 + s]
         call(step, model, data)  # type: ignore[call-arg]
     return len(ctrl) + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def drive_forces(
+    functions: NDArray[np.int64],
+    model: int,
+    data: int,
+    states: Array,
+    ctrl: Array,
+    qpos: Array,
+    qvel: Array,
+    act: Array,
+    control: Array,
+    force: Array,
+    which: NDArray[np.int64],
+    out: Array,
+) -> None:
+    """Forces of actuators in some states, before the gear.
+
+    Args:
+        functions: addresses of MuJoCo's functions that lead from a state to ``actuator_force``, in their order.
+        model: address of its ``mjModel``.
+        data: address of its ``mjData``.
+        states: (m, nq + nv + na) qpos, qvel and act.
+        ctrl: (m, nu) what has arrived of the commands.
+        qpos: view of the data's.
+        qvel: view of the data's.
+        act: view of the data's.
+        control: view of the data's ctrl.
+        force: view of the data's actuator_force.
+        which: (nc,) actuators.
+        out: (m, nc) written [N·m or N]; nan where a state is not finite.
+    """
+    nq, nv = len(qpos), len(qvel)
+    for k in range(len(states)):
+        out[k] = np.nan
+        if not np.all(np.isfinite(states[k])):
+            continue
+        qpos[:], qvel[:], act[:] = states[k, :nq], states[k, nq : nq + nv], states[k, nq + nv :]
+        control[:] = ctrl[k]
+        for function in functions:
+            call(function, model, data)  # type: ignore[call-arg]
+        for i in range(len(which)):
+            out[k, i] = force[which[i]]

@@ -8,7 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.computer import threads, worker_count
-from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, follow, inner_of, measured_of, realise
+from equimus_ctrl.engines.mjcf import (
+    Course,
+    Realised,
+    commands_on,
+    follow,
+    forces_of,
+    inner_of,
+    measured_of,
+    realise,
+)
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -49,24 +58,32 @@ class SimulatedResponse:
         Raises:
             ConfigError: where there are not as many as trials.
         """
-        return self._responses(torques, measured_of, 1)
+
+        def read(own: Realised, course: Course, trial: Trial) -> Array:
+            return measured_of(own, course, trial.sample_times)[0]
+
+        return self._responses(torques, read, len(self.scale))
 
     def inner_response(self, torques: Sequence[Array]) -> list[Array]:
         """The same (m, 2 nj, k) of the true positions and rates."""
 
-        def read(own: Realised, course: Course, times: Array) -> tuple[Array, int]:
-            return inner_of(course, times), measured_of(own, course, times)[1]
+        def read(own: Realised, course: Course, trial: Trial) -> Array:
+            return inner_of(course, trial.sample_times)
 
-        return self._responses(torques, read, 2)
+        return self._responses(torques, read, 2 * len(self.scale))
+
+    def drive_response(self, torques: Sequence[Array]) -> list[Array]:
+        """The same (m, na, k) of the forces of each command's actuator, in trials that ask for them."""
+        return self._responses(torques, forces_of, len(self.model.robot.actuator_names))
 
     def _responses(
-        self, torques: Sequence[Array], read: Callable[[Realised, Course, Array], tuple[Array, int]], numbers: int
+        self, torques: Sequence[Array], read: Callable[[Realised, Course, Trial], Array], numbers: int
     ) -> list[Array]:
-        """Changes of what is read off courses, ``numbers`` for each joint."""
+        """Changes of so many numbers that are read off courses."""
         if len(torques) != len(self.trials):
             raise ConfigError(f"torques are for {len(torques)} trials, expected {len(self.trials)}")
         found = [
-            np.zeros((len(t.sample_times), numbers * len(self.scale), torque.shape[2]))
+            np.zeros((len(t.sample_times), numbers, torque.shape[2]))
             for t, torque in zip(self.trials, torques, strict=True)
         ]
         count = torques[0].shape[2]
@@ -80,7 +97,7 @@ class SimulatedResponse:
                 own = known[condition]
                 dt = float(own.mujoco.opt.timestep)
                 ctrl = commands_on(own, trial)
-                plain, _ = read(own, follow(own, trial, self.starts[i], ctrl), trial.sample_times)
+                plain = read(own, follow(own, trial, self.starts[i], ctrl), trial)
                 for column in columns:
                     torque = torques[i][:, :, column]
                     size = float(np.max(np.abs(torque) / self.scale, initial=0.0))
@@ -88,9 +105,9 @@ class SimulatedResponse:
                         continue
                     factor = SMALL / size
                     force = _on_steps(trial, torque * factor, dt, len(ctrl))
-                    measured, reached = read(own, follow(own, trial, self.starts[i], ctrl, force), trial.sample_times)
-                    if reached == len(measured):
-                        found[i][:, :, column] = (measured - plain) / factor
+                    course = follow(own, trial, self.starts[i], ctrl, force)
+                    if course.sound == len(course.q):
+                        found[i][:, :, column] = (read(own, course, trial) - plain) / factor
 
         parts = worker_count(self.threads)
         with quietly():

@@ -52,6 +52,7 @@ class Trial:
         factors: the same, in units of what the model has.
         linear: commands go along a line from each instant to the next, in place of being held.
         inner: whether the true motion at the sample times is wanted too, see ``Predicted.motion``.
+        forces: whether the forces of the drives there are wanted too, see ``Predicted.forces``.
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
     """
 
@@ -68,6 +69,7 @@ class Trial:
     activation: Array | None = None
     linear: bool = False
     inner: bool = False
+    forces: bool = False
 
     @cached_property
     def condition(self) -> Condition:
@@ -135,18 +137,22 @@ class Predicted:
         position: (k, m, nj) measured positions of each model [rad or m]; numbers after a divergence mean nothing.
         reached: (k,) m where all is well, else the index of the first sample that could not be had.
         motion: (k, m, 2 nj) true positions and rates, of a trial that asks for them [rad or m, rad/s or m/s].
+        forces: (k, m, na) for each command the force of its actuator before the gear, of a trial that asks for them
+            [N·m or N].
     """
 
     position: Array
     reached: NDArray[np.int64]
     motion: Array | None = None
+    forces: Array | None = None
 
     @classmethod
     def empty(cls, models: int, trial: Trial, joints: int) -> Predicted:
         """Room for what so many models and joints do in a trial."""
         shape = (models, len(trial.sample_times))
         motion = np.empty((*shape, 2 * joints)) if trial.inner else None
-        return cls(np.empty((*shape, joints)), np.zeros(models, dtype=np.int64), motion)
+        forces = np.empty((*shape, trial.commands.shape[1])) if trial.forces else None
+        return cls(np.empty((*shape, joints)), np.zeros(models, dtype=np.int64), motion, forces)
 
     @property
     def sound(self) -> NDArray[np.bool_]:

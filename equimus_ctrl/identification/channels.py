@@ -1,7 +1,8 @@
-"""What is compared with a model beside joint positions: recorded velocities of joints, and coordinates of sites.
+"""What is compared with a model beside joint positions: velocities of joints, forces of drives, coordinates of sites.
 
 They are measured by other means than the positions: offset, scale, delay and play of a joint's sensor are not theirs.
-Each has noise of its own.
+Each has noise of its own. A drive's force is what its actuator exerts by the model, before the gear: MuJoCo's
+``actuator_force``, at the instant of the row and under the row's own command as it has arrived by then.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ ALSO = "also"
 """Note of a recording that lists what of it is compared beside joint positions: ``also = vel.elbow site.tip.x``."""
 SMALL = 1e-6
 """Step of the differences of sites' positions [rad or m]."""
-VELOCITY, SITE, AXES = "vel.", "site.", "xyz"
+VELOCITY, FORCE, SITE, AXES = "vel.", "meas.", "site.", "xyz"
 
 
 @dataclass(frozen=True)
@@ -34,25 +35,39 @@ class Channels:
     Attributes:
         velocities: of joints, by their places.
         sites: names and axes of sites' coordinates.
+        forces: of drives, by the places of their commands.
     """
 
     velocities: tuple[int, ...] = ()
     sites: tuple[tuple[str, int], ...] = ()
+    forces: tuple[int, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.velocities or self.sites)
+        return bool(self.velocities or self.sites or self.forces)
 
-    def names(self, joints: Sequence[str]) -> tuple[str, ...]:
+    def names(self, robot: Robot) -> tuple[str, ...]:
         """As the recordings' columns have them."""
         sites = (f"{SITE}{name}.{AXES[axis]}" for name, axis in self.sites)
-        return (*(VELOCITY + joints[j] for j in self.velocities), *sites)
+        velocities = (VELOCITY + robot.joint_names[j] for j in self.velocities)
+        return (*velocities, *sites, *(FORCE + robot.actuator_names[i] for i in self.forces))
 
-    def units(self, slides: Sequence[bool]) -> tuple[str, ...]:
-        """Of each, given which joints are slides."""
-        return (*("m/s" if slides[j] else "rad/s" for j in self.velocities), *("m" for _ in self.sites))
+    def units(self, robot: Robot) -> tuple[str, ...]:
+        """Of each."""
+        velocities = ("m/s" if robot.slides(robot.joint_names[j]) else "rad/s" for j in self.velocities)
+        forces = ("N" if robot.slides(joint) else "N·m" for joint in self._driven(robot)) if self.forces else ()
+        return (*velocities, *("m" for _ in self.sites), *forces)
+
+    def joints(self, robot: Robot) -> tuple[int | None, ...]:
+        """The joint that each tells of, as an index: its own, or the one that its drive drives; None for a site."""
+        driven = (robot.joint_names.index(joint) for joint in self._driven(robot)) if self.forces else ()
+        return (*self.velocities, *(None for _ in self.sites), *driven)
+
+    def _driven(self, robot: Robot) -> list[str]:
+        drives = mjcf_of(robot).actuators
+        return [drives[i].joint for i in self.forces]
 
     def of_motion(self, robot: Robot, motion: Array) -> Array:
-        """(k, m, ne) what these would be in motions (k, m, 2 nj) of a robot's joints."""
+        """(k, m, ne) what velocities and sites would be in motions (k, m, 2 nj) of a robot's joints."""
         nj = motion.shape[2] // 2
         names = list(dict.fromkeys(name for name, _ in self.sites))
         rates = motion[:, :, [nj + j for j in self.velocities]]
@@ -62,23 +77,33 @@ class Channels:
         columns = [where[:, :, names.index(name), axis] for name, axis in self.sites]
         return np.concatenate([rates, np.stack(columns, axis=-1)], axis=2)
 
-    def changes(self, robot: Robot, motion: Array, change: Array) -> Array:
-        """(m, ne, k) changes of these by small changes (m, 2 nj, k) of a motion (m, 2 nj), to first order."""
+    def changes(self, robot: Robot, motion: Array, change: Array, forces: Array) -> Array:
+        """(m, ne, k) changes of these by small changes (m, 2 nj, k) of a motion (m, 2 nj), to first order.
+
+        Args:
+            robot: what moves.
+            motion: its joints' positions and rates.
+            change: of them.
+            forces: (m, na, k) changes of the drives' forces; without entries where none is compared.
+        """
         nj = motion.shape[1] // 2
-        rates = change[:, [nj + j for j in self.velocities]]
+        rates, driven = change[:, [nj + j for j in self.velocities]], forces[:, list(self.forces)]
         if not self.sites:
-            return rates
+            return np.concatenate([rates, driven], axis=1)
         moved = np.repeat(motion[None], nj + 1, axis=0)
         moved[1:, :, :nj] += SMALL * np.eye(nj)[:, None]
         where = replace(self, velocities=()).of_motion(robot, moved)
         slopes = (where[1:] - where[0]) / SMALL  # (nj, m, ns)
-        return np.concatenate([rates, np.einsum("jms,mjk->msk", slopes, change[:, :nj])], axis=1)
+        return np.concatenate([rates, np.einsum("jms,mjk->msk", slopes, change[:, :nj]), driven], axis=1)
 
     def added(self, robot: Robot, found: Predicted) -> Predicted:
         """Predictions with these beside the joints' positions."""
         assert found.motion is not None  # trials with channels ask for it
-        more = self.of_motion(robot, found.motion)
-        return replace(found, position=np.concatenate([found.position, more], axis=2))
+        more = [self.of_motion(robot, found.motion)]
+        if self.forces:
+            assert found.forces is not None
+            more.append(found.forces[:, :, list(self.forces)])
+        return replace(found, position=np.concatenate([found.position, *more], axis=2))
 
 
 NOTHING = Channels()
@@ -101,29 +126,29 @@ def channels_of(model: Model, recording: Recording) -> Channels:
         if word not in known:
             raise ConfigError(unknown_name("column", word, known, f"{recording.name}: note {ALSO}"))
     velocities = [j for j, joint in enumerate(recording.joints) if VELOCITY + joint in words]
+    forces = [i for i, name in enumerate(recording.actuators) if FORCE + name in words]
     sites = [word.removeprefix(SITE) for word in known if word in words and word.startswith(SITE)]
     there = site_names(mjcf_of(model.robot)) if sites else ()
     parts = [name.rpartition(".") for name in sites]
     for name, _, _ in parts:
         if name not in there:
             raise ConfigError(unknown_name("site", name, there, f"{recording.name}: column {SITE}{name}"))
-    return Channels(tuple(velocities), tuple((name, AXES.index(axis)) for name, _, axis in parts))
+    return Channels(tuple(velocities), tuple((name, AXES.index(axis)) for name, _, axis in parts), tuple(forces))
 
 
 def recorded_columns(recording: Recording) -> tuple[str, ...]:
     """What of a recording could be compared beside joint positions."""
     rates = () if recording.velocity is None else tuple(VELOCITY + joint for joint in recording.joints)
-    return (*rates, *(SITE + name for name in recording.sites))
+    forces = tuple(FORCE + recording.actuators[i] for i in recording.force_columns)
+    return (*rates, *(SITE + name for name in recording.sites), *forces)
 
 
 def unused(recordings: Sequence[Recording]) -> list[str]:
-    """Columns of recordings that nothing is compared with: those that could be and are not listed, and ``meas.*``."""
+    """Columns of recordings that could be compared beside joint positions, and are not listed."""
     found: dict[str, None] = {}
     for recording in recordings:
         listed = recording.notes.get(ALSO, "").split()
-        forces = () if recording.measured is None else (f"meas.{name}" for name in recording.actuators)
         found |= dict.fromkeys(name for name in recorded_columns(recording) if name not in listed)
-        found |= dict.fromkeys(forces)
     return list(found)
 
 
@@ -133,7 +158,8 @@ def measured_channels(channels: Channels, recording: Recording) -> Array:
     if recording.velocity is not None:
         rates = recording.velocity[:, list(channels.velocities)]
     sites = [recording.sites[f"{name}.{AXES[axis]}"] for name, axis in channels.sites]
-    return np.column_stack([rates, *sites])
+    forces = [] if recording.measured is None else list(recording.measured[:, list(channels.forces)].T)
+    return np.column_stack([rates, *sites, *forces])
 
 
 def with_channels(trials: Sequence[Recording], patterns: Sequence[str]) -> list[Recording]:

@@ -137,8 +137,7 @@ def fitted_channels(found: Fit, noise: Noise, before: Sequence[Array]) -> tuple[
         before: for each segment (m, nj + ne) residuals of the model that it is set against.
     """
     robot, channels = found.model.robot, found.problem.segments[0].channels
-    names, nj = channels.names(robot.joint_names), len(robot.joint_names)
-    units = channels.units([robot.slides(name) for name in robot.joint_names])
+    names, units, nj = channels.names(robot), channels.units(robot), len(robot.joint_names)
     before, after = (joint_rmse(values)[nj:].tolist() for values in (before, found.residuals))
     rows = zip(names, units, noise[nj:], before, after, strict=True)
     return tuple(FittedChannel(name, unit, own.sigma, *rmse) for name, unit, own, *rmse in rows)

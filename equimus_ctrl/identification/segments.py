@@ -210,6 +210,7 @@ def _shooting_intervals(
             factors=noted(model, recording, TIMES),
             linear=recording.linear,
             inner=bool(channels),
+            forces=bool(channels.forces),
         )
         measured = np.array(recording.position[chosen])
         whole = np.append(start, np.zeros(len(zeros)))

@@ -50,7 +50,8 @@ class DiagnoseOptions:
         window: (from, to) of each trial that counts at all [s].
         shoot: length of multiple-shooting intervals where nothing holds the robot in place [s]; see
             ``diagnosis.intervals.longest_interval``.
-        also: names or patterns of recorded columns that are compared beside joint positions, ``vel.*`` and ``site.*``.
+        also: names or patterns of recorded columns that are compared beside joint positions: ``vel.*``, ``site.*``,
+            ``meas.*``.
         zero_per_trial: names or patterns of joints whose sensors have an unknown zero of their own in each trial.
         most: largest number of effects, 1 to 6.
         exclude: names of effects that are not tried.

@@ -111,7 +111,7 @@ def parameters_option() -> Any:
 
 def also_option() -> Any:
     """What is compared beside joint positions."""
-    text = "Recorded columns that are compared beside joint positions, such as 'vel.*' or 'site.tip.x'."
+    text = "Recorded columns that are compared beside joint positions, such as 'vel.*', 'meas.*' or 'site.tip.x'."
     return option((), NAMES, text, metavar="COLUMN")
 
 

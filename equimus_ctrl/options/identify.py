@@ -45,7 +45,8 @@ class IdentifyOptions:
         heldout: held-out files, folders, trials or poses; those that take part in the fit are dropped.
         window: (from, to) of each trial that is compared; all of it by default [s].
         shoot: length of multiple-shooting intervals, each with a free initial state [s].
-        also: names or patterns of recorded columns that are compared beside joint positions, ``vel.*`` and ``site.*``.
+        also: names or patterns of recorded columns that are compared beside joint positions: ``vel.*``, ``site.*``,
+            ``meas.*``.
         zero_per_trial: names or patterns of joints whose sensors have an unknown zero of their own in each trial.
         fit_start: estimate each trial's first angles too.
         engine: ``"reduced"`` or ``"mujoco"``; by default see ``engines.choice.engine_for``.

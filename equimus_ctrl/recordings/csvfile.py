@@ -61,7 +61,11 @@ def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
     """The trial in ``sheet``, checked."""
     groups = _columns(sheet, limits)
     joints, actuators = groups["pos"], groups["cmd"]
-    names = {prefix: [f"{prefix}.{name}" for name in _order(prefix, groups)] for prefix in PREFIXES if groups[prefix]}
+    names = {
+        prefix: [f"{prefix}.{name}" for name in _order(prefix, groups) if name in groups[prefix]]
+        for prefix in PREFIXES
+        if groups[prefix]
+    }
     notes, before = _notes(sheet, actuators, limits)
     seen = [column for column in sheet.header if column.startswith(SITE)]
     columns = ["time", *(column for group in names.values() for column in group), *seen]
@@ -72,6 +76,17 @@ def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
             return None
         start = columns.index(names[prefix][0])
         return values[:, start : start + len(names[prefix])]
+
+    def measured() -> Array | None:
+        """With nan for actuators that have no sensor."""
+        if "meas" not in names:
+            return None
+        return np.column_stack(
+            [
+                values[:, columns.index(f"meas.{name}")] if name in groups["meas"] else np.full(len(values), math.nan)
+                for name in actuators
+            ]
+        )
 
     time, command, position = values[:, 0], block("cmd"), block("pos")
     assert command is not None and position is not None  # _columns refuses a header without them
@@ -86,11 +101,16 @@ def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
         actuators=actuators,
         joints=joints,
         velocity=block("vel"),
-        measured=block("meas"),
+        measured=measured(),
         before=before,
         notes=notes,
         sites={column.removeprefix(SITE): values[:, columns.index(column)] for column in seen},
     )
+
+
+def _sensed(recording: Recording) -> Array | None:
+    """Columns of what was measured at actuators that have a sensor."""
+    return None if recording.measured is None else recording.measured[:, list(recording.force_columns)]
 
 
 def _order(prefix: str, groups: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
@@ -125,7 +145,8 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
                 raise sheet.header_error(
                     f"column '{prefix}.{name}': " + unknown_name(PREFIXES[prefix], name, found[base])
                 )
-        if found[prefix]:
+        # A single drive may have a sensor of its force; what presses in actuators is measured in all of them.
+        if found[prefix] and (prefix != "meas" or limits.pressures):
             _demand_all(sheet, prefix, found[prefix], found[base], "")
     return {prefix: tuple(names) for prefix, names in found.items()}
 
@@ -218,7 +239,7 @@ def write(path: PathLike, recording: Recording) -> None:
         ("cmd", recording.actuators, recording.command),
         ("pos", recording.joints, recording.position),
         ("vel", recording.joints, recording.velocity),
-        ("meas", recording.actuators, recording.measured),
+        ("meas", [recording.actuators[i] for i in recording.force_columns], _sensed(recording)),
     ):
         if block is not None:
             header += [f"{prefix}.{name}" for name in names]

@@ -83,7 +83,7 @@ def _commands(base: Any, i: int, name: str, joints: Sequence[Axis], moment: Arra
         kind = inputs[n] if int(base.actuator_gaintype[i]) in OWN else ""
         servo, unit = _kind(base, i, axis, at_joint, kind)
         label = own if count == 1 else f"{own}.{kind}"
-        yield Drive(label, i, axis.name, servo, unit, (low, high), state, first + n, own)
+        yield Drive(label, i, axis.name, servo, unit, (low, high), state, first + n, own, at_joint)
 
 
 def _check(base: Any, i: int, named: str) -> None:

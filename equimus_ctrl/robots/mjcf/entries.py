@@ -74,6 +74,7 @@ class Drive:
             where it follows at once.
         control: place of its command among MuJoCo's.
         actuator: the actuator's name: an actuator with several commands has a drive for each.
+        at_joint: whether it acts on that joint alone.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Drive:
     state: int | None = None
     control: int = 0
     actuator: str = ""
+    at_joint: bool = True
 
 
 def setter(kind: str, name: str, array: str, *entry: int) -> Write:
