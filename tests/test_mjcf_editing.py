@@ -42,6 +42,25 @@ URDF = """<robot name="two">
     <axis xyz="0 1 0"/></joint>
 </robot>"""
 
+SCENE = """<mujoco model="scene"><compiler angle="radian"/><option timestep="0.001"/><worldbody>
+  <geom name="floor" type="plane" size="1 1 .1"/><site name="home"/>{cup}
+  <body name="arm" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="0.1"/>
+    <geom name="link" type="capsule" fromto="0 0 0 0 0 -.4" size=".03"/><site name="tip" pos="0 0 -.4"/></body>{ball}
+  </worldbody>{beside}
+  <actuator><motor name="lift" joint="shoulder"/><motor name="spare" joint="shoulder"/></actuator>
+  <sensor><jointpos name="angle" joint="shoulder"/></sensor>{key}</mujoco>"""
+CUP = """<body name="cup" pos="-0.4 0 1"><freejoint name="carried"/><geom name="rim" size="0.05"/><site name="mark"/>
+    <body name="lid" pos="0 0 .1"><joint name="opens" axis="1 0 0"/><geom name="top" size="0.02"/></body></body>"""
+BALL = '<body name="ball" pos="1 0.5 1"><freejoint/><geom size="0.05"/></body>'
+BESIDE = """<contact><pair geom1="rim" geom2="link"/><exclude body1="lid" body2="arm"/></contact>
+  <equality><weld body1="cup" body2="arm" active="false"/><joint joint1="opens" joint2="shoulder" active="false"/></equality>
+  <tendon><spatial name="string"><site site="home"/><site site="mark"/></spatial></tendon>
+  <sensor><framepos objtype="body" objname="cup"/><framepos objtype="site" objname="tip" reftype="body" refname="cup"/>
+  <touch site="mark"/><tendonpos tendon="string"/></sensor>"""
+KEY = """<keyframe><key name="up" qpos="-.4 0 1 1 0 0 0 .1 .7 1 .5 1 1 0 0 0" qvel="0 0 0 0 0 0 .1 .2 0 0 0 0 0 0" ctrl="1 2"/>
+  </keyframe>"""
+CROWDED = SCENE.format(cup=CUP, ball=BALL, beside=BESIDE, key=KEY)
+
 
 @pytest.fixture
 def hand(tmp_path: Path) -> Path:
@@ -85,7 +104,7 @@ def test_an_actuator_that_is_left_out_exerts_nothing(hand: Path) -> None:
 def test_what_is_not_there_is_told(hand: Path) -> None:
     assert "there is no joint 'turm'" in refusal(lambda: load_model(hand, lock={"turm": 0.0}))
     assert "did you mean 'turn'" in refusal(lambda: load_model(hand, lock={"turm": 0.0}))
-    assert "there is no actuator 'up'" in refusal(lambda: load_model(hand, ignore=["up"]))
+    assert "there is no actuator or loose object 'up'" in refusal(lambda: load_model(hand, ignore=["up"]))
     assert "expected a finite position" in refusal(lambda: load_model(hand, lock={"turn": float("nan")}))
     assert "MJCF robots alone" in refusal(lambda: load_model(None, lock={"hip": 0.0}))
     assert "expected JOINT or JOINT=POSITION" in refusal(lambda: lock_of("turn=wide"))
@@ -100,7 +119,7 @@ def test_a_model_file_remembers(hand: Path, tmp_path: Path) -> None:
     assert again.robot.xml == model.robot.xml  # type: ignore[attr-defined]
     text = written[0].read_text()
     written[0].write_text(text.replace('ignore = ["hold"]', 'ignore = "hold"'))
-    assert "expected a list of actuators' names" in refusal(lambda: load_model(written[0]))
+    assert "expected a list of names of actuators and loose objects" in refusal(lambda: load_model(written[0]))
 
 
 def test_recordings_need_not_have_what_is_held(hand: Path, tmp_path: Path) -> None:
@@ -148,3 +167,65 @@ def test_robots_made_of_one_file_otherwise_are_others(hand: Path) -> None:
     assert all(isinstance(robot, MjcfRobot) for robot in robots)
     assert robots[0].digest != robots[1].digest  # type: ignore[attr-defined]
     assert Model(robots[0]).robot.joint_names == ("shoulder", "grip")
+
+
+def test_a_loose_object_goes_with_all_that_names_it(tmp_path: Path) -> None:
+    """Nothing is left of it, and the robot moves as the one of a file without it."""
+    crowded, alone = tmp_path / "crowded.xml", tmp_path / "alone.xml"
+    crowded.write_text(CROWDED)
+    alone.write_text(SCENE.format(cup="", ball="", beside="", key=""))
+    models = [load_model(crowded, ignore=["cup", "ball"]), load_model(alone)]
+    robot = models[0].robot
+    assert robot.joint_names == ("shoulder",) and robot.actuator_names == ("lift", "spare")
+    own = robot.mujoco_model()  # type: ignore[attr-defined]
+    assert (own.nq, own.nbody, own.npair, own.nexclude, own.neq, own.ntendon, own.nsensor) == (1, 2, 0, 0, 0, 0, 1)
+    assert own.key_qpos.tolist() == [[0.7]] and own.key_qvel.tolist() == [[0.2]] and own.key_ctrl.tolist() == [[1, 2]]
+    times = np.arange(0, 1, 0.01)
+    trial = Trial("t", times, np.tile([0.5, 0.1], (100, 1)), np.zeros(2), 0.0, np.array([0.3]), times)
+    paths = [simulate_mjcf([model], [trial], threads=1)[0].position[0] for model in models]
+    np.testing.assert_allclose(paths[0], paths[1], atol=1e-9)
+    assert np.ptp(paths[0]) > 0.05
+
+
+def test_an_actuator_goes_with_its_entries_of_keyframes(tmp_path: Path) -> None:
+    path = tmp_path / "crowded.xml"
+    path.write_text(CROWDED)
+    own = load_model(path, ignore=["cup", "lift", "ball"]).robot.mujoco_model()  # type: ignore[attr-defined]
+    assert own.key_ctrl.tolist() == [[2.0]] and own.key_qpos.tolist() == [[0.7]]
+    drives = '<position name="a" joint="j" timeconst=".1"/><motor name="b" joint="j"/><intvelocity name="c" joint="j" actrange="-1 1"/>'
+    path.write_text(
+        f"""<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody><actuator>{drives}</actuator>
+        <keyframe><key ctrl="1 2 3" act=".4 .5"/></keyframe></mujoco>"""
+    )
+    own = load_model(path, ignore=["a"]).robot.mujoco_model()  # type: ignore[attr-defined]
+    assert own.key_ctrl.tolist() == [[2, 3]] and own.key_act.tolist() == [[0.5]]
+
+
+def test_a_free_joint_is_refused_with_the_way_out_where_there_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "scene.xml"
+    path.write_text(CROWDED)
+    assert "left out by --ignore cup" in refusal(lambda: load_model(path))
+    assert "left out by --ignore ball" in refusal(lambda: load_model(path, ignore=["cup"]))
+    path.write_text(CROWDED.replace('<body name="ball"', "<body"))
+    assert "for which its body needs a name" in refusal(lambda: load_model(path, ignore=["cup"]))
+    assert "did you mean 'cup'" in refusal(lambda: load_model(path, ignore=["cap"]))
+    told = refusal(lambda: load_model(path, ignore=["arm"]))
+    assert "body 'arm' has no free joint" in told and "--lock" in told
+    walker = SCENE.format(cup="", ball="", beside="", key="").replace(
+        '<joint name="shoulder" axis="0 1 0" damping="0.1"/>',
+        '<freejoint name="root"/><body name="leg"><joint name="shoulder" axis="0 1 0"/><geom size=".1"/></body>',
+    )
+    path.write_text(walker)
+    told = refusal(lambda: load_model(path))
+    assert told.endswith("the base has to be fixed") and "--ignore" not in told
+
+
+def test_a_model_file_remembers_objects_and_says_that_the_xml_lacks_them(tmp_path: Path) -> None:
+    path = tmp_path / "scene.xml"
+    path.write_text(CROWDED)
+    model = load_model(path, ignore=["cup", "ball"])
+    file, whole = workflow.save_model(tmp_path / "mine.toml", model, path)
+    assert 'ignore = ["cup", "ball"]' in file.read_text()
+    assert load_model(file).robot.xml == model.robot.xml  # type: ignore[attr-defined]
+    assert "Not in here: cup, which is ignored, ball, which is ignored." in whole.read_text()
+    assert load_model(whole).robot.joint_names == ("shoulder",)

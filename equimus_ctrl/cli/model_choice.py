@@ -22,7 +22,7 @@ class ModelChoice:
     Attributes:
         model: its file; None for the nominal leg.
         lock: joints of an MJCF robot to hold, ``JOINT`` or ``JOINT=POSITION``.
-        ignore: actuators to leave out.
+        ignore: actuators and loose objects to leave out.
         motors: whether each joint without an actuator gets a motor of its name.
     """
 
@@ -35,7 +35,12 @@ class ModelChoice:
     lock: Sequence[str] = option(
         (), NAMES, "Hold a joint of an MJCF robot that was not measured.", metavar="JOINT[=POSITION]"
     )
-    ignore: Sequence[str] = option((), NAMES, "Leave out an actuator that was not recorded.", metavar="ACTUATOR")
+    ignore: Sequence[str] = option(
+        (),
+        NAMES,
+        "Leave out an actuator that was not recorded, or a loose object, a body with a free joint.",
+        metavar="NAME",
+    )
     motors: bool = option(
         False, bool, "Give each joint without an actuator a motor of its name, as of a URDF.", "--motors"
     )

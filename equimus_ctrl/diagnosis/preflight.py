@@ -199,7 +199,8 @@ def _check_measured(model: Model, robot: MjcfRobot, recordings: Sequence[Recordi
         needed, shown = _measured(model, recordings, robot.joint_names.index(name), list(places.values()), gear)
         if len(needed) < LEAST_ROWS or not shown.any():
             continue
-        alike = float(needed @ shown / max(np.linalg.norm(needed) * np.linalg.norm(shown), 1e-300))
+        sizes = float(np.linalg.norm(needed) * np.linalg.norm(shown))
+        alike = float(needed @ shown) / max(sizes, 1e-300)
         column = " and ".join(f"meas.{robot.actuators[i].name}" for i in places.values())
         if alike < -ALIKE:
             raise ConfigError(

@@ -184,7 +184,7 @@ def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[st
 def _edits(data: Mapping[str, Any], where: str) -> Edits:
     lock, ignore, motors = _numbers(data.get("lock", {}), f"{where}: lock"), data.get("ignore", []), data.get("motors")
     if not isinstance(ignore, list) or not all(isinstance(name, str) for name in ignore):
-        raise ConfigError(f"{where}: ignore is {ignore!r}, expected a list of actuators' names")
+        raise ConfigError(f"{where}: ignore is {ignore!r}, expected a list of names of actuators and loose objects")
     if not isinstance(motors, bool | None):
         raise ConfigError(f"{where}: motors is {motors!r}, expected true or false")
     return Edits(lock, tuple(ignore), bool(motors))

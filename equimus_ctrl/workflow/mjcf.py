@@ -175,7 +175,7 @@ def write_corrected(path: Path, model: Model, source: Path | None = None) -> tup
 def corrected_xml(model: Model, folder: str = "") -> tuple[str, tuple[str, ...]]:
     """See ``write_corrected``; meshes are looked for in a folder."""
     own = realise(model)
-    left = []
+    left = [f"{name}, which is ignored" for name in own.robot.edits.ignore]
     for effect in model.effects:
         if not effect.write_mjcf(own.mujoco):
             left.append(f"{effect.name} at {effect.location}")

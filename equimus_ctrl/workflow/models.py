@@ -26,7 +26,7 @@ def load_model(
     Args:
         path: of the file.
         lock: joint → where it is held [rad or m], of an MJCF robot: what was not measured.
-        ignore: actuators that are left out: what was not recorded.
+        ignore: actuators that are left out, for they were not recorded, and loose objects: bodies with a free joint.
         motors: whether each joint without an actuator gets a motor, see ``robots.mjcf.editing.Edits``.
 
     Raises:

@@ -1,13 +1,14 @@
-"""An MJCF robot made of another file: joints that are held, actuators that are left out, motors where there are none.
+"""An MJCF robot made of another file: joints that are held, actuators and loose objects that are left out, motors.
 
 What is not measured cannot be compared, and what was not recorded commands nothing. A joint that is held, such as a
-gripper's, is part of the body before it then; an actuator that is left out exerts nothing.
+gripper's, is part of the body before it then; an actuator that is left out exerts nothing. A loose object, a body with
+a free joint that the robot may push, goes with all that names it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,7 +27,7 @@ class Edits:
 
     Attributes:
         lock: joint → where it is held [rad or m].
-        ignore: actuators that are left out.
+        ignore: actuators and loose objects that are left out.
         motors: whether each joint without an actuator gets a motor of its name, whose command is its force [N·m or N].
     """
 
@@ -53,24 +54,20 @@ def edited(name: str, xml: str, assets: Mapping[str, bytes], edits: Edits) -> st
         edits: what is done.
 
     Raises:
-        ModelError: for a joint or actuator that does not exist, or a joint that something else needs.
+        ModelError: for a joint, an actuator or an object that does not exist, or a joint that something else needs.
     """
     spec = mujoco.MjSpec.from_string(xml, assets=dict(assets))
     name_actuators(spec)
-    for actuator in edits.ignore:
-        known = [own.name for own in spec.actuators]
-        if actuator not in known:
-            raise ModelError(unknown_name("actuator", actuator, known, f"{name}: ignore"))
-        spec.delete(spec.actuator(actuator))
-    for joint, value in edits.lock.items():
-        _lock(name, spec, joint, value)
-    if edits.motors:
-        driven = {own.target for own in spec.actuators if int(own.trntype) in AT_JOINTS}
-        for own in spec.joints:
-            if own.name not in driven and own.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                motor = spec.add_actuator(name=own.name, target=own.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-                motor.set_to_motor()
     try:
+        _ignore(name, spec, edits.ignore)
+        for joint, value in edits.lock.items():
+            _lock(name, spec, joint, value)
+        if edits.motors:
+            driven = {own.target for own in spec.actuators if int(own.trntype) in AT_JOINTS}
+            for own in spec.joints:
+                if own.name not in driven and own.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                    motor = spec.add_actuator(name=own.name, target=own.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+                    motor.set_to_motor()
         spec.compile()
         return str(spec.to_xml())
     except (ValueError, mujoco.FatalError) as error:
@@ -86,6 +83,32 @@ def name_actuators(spec: Any) -> None:
         if not own.name and int(own.trntype) in AT_JOINTS and own.target not in taken:
             own.name = own.target
             taken.add(own.target)
+
+
+def loose_objects(spec: Any) -> list[Any]:
+    """Bodies with a free joint."""
+    free = mujoco.mjtJoint.mjJNT_FREE
+    return [body for body in spec.bodies[1:] if any(joint.type == free for joint in body.joints)]
+
+
+def _ignore(name: str, spec: Any, ignored: Sequence[str]) -> None:
+    """Leave actuators and loose objects out; a name that both have is the actuator's."""
+    actuators, objects = [own.name for own in spec.actuators], [own.name for own in loose_objects(spec)]
+    for own in ignored:
+        if own in actuators or own in objects:
+            continue
+        if spec.body(own) is not None:
+            raise ModelError(
+                f"{name}: ignore: body {own!r} has no free joint, expected a loose object or an actuator; a joint that "
+                "was not measured is held by --lock"
+            )
+        known = [known for known in (*actuators, *objects) if known]
+        raise ModelError(unknown_name("actuator or loose object", own, known, f"{name}: ignore"))
+    # Actuators first: those of an object go with it.
+    for own in sorted(dict.fromkeys(ignored), key=lambda own: own not in actuators):
+        spec.compile()  # of a specification that is compiled MuJoCo cuts keyframes to what stays
+        # Geoms, sites, sensors, equalities, pairs and tendons of an object go with it.
+        spec.delete(spec.actuator(own) if own in actuators else spec.body(own))
 
 
 def _lock(name: str, spec: Any, joint: str, value: float) -> None:

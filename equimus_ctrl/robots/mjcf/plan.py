@@ -155,7 +155,7 @@ def _joints(base: Any, name: str) -> tuple[Axis, ...]:
             what = "free" if kind == int(kinds.mjJNT_FREE) else "ball"
             raise ModelError(
                 f"{name}: joint {joint.name or i!r} is a {what} joint, expected hinges and slides alone: the base has "
-                "to be fixed"
+                f"to be fixed{_way_out(base, i)}"
             )
         if not joint.name:
             raise ModelError(f"{name}: joint {i} has no name, by which a recording's columns could be identified")
@@ -166,6 +166,19 @@ def _joints(base: Any, name: str) -> tuple[Axis, ...]:
     if not found:
         raise ModelError(f"{name}: has no joint")
     return tuple(found)
+
+
+def _way_out(base: Any, joint: int) -> str:
+    """What to do about a free joint where there is a robot without its body and what hangs on it."""
+    body = int(base.jnt_bodyid[joint])
+    if int(base.jnt_type[joint]) != int(mujoco.mjtJoint.mjJNT_FREE):
+        return ""
+    if all(int(base.body_rootid[other]) == int(base.body_rootid[body]) for other in base.jnt_bodyid):
+        return ""
+    own = base.body(body).name
+    if not own:
+        return "; a loose object in the scene is left out by --ignore BODY, for which its body needs a name"
+    return f"; a loose object in the scene is left out by --ignore {own}"
 
 
 def _weights(base: Any, joints: Sequence[Axis]) -> dict[str, float]:
