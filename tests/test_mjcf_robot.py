@@ -296,9 +296,9 @@ WRONG: dict[str, tuple[str, str]] = {
     "no joint": (BODY.format("", ""), "cart: has no joint"),
     "no actuator": (BODY.format("<joint name='j'/>", ""), "cart: has no actuator"),
     "second unnamed actuator": (slider('<motor joint="way"/><motor joint="way"/>'), "cart: actuator 1 has no name"),
-    "muscle": (
-        slider('<muscle name="puller" joint="way" lengthrange="0 1"/>'),
-        "cart: actuator 'puller' has the gain 'muscle', which neither engine takes; expected motor, position,",
+    "user dynamics": (
+        slider('<general name="puller" joint="way" dyntype="user" actdim="1"/>'),
+        "cart: actuator 'puller' has the dynamics 'user', which neither engine takes; expected motor, position,",
     ),
     "broken": ("<mujoco><worldbody><bod></worldbody></mujoco>", "cart: MuJoCo cannot load it ("),
     "no XML": ("arm = 1", "cart: MuJoCo cannot load it ("),

@@ -29,12 +29,15 @@ from equimus_ctrl.engines.trials import Condition, Predicted, Trial
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.robots.mjcf.entries import Drive
 from equimus_ctrl.robots.mjcf.parts import harden, hook_of, rotor_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
 
 SETTLED = 10.0
 """Time constants after which a filter has forgotten what was."""
+MUSCLE_SLOWEST = 2.0
+"""A muscle's time constants are those of its file, times 0.5 to 2 by its activation."""
 AT_ONCE = 1e-9
 """A step in which nothing moves [s]."""
 TO_FORCES = "mj_fwdPosition", "mj_fwdVelocity", "mj_fwdActuation"
@@ -211,7 +214,7 @@ def commands_on(own: Realised, trial: Trial) -> Array:
 
 
 def filled(own: Realised, trial: Trial) -> Array:
-    """(n,) of MuJoCo's activations at a trial's start: what filters of commands came to by then.
+    """(n,) of MuJoCo's activations at a trial's start: what filters of commands, and muscles, came to by then.
 
     As if the command before the recording had been in force for long.
     """
@@ -220,7 +223,7 @@ def filled(own: Realised, trial: Trial) -> Array:
     drives = [drive for drive in own.robot.actuators if drive.state is not None]
     if not drives:
         return out
-    longest = max(float(model.actuator_dynprm[drive.index, 0]) for drive in drives)
+    longest = max(_memory(model, drive) for drive in drives)
     lead = min(SETTLED * longest, max(trial.start - float(trial.times[0]), 0.0))
     early, dt = replace(trial, start=trial.start - lead, sample_times=np.array([trial.start])), model.opt.timestep
     first = commands_on(own, replace(early, start=early.start - dt, sample_times=np.array([early.start])))
@@ -231,13 +234,34 @@ def filled(own: Realised, trial: Trial) -> Array:
             rows[:, k] = np.clip(rows[:, k], *model.actuator_ctrlrange[k])
     lags = valve_settings((), own.robot.actuator_names)
     for drive in drives:
-        lags[drive.control, [FILL, VENT]] = model.actuator_dynprm[drive.index, 0]
+        if not drive.activates:
+            lags[drive.control, [FILL, VENT]] = model.actuator_dynprm[drive.index, 0]
     found = np.empty((1, 2, rows.shape[1]))
     times = early.start + dt * np.arange(-1, len(rows) - 1)
     pressure_history(times, rows, rows[0].copy(), lags, trial.start, AT_ONCE, found)
     for drive in drives:
-        out[drive.state] = found[0, 0, drive.control]
+        came_to = found[0, 0, drive.control]
+        out[drive.state] = _activated(model, drive, rows[:, drive.control]) if drive.activates else came_to
     return out
+
+
+def _memory(model: Any, drive: Drive) -> float:
+    """Longest time constant with which a drive follows its command [s]."""
+    if drive.activates:
+        return MUSCLE_SLOWEST * float(model.actuator_dynprm[drive.index, :2].max())
+    return float(model.actuator_dynprm[drive.index, 0])
+
+
+def _activated(model: Any, drive: Drive, commands: Array) -> float:
+    """What a muscle's activation has come to, settled under the first of its commands, each of a physics step.
+
+    By MuJoCo's own law and step (Euler's); see its documentation, "Muscles".
+    """
+    dynamics, dt = np.array(model.actuator_dynprm[drive.index]), float(model.opt.timestep)
+    act = float(np.clip(commands[0], 0.0, 1.0))
+    for command in commands[1:].tolist():
+        act += dt * mujoco.mju_muscleDynamics(command, act, dynamics[:3])
+    return act
 
 
 def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array | None = None) -> Course:
@@ -450,7 +474,8 @@ def joint_forces(own: Realised, position: Array, velocity: Array, command: Array
         data.ctrl[:] = command[k]
         for drive in own.robot.actuators:
             if drive.state is not None:
-                data.act[drive.state] = command[k, drive.control]
+                settled = command[k, drive.control]
+                data.act[drive.state] = min(max(settled, 0.0), 1.0) if drive.activates else settled
         mujoco.mj_forward(model, data)
         drives[k] = data.actuator_force[which]
         weights[k] = data.qfrc_bias[own.places[:, 1]]

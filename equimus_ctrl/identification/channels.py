@@ -18,6 +18,7 @@ from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.entries import Drive
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array, Recording
 
@@ -54,17 +55,16 @@ class Channels:
     def units(self, robot: Robot) -> tuple[str, ...]:
         """Of each."""
         velocities = ("m/s" if robot.slides(robot.joint_names[j]) else "rad/s" for j in self.velocities)
-        forces = ("N" if robot.slides(joint) else "N·m" for joint in self._driven(robot)) if self.forces else ()
+        forces = ("N·m" if d.at_joint and not robot.slides(d.joint) else "N" for d in self._drives(robot))
         return (*velocities, *("m" for _ in self.sites), *forces)
 
     def joints(self, robot: Robot) -> tuple[int | None, ...]:
         """The joint that each tells of, as an index: its own, or the one that its drive drives; None for a site."""
-        driven = (robot.joint_names.index(joint) for joint in self._driven(robot)) if self.forces else ()
+        driven = (robot.joint_names.index(drive.joint) for drive in self._drives(robot))
         return (*self.velocities, *(None for _ in self.sites), *driven)
 
-    def _driven(self, robot: Robot) -> list[str]:
-        drives = mjcf_of(robot).actuators
-        return [drives[i].joint for i in self.forces]
+    def _drives(self, robot: Robot) -> list[Drive]:
+        return [mjcf_of(robot).actuators[i] for i in self.forces]
 
     def of_motion(self, robot: Robot, motion: Array) -> Array:
         """(k, m, ne) what velocities and sites would be in motions (k, m, 2 nj) of a robot's joints."""

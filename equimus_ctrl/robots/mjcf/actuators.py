@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import mujoco
@@ -16,20 +16,24 @@ from equimus_ctrl.types import Array
 
 FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 """Dynamics of actuators whose state follows from commands alone."""
+MUSCLE = int(mujoco.mjtDyn.mjDYN_MUSCLE)
+"""Dynamics of actuators whose state is an activation between 0 and 1 that follows from commands alone."""
 OWN = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
 """Laws with parameters of their own."""
 _TRANSMISSIONS = tuple(
     getattr(mujoco.mjtTrn, f"mjTRN_{kind}") for kind in ("JOINT", "JOINTINPARENT", "TENDON", "SITE", "SLIDERCRANK")
 )
-_GAINS = tuple(getattr(mujoco.mjtGain, f"mjGAIN_{kind}") for kind in ("FIXED", "AFFINE", "PID", "DCMOTOR"))
-_BIASES = tuple(getattr(mujoco.mjtBias, f"mjBIAS_{kind}") for kind in ("NONE", "AFFINE", "DCMOTOR"))
+_GAINS = tuple(getattr(mujoco.mjtGain, f"mjGAIN_{kind}") for kind in ("FIXED", "AFFINE", "PID", "DCMOTOR", "MUSCLE"))
+_BIASES = tuple(getattr(mujoco.mjtBias, f"mjBIAS_{kind}") for kind in ("NONE", "AFFINE", "DCMOTOR", "MUSCLE"))
 _DYNAMICS = tuple(
     getattr(mujoco.mjtDyn, f"mjDYN_{kind}")
-    for kind in ("NONE", "FILTER", "FILTEREXACT", "INTEGRATOR", "PID", "DCMOTOR")
+    for kind in ("NONE", "FILTER", "FILTEREXACT", "INTEGRATOR", "PID", "DCMOTOR", "MUSCLE")
 )
+LEAST = 1e-15
+"""MuJoCo's least divisor."""
 TAKEN = (
-    "motor, position, velocity, intvelocity, damper, cylinder, general with fixed or affine gain and bias, pid and "
-    "dcmotor, at joints, tendons, sites and sliders with a crank"
+    "motor, position, velocity, intvelocity, damper, cylinder, muscle, general with fixed or affine gain and bias, pid "
+    "and dcmotor, at joints, tendons, sites and sliders with a crank"
 )
 
 
@@ -74,7 +78,7 @@ def _commands(base: Any, i: int, name: str, joints: Sequence[Axis], moment: Arra
         axis = next(a for a in joints if a.index == int(base.actuator_trnid[i, 0]))
     else:
         axis = max(joints, key=lambda a: abs(moment[a.dof]))
-    state = int(base.actuator_actadr[i]) if dynamics in FILTERS else None
+    state = int(base.actuator_actadr[i]) if dynamics in (*FILTERS, MUSCLE) else None
     inputs = [word for bit, word in INPUTS.items() if int(base.actuator_ctrlspec[i]) & bit]
     first, count = int(base.actuator_ctrladr[i]), int(base.actuator_ctrlnum[i])
     for n in range(count):
@@ -83,7 +87,7 @@ def _commands(base: Any, i: int, name: str, joints: Sequence[Axis], moment: Arra
         kind = inputs[n] if int(base.actuator_gaintype[i]) in OWN else ""
         servo, unit = _kind(base, i, axis, at_joint, kind)
         label = own if count == 1 else f"{own}.{kind}"
-        yield Drive(label, i, axis.name, servo, unit, (low, high), state, first + n, own, at_joint)
+        yield Drive(label, i, axis.name, servo, unit, (low, high), state, first + n, own, at_joint, dynamics == MUSCLE)
 
 
 def _check(base: Any, i: int, named: str) -> None:
@@ -125,9 +129,15 @@ def drive_parameters(base: Any, drives: Sequence[Drive]) -> list[ModelParameter]
         slides = int(base.jnt_type[base.joint(drive.joint).id]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
         force_unit, position_unit = ("N", "m") if slides else ("N·m", "rad")
         own = drive.actuator
-        law = _own_law if int(base.actuator_gaintype[drive.index]) in OWN else _gain_and_bias
-        found += law(base, drive, force_unit, position_unit)
-        if drive.state is not None:
+        found += _law_of(base, drive.index)(base, drive, force_unit, position_unit)
+        if drive.activates:
+            for key, entry in (("activation_time", 0), ("deactivation_time", 1)):
+                write, value = (
+                    setter("actuator", own, "actuator_dynprm", entry),
+                    base.actuator_dynprm[drive.index, entry],
+                )
+                found.append(ModelParameter(f"{own}.{key}", float(value), "s", write))
+        elif drive.state is not None:
             write = setter("actuator", own, "actuator_dynprm", 0)
             found.append(
                 ModelParameter(f"{own}.time_constant", float(base.actuator_dynprm[drive.index, 0]), "s", write)
@@ -144,6 +154,45 @@ def drive_parameters(base: Any, drives: Sequence[Drive]) -> list[ModelParameter]
             found.append(ModelParameter(f"{own}.force_limit", float(bounds[1]), force_unit, limit))
     order = [drive.actuator for drive in drives]
     return sorted(found, key=lambda number: order.index(number.name.rpartition(".")[0]))
+
+
+def _law_of(base: Any, i: int) -> Callable[[Any, Drive, str, str], Iterator[ModelParameter]]:
+    gain = int(base.actuator_gaintype[i])
+    return _own_law if gain in OWN else _peak_force if _is_muscle(base, i) else _gain_and_bias
+
+
+def _is_muscle(model: Any, i: int) -> bool:
+    """Whether an actuator's force is MuJoCo's force of a muscle, by its length and how fast that changes."""
+    return int(model.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_MUSCLE)
+
+
+def peak_force(model: Any, i: int) -> float:
+    """A muscle's greatest force, before the gear: where the file gives none, its scale over MuJoCo's ``acc0``."""
+    force, scale = (float(value) for value in model.actuator_gainprm[i, 2:4])
+    return force if force >= 0 else scale / max(float(model.actuator_acc0[i]), LEAST)
+
+
+def hold_peak_forces(model: Any, base: Any) -> None:
+    """Let muscles be as strong as in the file: by ``acc0`` MuJoCo would make those stronger whose load is heavier.
+
+    Args:
+        model: a ``mujoco.MjModel``, changed in place.
+        base: of the file.
+    """
+    for i in range(base.nactuator):
+        if _is_muscle(base, i):
+            k = model.actuator(base.actuator(i).name).id
+            model.actuator_gainprm[k, 2] = model.actuator_biasprm[k, 2] = peak_force(base, i)
+
+
+def _peak_force(base: Any, drive: Drive, force_unit: str, position_unit: str) -> Iterator[ModelParameter]:
+    own = drive.actuator
+
+    def write(model: Any, value: float) -> None:
+        i = model.actuator(own).id
+        model.actuator_gainprm[i, 2] = model.actuator_biasprm[i, 2] = value
+
+    yield ModelParameter(f"{own}.force", peak_force(base, drive.index), "N", write)
 
 
 def _gain_and_bias(base: Any, drive: Drive, force_unit: str, position_unit: str) -> Iterator[ModelParameter]:
@@ -200,8 +249,9 @@ def _negative(base: Any, drive: Drive, key: str, array: str, entry: int, unit: s
 def scale_force(model: Any, actuator: str, factor: float) -> None:
     """Make an actuator's force, a gain and a bias, so many times as large."""
     i = model.actuator(actuator).id
-    model.actuator_gainprm[i, :3] *= factor
-    model.actuator_biasprm[i, :3] *= factor
+    entries = slice(2, 3) if _is_muscle(model, i) else slice(0, 3)
+    model.actuator_gainprm[i, entries] *= factor
+    model.actuator_biasprm[i, entries] *= factor
 
 
 def limit_force(model: Any, actuator: str, size: float) -> None:

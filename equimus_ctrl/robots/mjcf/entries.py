@@ -70,11 +70,12 @@ class Drive:
         servo: whether its force depends on where its joint is, so that its command is a goal.
         unit: of its command.
         range: of its commands.
-        state: place of what it follows its command with, a first-order filter's value, among MuJoCo's activations; None
-            where it follows at once.
+        state: place of what it follows its command with, a first-order filter's value or a muscle's activation, among
+            MuJoCo's activations; None where it follows at once.
         control: place of its command among MuJoCo's.
         actuator: the actuator's name: an actuator with several commands has a drive for each.
         at_joint: whether it acts on that joint alone.
+        activates: whether that state is a muscle's activation.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Drive:
     control: int = 0
     actuator: str = ""
     at_joint: bool = True
+    activates: bool = False
 
 
 def setter(kind: str, name: str, array: str, *entry: int) -> Write:

@@ -60,6 +60,7 @@ def exported(
             # Of a command that holds over whole steps the mean over a step.
             _buffer(actuator, model)
         actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
+        actuator.lengthrange = model.actuator_lengthrange[a]  # that of a muscle, which its force depends on
     for tendon in spec.tendons:
         t = tendon.id
         tendon.limited, tendon.range = model.tendon_limited[t], model.tendon_range[t]

@@ -90,6 +90,8 @@ def _actuator_obstacles(m: Any) -> Iterator[str]:
             yield f"{who} with the transmission {mujoco.mjtTrn(int(m.actuator_trntype[i])).name[6:].lower()}"
         elif m.actuator_plugin[i] >= 0:
             yield f"{who}, a plugin"
+        elif int(m.actuator_gaintype[i]) == int(gains.mjGAIN_MUSCLE):
+            yield f"muscle {m.actuator(i).name or i!r}"
         elif (int(m.actuator_gaintype[i]), int(m.actuator_biastype[i])) not in simple:
             gain = mujoco.mjtGain(int(m.actuator_gaintype[i])).name.removeprefix("mjGAIN_").lower()
             bias = mujoco.mjtBias(int(m.actuator_biastype[i])).name.removeprefix("mjBIAS_").lower()

@@ -22,7 +22,7 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
-from equimus_ctrl.robots.mjcf.actuators import OWN, limit_force, scale_force
+from equimus_ctrl.robots.mjcf.actuators import OWN, hold_peak_forces, limit_force, scale_force
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
 from equimus_ctrl.robots.mjcf.independent import independent
@@ -51,7 +51,7 @@ LEAST_PLAY = 2e-9
 _FACTOR = {
     "mass": 3.0, "inertia": 3.0, "kp": 3.0, "kv": 10.0, "gain": 2.0, "gravity": 1.02, "stiffness": 10.0,
     "damping": 10.0, "quadratic_damping": 10.0, "armature": 10.0, "frictionloss": 10.0, "force_limit": 3.0,
-    "time_constant": 10.0, "delay": 3.0,
+    "time_constant": 10.0, "delay": 3.0, "force": 3.0, "activation_time": 10.0, "deactivation_time": 10.0,
 }  # fmt: skip
 _AWAY = dict.fromkeys(SHAPE, 0.5) | {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0}
 QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
@@ -398,6 +398,7 @@ class MjcfRobot(Robot):
 
     def _write_parameters(self, model: Any) -> None:
         """Put all that is not as in the file into a copy of its model, except drives that turn by themselves."""
+        hold_peak_forces(model, self.plan.base)
         for name, value in self.values.items():
             self.plan.parameters[name].write(model, value)
         reshape_inertias(model, self._shapes())
