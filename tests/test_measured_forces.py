@@ -28,6 +28,8 @@ from equimus_ctrl.effects import (
     TorqueSaturation,
     TransportDelay,
 )
+from equimus_ctrl.effects.command import DELAY, FILL, VENT, arrived
+from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.mjcf_motion import simulated_response
@@ -216,6 +218,35 @@ def test_shooting_intervals_begin_with_what_has_arrived_of_the_commands() -> Non
         (part,) = chosen.simulate([model], [later], [path.motion[:, 87]], 1)
         assert part.forces is not None
         assert np.abs(part.forces[0] - path.forces[0, 87:120]).max() < 1e-3 * np.ptp(path.forces)
+
+
+@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.015, 0.0), (0.0, 0.04)])
+def test_what_has_arrived_of_commands_is_that_of_the_instant(linear: bool, delay: float, lag: float) -> None:
+    """A command counts from its row on, one before the first row until then; a lag by its exponential."""
+    times, given, at = (
+        np.array([0.0, 0.1, 0.2]),
+        np.array([[1.0], [3.0], [2.0]]),
+        np.array([0.0, 0.05, 0.1, 0.155, 0.3]),
+    )
+    valve = valve_settings((), ["drive"])
+    valve[:, DELAY], valve[:, [FILL, VENT]] = delay, lag
+    out = np.empty((len(at), 1))
+    arrived(times, given, np.zeros(1), valve, np.zeros((1, 6)), np.zeros(1), 0.0, 1e-3, at, out, linear)
+    fine = np.arange(0.0, 0.3 + 1e-9, 1e-5)
+
+    def target(t: Array) -> Array:
+        held = given[np.clip(np.searchsorted(times, t + 1e-12, side="right") - 1, 0, 2), 0]
+        return np.where(t < -1e-12, 0.0, np.interp(t, times, given[:, 0]) if linear else held)
+
+    expected, value = target(at - delay), 0.0
+    if lag:
+        path = []
+        for u in target(fine):
+            path.append(value)
+            value += 1e-5 / lag * (u - value)
+        expected = np.interp(at, fine, path)
+    np.testing.assert_allclose(out[:, 0], expected, atol=1e-3 if lag else 1e-9)
 
 
 def test_names_units_and_joints_of_forces() -> None:

@@ -19,9 +19,10 @@ from equimus_ctrl.identification.channels import Channels
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.workflow.mjcf import write_corrected
 
 ARM = """<mujoco model="muscled"><compiler angle="radian"/>
-  <option timestep="0.001" integrator="implicitfast"/><worldbody><body name="arm">
+  <option timestep="0.002" integrator="implicitfast"/><worldbody><body name="arm">
   <joint name="elbow" axis="0 -1 0" armature="0.01" damping="0.05" range="-1.5 1.5"/>
   <inertial pos="0 0 -0.25" mass="1.2" diaginertia="0.01 0.01 0.002"/></body></worldbody>
   <tendon><fixed name="flex"><joint joint="elbow" coef="-0.04"/></fixed>
@@ -111,7 +112,7 @@ def test_parameters_of_muscles_are_what_mujoco_stores() -> None:
 def test_the_xml_that_is_written_moves_alike(tmp_path: Path) -> None:
     model = Model(ROBOT, (ActuatorGain("extensor", 0.8),)).with_parameters({"arm.mass": 1.5})
     path = tmp_path / "whole.xml"
-    workflow.mjcf.write_corrected(path, model)
+    write_corrected(path, model)
     time = EVERY * np.arange(100)
     trial = Trial("t", time, activations(1, 100), np.zeros(2), 0.0, np.zeros(1), time, np.zeros(1))
     paths = [
@@ -127,7 +128,7 @@ def recorded(loss: float) -> tuple[Recording, ...]:
     rng = np.random.default_rng(5)
     trials = []
     for k in range(4):
-        given = activations(k, 300)
+        given = activations(k, 200)
         q = stepped(given, loss)[0]
         time = EVERY * np.arange(len(given))
         trials.append(
@@ -145,5 +146,5 @@ def test_score_tells_the_friction_that_a_muscled_arm_lacks() -> None:
 def test_a_diagnosis_of_a_muscled_arm_names_the_friction() -> None:
     found = workflow.diagnose_recordings(recorded(0.15), Model(ROBOT), most=1, threads=1)
     assert [(f.named.effect, f.named.locations) for f in found.findings] == [("coulomb_friction", ("elbow",))]
-    size = found.findings[0].parameters["size"]
+    size = found.findings[0].parameters["friction"]
     assert size.value == pytest.approx(0.15, rel=0.05)

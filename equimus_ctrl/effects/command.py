@@ -422,7 +422,7 @@ def arrived(
         for k in range(len(times)):
             column[k] = commands[k, i]
         follows, now = follow[i, FOLLOW_KIND] != DIRECT, start
-        at_once = not linear and not _remembers(valve[i])
+        at_once = not follows and not _remembers(valve[i])
         pressure, cursor = _settled(times, column, before[i], start, valve[i], linear)
         value = pressure
         if follows:
@@ -435,9 +435,13 @@ def arrived(
                 )
                 value = follow_history(follow[i], value, span, i, piece) if follows else pressure
                 now = at[k]
-            if at_once and not follows:
-                last = np.searchsorted(times, now - valve[i, DELAY], side="right") - 1
+            if at_once:
+                there = now - valve[i, DELAY]
+                last = np.searchsorted(times, there, side="right") - 1
                 value = column[last] if last >= 0 else before[i]
+                if linear and 0 <= last < len(times) - 1:
+                    share = (there - times[last]) / (times[last + 1] - times[last])
+                    value += share * (column[last + 1] - column[last])
             out[k, i] = value
 
 
