@@ -273,11 +273,17 @@ CASES: dict[str, Case] = {
     "constant_force": Case(
         mjcf={"size": 1.5},
     ),
+    "dahl_friction": Case(
+        mjcf={"friction": 1.0, "distance": 0.1},
+    ),
     "directional_load_friction": Case(
         mjcf={"drive": 0.1, "backdrive": 0.4},
     ),
     "drive_play": Case(
         mjcf={"play": 0.3},
+    ),
+    "friction_drift": Case(
+        mjcf={"slope": 0.5},
     ),
     "joint_compliance": Case(
         mjcf={"stiffness": 15.0, "damping": 0.1},

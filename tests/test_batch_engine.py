@@ -122,7 +122,7 @@ def test_a_lanes_equations_of_motion_are_newtons(name: str, phase: Phase) -> Non
     for lane, m in enumerate(robots):
         p = np.concatenate([pack(m), law_parameters(laws, [], m.joint_names, m.actuator_names)])
         names["prepare_lane"](p, w, lane)
-    names["lane_rest"](w)
+    names["lane_start"](w)
     names["lane_gaps"](w)
     pressed, gaps = (rows[names[row] : names[row] + 2 * nj] for row in ("ROW_PRESSED", "ROW_GAPS"))
     pressed[:] = gaps > 0

@@ -67,7 +67,7 @@ def states(model: Model, q0: Array, v0: Array, pressure: Array, until: float, dt
         names["prepare_lane"](coded.parameters[0], w, lane)
     rows = w.reshape(-1, lanes)
     rows[names["ROW_X"] :][: 2 * nj] = np.concatenate([q0, v0])[:, None]
-    names["lane_rest"](w)
+    names["lane_start"](w)
     drive = np.zeros((steps, 2, len(pressure) * lanes))
     drive[:, 0] = np.repeat(pressure, lanes)
     out = np.empty((steps + 1, 2 * nj * lanes))

@@ -26,7 +26,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY
 from equimus_ctrl.engines.drive_forces import drive_slopes
 from equimus_ctrl.engines.encoding import Encoded
@@ -223,7 +222,7 @@ def _kept(coded: Encoded, nv: int) -> list[int]:
     model, places = coded.models[0], coded.mechanics[0].law_places
     present = {(type(e), e.location) for e in model.effects}
     kept, state = list(range(2 * nv)), 2 * nv
-    for slot in slots_of(coded.form, force_laws(model.robot.traits.catalogue)):
+    for slot in slots_of(coded.form, coded.laws):
         of_law = range(state, state + slot.law.n_states)
         kept += of_law if (slot.law, places[slot.kind][slot.index]) in present else []
         state += slot.law.n_states
@@ -282,7 +281,7 @@ def _intervals(motion: Motion, coded: Encoded) -> tuple[Array, Array]:
     a = np.zeros((n, nx, nx))
     a[:, range(nv), range(nv, 2 * nv)] = 1.0
     a[:, nv:] = slopes
-    places = rubbing_places(coded.form, force_laws(coded.models[0].robot.traits.catalogue))
+    places = rubbing_places(coded.form, coded.laws)
     columns = [places.index(("joint", int(joint))) for joint in coded.mechanics[0].joints]
     b = np.zeros((n, nx, len(columns)))
     b[:, nv : 2 * nv] = friction.per_impulse[:, :, columns]

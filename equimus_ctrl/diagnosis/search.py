@@ -47,12 +47,13 @@ from functools import cache
 
 from equimus_ctrl.diagnosis.alternatives import contested, exchanged_beside_fewer, narrowed, pruned, simplified
 from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
+from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
-from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_simulating
+from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_compiling, worth_simulating
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import white_noise
 
@@ -111,7 +112,7 @@ class Search(HypothesisMoves):
         """
         domain, most = self.torque_domain, self.settings.most_parts
         asked = None if domain is None else laws_asked_for(self.data, domain, self.pool, most)
-        if asked is None:
+        if domain is None or asked is None:
             return state
         hypothesis, theta = asked
         self.notify("what the measured torques ask for", state.best.label)
@@ -125,19 +126,19 @@ class Search(HypothesisMoves):
             start = data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps)
             if start.deviance > base.deviance:  # far from any minimum: it holds the model without effects too
                 return state
-            start = data.converge(self._enriched(start))
+            start = data.converge(self._enriched(start, worth_compiling(data, domain, base, self.pool)))
         except SimulationDiverged:  # so it cannot be what happened
             return state
         return self.beginning(base, start) if self.accepts(base, start) else state
 
-    def _enriched(self, fitted: Fitted) -> Fitted:
+    def _enriched(self, fitted: Fitted, pool: Sequence[Candidate]) -> Fitted:
         """A hypothesis, or a better one with a richer law in a part's place: too simple a law makes others look needed.
 
         Raises:
             BudgetSpent: where the budget ends.
         """
         options, noise = [fitted], white_noise(fitted.fit.residuals)
-        for hypothesis, begins in richer(self.data, fitted, self.pool):
+        for hypothesis, begins in richer(self.data, fitted, pool):
             with suppress(SimulationDiverged):  # so it cannot be what happened
                 options.append(self.data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps))
         return min(options, key=self.score)

@@ -187,14 +187,14 @@ def _only(j: int, values: Array, count: int) -> Array:
 
 
 def _is_linear(effect: type[ForceEffect]) -> bool:
-    """Whether a law has no states and is linear in the parameters that switch it off."""
-    if effect.n_states:
-        return False
-    x, rate, load = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("load")
+    """Whether a law is linear in the parameters that switch it off, and its states do not depend on them."""
+    x, rate, load, time = (ca.SX.sym(name) for name in ("x", "rate", "load", "time"))
     p = {key: ca.SX.sym(key) for key in effect.parameter_info()}
+    z = [ca.SX.sym(f"z{k}") for k in range(effect.n_states)]
     chosen = ca.vertcat(*(p[key] for key in effect.neutral))
-    slope = ca.jacobian(effect.sliding_force(x, rate, [], load, p), chosen)
-    return not ca.depends_on(slope, chosen)
+    states = ca.vertcat(*effect.state_rate(x, rate, z, p), *effect.start_state(x, rate, time, p), ca.SX(0, 1))
+    slope = ca.jacobian(effect.sliding_force(x, rate, z, load, p), chosen)
+    return not ca.depends_on(ca.vertcat(ca.vec(slope), states), chosen)
 
 
 Single = Callable[..., "Mapping[str, Array] | None"]
@@ -220,7 +220,7 @@ def _law(
     """For each parameter that switches a law off (m, nj) the slope of the forces by it."""
     joints, keys = model.robot.joint_names, list(effect.parameter_info())
     j = joints.index(place)
-    of = [law_slopes(effect, values, o.position[:, j], o.rate[:, j], o.drives[:, j]) for o in along.at]
+    of = [law_slopes(effect, values, o.position[:, j], o.rate[:, j], o.drives[:, j], o.time) for o in along.at]
     return {
         key: along.rows_of([_only(j, slope[:, keys.index(key)], len(joints)) for slope in of])
         for key in keys

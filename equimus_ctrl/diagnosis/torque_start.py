@@ -16,7 +16,8 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, beside, model_of
 from equimus_ctrl.diagnosis.torque_columns import Columns
 from equimus_ctrl.diagnosis.torque_guesses import far_above_noise, refined_guesses
-from equimus_ctrl.diagnosis.torque_screening import CORRELATED, TorqueDomain, TorqueScreen, torque_screen
+from equimus_ctrl.diagnosis.torque_screening import CORRELATED, TorqueDomain, TorqueFit, TorqueScreen, torque_screen
+from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
@@ -150,8 +151,8 @@ def _extended(robot: Robot, chosen: Sequence[Columns], own: Columns) -> list[Col
 def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
     """Candidates without those that are far behind the best one in the torque domain, see ``BEHIND``.
 
-    All where none of them explains anything there. Those that cannot be seen there stay. Guesses are joined by what
-    least squares give.
+    All where none of them explains anything there. Those that cannot be seen there stay. Laws that equations are
+    compiled anew for have to explain most, see ``worth_compiling``. Guesses are joined by what least squares give.
 
     Args:
         data: what was measured.
@@ -160,6 +161,7 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
         pool: the candidates.
     """
     fits = torque_screen(data, domain, fitted, pool).alone()
+    pool = _worth_compiling(data, fits, pool)
     gains = sorted((fit.gain for fit in fits.values()), reverse=True)
     prune = len(gains) > AT_LEAST and _more_than_chance(data, gains[0], pool)
     least = min(BEHIND * gains[0], gains[AT_LEAST - 1]) if prune else -math.inf
@@ -170,6 +172,31 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
         elif fits[candidate].gain >= least:
             kept.append(_with_guess(data.free.model, candidate, fits[candidate].values))
     return kept
+
+
+def worth_compiling(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates without the laws with states of their own that explain less than one without in the torque domain.
+
+    Equations of motion are compiled anew for a law with states, which takes as long as a short search.
+    """
+    if not any(_has_states(candidate) for candidate in pool):
+        return list(pool)
+    return _worth_compiling(data, torque_screen(data, domain, fitted, pool).alone(), pool)
+
+
+def _worth_compiling(data: Data, fits: Mapping[Candidate, TorqueFit], pool: Sequence[Candidate]) -> list[Candidate]:
+    most = max((fit.gain for candidate, fit in fits.items() if not _has_states(candidate)), default=0.0)
+
+    def worth(candidate: Candidate) -> bool:
+        if candidate not in fits or not _has_states(candidate):
+            return True
+        return fits[candidate].gain >= most and _more_than_chance(data, fits[candidate].gain, pool)
+
+    return [candidate for candidate in pool if worth(candidate)]
+
+
+def _has_states(candidate: Candidate) -> bool:
+    return issubclass(candidate.effect, ForceEffect) and candidate.effect.n_states > 0
 
 
 def _with_guess(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Candidate:

@@ -25,9 +25,7 @@ from equimus_ctrl.effects.drives import (
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import (
     CoulombFriction,
-    Creep,
     ForceEffect,
-    Hysteresis,
     NarrowingArea,
     NonlinearStiffness,
     ParallelSpring,
@@ -36,12 +34,15 @@ from equimus_ctrl.effects.force import (
 from equimus_ctrl.effects.joint_friction import (
     AsymmetricDamping,
     AsymmetricFriction,
+    DahlFriction,
     DirectionalLoadFriction,
+    FrictionDrift,
     LoadFriction,
     PositionDependentFriction,
     QuadraticDamping,
     ViscousFriction,
 )
+from equimus_ctrl.effects.memory import Creep, Hysteresis
 from equimus_ctrl.effects.sensors import Backlash, SensorDelay, SensorEffect, SensorOffset, SensorScale
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.effects.valves import (
@@ -71,6 +72,7 @@ __all__ = [
     "Creep",
     "Curve",
     "Cutoff",
+    "DahlFriction",
     "DeadZone",
     "Description",
     "DirectionalLoadFriction",
@@ -81,6 +83,7 @@ __all__ = [
     "FillingFlow",
     "FirstOrderLag",
     "ForceEffect",
+    "FrictionDrift",
     "GravityTilt",
     "Hysteresis",
     "JointStop",

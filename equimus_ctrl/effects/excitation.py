@@ -64,6 +64,7 @@ class Excitation:
             **dict.fromkeys(("N·m/rad", "N/m"), _shares(self.force / self.span, 0.05, 0.2)),
             **dict.fromkeys(("N·m·s/rad", "N·s/m"), _shares(self.force / self.speed, 0.05, 0.2)),
             **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), _shares(self.force / self.speed**2, 0.05, 0.2)),
+            **dict.fromkeys(("N·m·s/rad/s", "N·s/m/s"), _shares(self.force / self.speed / self.duration, 0.05, 0.2)),
             **dict.fromkeys(("N·m/rad²", "N/m²"), _shares(self.force / self.span**2, 0.05, 0.2)),
             **dict.fromkeys(("N·m/rad³", "N/m³"), _shares(self.force / self.span**3, 0.05, 0.2)),
         }
@@ -84,6 +85,7 @@ class Excitation:
             **dict.fromkeys(("N·m/rad", "N/m"), self.force / self.span),
             **dict.fromkeys(("N·m·s/rad", "N·s/m"), self.force / self.speed),
             **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), self.force / self.speed**2),
+            **dict.fromkeys(("N·m·s/rad/s", "N·s/m/s"), self.force / self.speed / self.duration),
         }
         return known.get(unit, 1.0)
 

@@ -41,6 +41,8 @@ class ForceEffect(Effect):
     side = "force"
     simulated = True
     n_states: ClassVar[int] = 0
+    quick_states: ClassVar[bool] = False
+    """Whether its states may be faster than steps that follow the motion: then steps are divided as they ask for."""
     scales: ClassVar[bool] = False
     """Whether it has a ``more_area`` of its own."""
     mujoco_field: ClassVar[tuple[str, int | None] | None] = None
@@ -96,6 +98,7 @@ class ForceEffect(Effect):
         states = ca.vertsplit(z) if cls.n_states else []
         try:
             rates, rests = list(cls.state_rate(x, rate, states, p)), list(cls.rest_state(x, p))
+            begins = list(cls.start_state(x, rate, ca.SX.sym("time"), p))
             most, more = cls.greatest_friction(x, speed, ca.SX(LOAD), p), cls.more_area(x, ca.SX(REST), p)
             force = cls.force(x, rate, states, p) + cls.force_of_drive(ca.SX(LOAD), p)
             terms = (force, most, more)
@@ -107,10 +110,12 @@ class ForceEffect(Effect):
                 f"{who}: its law is no CasADi expression of its arguments, with casadi.if_else for conditions "
                 f"({type(error).__name__}: {reason})"
             ) from error
-        if not len(rates) == len(rests) == cls.n_states:
+        if not len(rates) == len(rests) == len(begins) == cls.n_states:
             raise ConfigError(
                 f"{who}: state_rate gives {len(rates)} and rest_state {len(rests)} values, expected n_states = "
                 f"{cls.n_states} each"
+                if len(begins) == len(rests)
+                else f"{who}: start_state gives {len(begins)} values, expected n_states = {cls.n_states}"
             )
         idle = [cls.neutral.get(key, meta["high"]) for key, meta in info.items()]
         if any(float(size) != 0.0 for size in law(*PROBE, ca.DM.ones(cls.n_states) * 0.41, idle)[:3]):
@@ -181,6 +186,18 @@ class ForceEffect(Effect):
     def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
         """The states after a long rest at x."""
         return ()
+
+    @classmethod
+    def start_state(cls, x: ca.SX, rate: ca.SX, time: ca.SX, p: Parameters) -> Sequence[ca.SX]:
+        """The states where a trial or a shooting interval starts; by default those after a long rest at x.
+
+        Args:
+            x: there.
+            rate: there.
+            time: since the recording began [s].
+            p: parameters.
+        """
+        return cls.rest_state(x, p)
 
     @classmethod
     def dry_friction(cls, x: ca.SX, speed: ca.SX, p: Parameters) -> ca.SX:
@@ -411,98 +428,6 @@ class NarrowingArea(ForceEffect):
         )
 
 
-@register
-@dataclass(frozen=True)
-class Creep(ForceEffect):
-    """A standard linear solid's relaxing branch: −stiffness·(x − z), dz/dt = (x − z)/time_constant."""
-
-    name = "creep"
-    sits_at = ("actuator",)
-    summary = "slow relaxation (standard linear solid)"
-    exclusive = "creep"
-    n_states = 1
-    neutral = {"stiffness": 0.0}  # noqa: RUF012
-    leg_sizes = (
-        Size("stiffness", 1.0, 60.0, "0.4 to 23 % of MAA's own, up to half of BAA's"),
-        Size("time_constant", 0.3, 8.0, "slower than the leg, faster than a trial"),
-    )
-    leg_alike = True
-    stiffness: float = parameter("N/m", 0.0, 1e4, "that relaxes with time")
-    time_constant: float = parameter("s", 0.02, 100.0, "of the relaxation")
-
-    @classmethod
-    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
-        return [
-            {"stiffness": size, "time_constant": share * excitation.duration}
-            for size in excitation.sizes("N/m")
-            for share in (0.03, 0.1, 0.4)
-        ]
-
-    @classmethod
-    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
-        return -p["stiffness"] * (x - z[0])
-
-    @classmethod
-    def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
-        return ((x - z[0]) / p["time_constant"],)
-
-    @classmethod
-    def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
-        return (x,)
-
-    @classmethod
-    def sentence(cls, t: Description) -> str:
-        who = t.one_or(f"{t.at} creeps", f"{t.at} creep")
-        return f"{who}: beside the modelled spring {t['stiffness']} relax with a time constant of {t['time_constant']}."
-
-
-@register
-@dataclass(frozen=True)
-class Hysteresis(ForceEffect):
-    """Bouc–Wen with exponent 1: −size·z, dz/dt = (rate − |rate|·z)/width, so that z follows the path within ±1.
-
-    Of friction it is Dahl's law of what gives way before it slides (*A solid friction model*, 1968), its stiffness at
-    rest being size/width.
-    """
-
-    name = "hysteresis"
-    sits_at = ("actuator",)
-    summary = "force depends on the path of the length (Bouc–Wen)"
-    exclusive = "hysteresis"
-    n_states = 1
-    neutral = {"size": 0.0}  # noqa: RUF012
-    leg_sizes = (
-        Size("size", 0.02, 1.5, "as dry friction along an actuator"),
-        Size("width", 1e-3, 1.5e-2, "a small part of an actuator's stroke of 6 to 10 cm"),
-    )
-    leg_alike = True
-    size: float = parameter("N", 0.0, 1e3, "force after a long way in one direction")
-    width: float = parameter("m", 5e-4, 1.0, "way over which it builds up")
-
-    @classmethod
-    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
-        return [
-            {"size": size, "width": share * excitation.span} for size in excitation.sizes("N") for share in (0.03, 0.15)
-        ]
-
-    @classmethod
-    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
-        return -p["size"] * z[0]
-
-    @classmethod
-    def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
-        return ((rate - ca.fabs(rate) * z[0]) / p["width"],)
-
-    @classmethod
-    def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
-        return (ca.SX(0),)
-
-    @classmethod
-    def sentence(cls, t: Description) -> str:
-        force = t.one_or(f"The force of {t.at} depends", f"The forces of {t.at} depend")
-        return f"{force} on the path of the length: a hysteresis of ±{t['size']} that builds up over {t['width']}."
-
-
 def force_effects(effects: Sequence[Effect]) -> tuple[ForceEffect, ...]:
     """Those of a model's effects that exert a force, in their order."""
     return tuple(effect for effect in effects if isinstance(effect, ForceEffect))
@@ -517,3 +442,9 @@ def force_laws(robots: Robots = "elastic") -> tuple[type[ForceEffect], ...]:
     """All registered effects that exert a force and that a kind of robots can have, by name."""
     found = (cls for cls in REGISTRY.values() if issubclass(cls, ForceEffect) and robots in cls.robots)
     return tuple(sorted(cast("list[type[ForceEffect]]", list(found)), key=lambda cls: cls.name))
+
+
+def laws_with(effects: Sequence[Effect], robots: Robots) -> tuple[type[ForceEffect], ...]:
+    """All force laws of a kind of robots, those with states of their own only where one of some effects has them."""
+    present = laws_of(effects)
+    return tuple(law for law in force_laws(robots) if not law.n_states or law in present)

@@ -11,16 +11,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from equimus_ctrl.effects.base import parameter, register
-from equimus_ctrl.effects.description import Description
+from equimus_ctrl.effects.description import CURVE_POINTS, Curve, Description
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect, Parameters
+from equimus_ctrl.effects.memory import presliding
 from equimus_ctrl.effects.native import add_constant_force
 from equimus_ctrl.effects.sizes import Share
 
 UNLIKE = 1.3
 """Least factor between two sizes of dry friction, as forwards and backwards, that are called different."""
+MOVED = 0.1
+"""For so long a joint counts as having moved before a trial as it does at its start [s]."""
 
 
 @register
@@ -69,6 +73,60 @@ class QuadraticDamping(ForceEffect):
     @classmethod
     def sentence(cls, t: Description) -> str:
         return f"A drag at {t.the} that grows with the square of speed, of {t['drag']}{t.one_or('', ' each')}."
+
+
+@register
+@dataclass(frozen=True)
+class FrictionDrift(ForceEffect):
+    """−slope·t·rate, t the time since the recording began: viscous friction that changes while it lasts.
+
+    Friction of gears falls as their grease warms up, within minutes to hours, and what is viscous in it most
+    (Bittencourt, Wernholt, Sander-Tavallaey & Brogårdh, "An extended friction model to capture load and temperature
+    effects in robot joints", 2010). A recording much shorter than that shows the beginning of it, which is a line. What
+    there is at t = 0 is the model's own viscous friction, so a slope may have either sign.
+    """
+
+    name = "friction_drift"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "viscous friction that drifts with the time since the recording began"
+    n_states = 1
+    neutral = {"slope": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("slope", 0.01, 0.5),)  # upwards: friction that falls below none would drive the joint
+    slope: float = parameter("N·m·s/rad/s", -1e4, 1e4, "change of the torque for each speed, each second")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["slope"] * z[0] * rate
+
+    @classmethod
+    def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
+        return (ca.SX(1),)
+
+    @classmethod
+    def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
+        return (ca.SX(0),)
+
+    @classmethod
+    def start_state(cls, x: ca.SX, rate: ca.SX, time: ca.SX, p: Parameters) -> Sequence[ca.SX]:
+        return (time,)
+
+    @classmethod
+    def depends(cls) -> set[str]:
+        return {"vel", "time"}
+
+    def curves(self, robot: Any, excitation: Excitation) -> tuple[Curve, ...]:
+        """By how much viscous friction has changed, over a trial."""
+        time = np.linspace(0.0, excitation.duration, CURVE_POINTS)
+        unit = robot.place_unit("N·m·s/rad", self.location)
+        what = ("time since the recording began", "s", "change of the viscous friction", unit)
+        return (Curve("viscous friction over time", *what, time, self.slope * time),)
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        more = "grows" if t.value("slope") > 0 else "falls"
+        size = t.scaled("slope", t.unit("slope"), math.copysign(1.0, t.value("slope")))
+        return f"Viscous friction at {t.the} {more} while a recording lasts, by {size}{t.one_or('', ' each')}."
 
 
 @register
@@ -146,6 +204,66 @@ class AsymmetricFriction(ForceEffect):
     def sentence(cls, t: Description) -> str:
         sizes = f"{t['forward']} forwards and {t['backward']} backwards"
         return f"Dry friction at {t.the} differs between directions: {sizes}."
+
+
+@register
+@dataclass(frozen=True)
+class DahlFriction(ForceEffect):
+    """−friction·z, dz/dt = (rate − |rate|·z)/distance: dry friction that gives way like a spring before it slides.
+
+    Its stiffness after a reversal is friction/distance (Dahl, *A solid friction model*, 1968). Of legs' actuators it is
+    ``hysteresis``. Where a trial starts nobody has seen the way before: z is what a long motion at the rate of then,
+    of ``MOVED`` seconds from rest, makes of it.
+    """
+
+    name = "dahl_friction"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "dry friction with presliding: it builds up over a distance (Dahl)"
+    exclusive = "dry friction"
+    n_states = 1
+    quick_states = True
+    neutral = {"friction": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("friction", 0.01, 0.3), Share("distance", 0.01, 0.1))
+    friction: float = parameter("N·m", 0.0, 100.0, "size after a long way in one direction")
+    distance: float = parameter("rad", 1e-3, 10.0, "over which it builds up")
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        return [
+            {"friction": size, "distance": share * excitation.span}
+            for size in excitation.sizes("N·m")
+            for share in (0.01, 0.05)
+        ]
+
+    @classmethod
+    def depends(cls) -> set[str]:
+        """Of what forces at joints are shown over, the speed: after a distance it is dry friction."""
+        return {"vel"}
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        return -p["friction"] * z[0]
+
+    @classmethod
+    def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
+        return (presliding(rate, z[0], p["distance"]),)
+
+    @classmethod
+    def rest_state(cls, x: ca.SX, p: Parameters) -> Sequence[ca.SX]:
+        return (ca.SX(0),)
+
+    @classmethod
+    def start_state(cls, x: ca.SX, rate: ca.SX, time: ca.SX, p: Parameters) -> Sequence[ca.SX]:
+        return (ca.sign(rate) * (1 - ca.exp(-MOVED * ca.fabs(rate) / p["distance"])),)
+
+    @classmethod
+    def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
+        return values["distance"] < 2 * cls.parameter_info()["distance"]["low"]
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return f"Dry friction at {t.the} of {t['friction']}{t.one_or('', ' each')} that builds up over {t['distance']}."
 
 
 @register

@@ -46,7 +46,7 @@ from equimus_ctrl.models import (
     symbolic_model,
     tree,
 )
-from equimus_ctrl.models.augmented import Laws, expressions
+from equimus_ctrl.models.augmented import Laws, expressions, state_change
 from equimus_ctrl.robots.elastic import form as elastic_form
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
 from equimus_ctrl.robots.mechanics import Structure
@@ -353,7 +353,7 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
         "PER_IMPULSE": nj * nr, "DELASSUS": nr * nr, "BOUND": nr, "SPAN": nr, "SLIP": nr, "PHI": nr,
         "SIDE": nr, "SOUGHT": 1, "WORST": 1,
         "PRESSED": nl, "GRIP": nl, "PULL": nl, "GAPS": nl, "DEPTHS": nl, "QUICK": 1,
-        "MEAN": na, "SLOPE": na, "DT": 1, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx,
+        "MEAN": na, "SLOPE": na, "DT": 1, "FROM": 1, "PART": 1, "BEGIN": nx, "END": nx, "TIME": 1,
     }  # fmt: skip
     row, rows = 0, {}
     for name, size in sizes.items():
@@ -385,7 +385,13 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
             rows["QUICK"],
         ),
         lane_code.LaneRoutine("lane_keep", {"z": m.z}, m.kept, {"z": state["z"]}, state["z"]),
-        lane_code.LaneRoutine("lane_rest", {"q": m.q, "v": m.v}, m.rest_state, {"q": x, "v": x + nj}, x + 2 * nj),
+        lane_code.LaneRoutine(
+            "lane_start",
+            {"q": m.q, "v": m.v, "time": m.time},
+            m.start_state,
+            {"q": x, "v": x + nj, "time": rows["TIME"]},
+            x + 2 * nj,
+        ),
         *_friction_routines(m, rows, state),
     ]
     short = m.z.numel() == 0 and _operations(m) <= SHORT
@@ -410,7 +416,7 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
         f"WORK_ROWS = {made.rows}",
         f"BOUNDED = {form.n_inside > 0}",
         f"SHORT = {short}",
-        f"QUICK_INSIDE = {not symbolic.build(form, phase).inside.quickness.is_zero()}",
+        f"QUICK_INSIDE = {_quick_inside(form, phase, laws)}",
         f"SOFT_LIMITS = {any(limit.force is None for limit in symbolic.build(form, phase).limits)}",
         *[f"ROW_{name} = {first}" for name, first in rows.items()],
         f"ROW_CONSTANTS = {row}\n",
@@ -426,25 +432,32 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
     return made.code, "\n".join(header)
 
 
+def _quick_inside(form: Structure, phase: Phase, laws: Laws) -> bool:
+    """Whether states of the robot's own or of laws may be faster than steps that follow its motion."""
+    own = symbolic.build(form, phase).inside.quickness
+    return not own.is_zero() or any(law.quick_states for law in laws)
+
+
 def _mjcf_source(laws: Laws) -> str:
     symbols = [{key: ca.SX.sym(f"{law.name}_{key}") for key in law.parameter_info()} for law in laws]
     count = max(sum(law.n_states for law in laws), 1)
-    x, rate, load, z = *(ca.SX.sym(name) for name in ("x", "rate", "load")), ca.SX.sym("z", count)
+    x, rate, load, dt, time = (ca.SX.sym(name) for name in ("x", "rate", "load", "dt", "time"))
+    z = ca.SX.sym("z", count)
     speed, states = ca.fabs(rate), ca.vertsplit(z)
     force, bound, used = ca.SX(0), ca.SX(0), 0
-    rates, rests = [ca.SX(0)] * count, [ca.SX(0)] * count
+    rates, starts = [ca.SX(0)] * count, [ca.SX(0)] * count
     for law, p in zip(laws, symbols, strict=True):
         own = states[used : used + law.n_states]
         force += law.force(x, rate, own, p) + law.force_of_drive(load, p)
         bound += law.dry_friction(x, speed, p) + law.friction_of_load(ca.fabs(load), speed, p)
         rates[used : used + law.n_states] = [ca.SX(r) for r in law.state_rate(x, rate, own, p)]
-        rests[used : used + law.n_states] = [ca.SX(r) for r in law.rest_state(x, p)]
+        starts[used : used + law.n_states] = [ca.SX(s) for s in law.start_state(x, rate, time, p)]
         used += law.n_states
+    changes = [state_change(rates[k], states[k], dt) for k in range(count)]
+    at = ca.vertcat(x, rate, load, dt)
     routines = [
-        codegen.Routine(
-            "joint_force", {"x": ca.vertcat(x, rate, load), "z": z}, ca.vertcat(force, ca.fmax(bound, 0), *rates)
-        ),
-        codegen.Routine("joint_rest", {"x": x}, ca.vertcat(*rests)),
+        codegen.Routine("joint_force", {"x": at, "z": z}, ca.vertcat(force, ca.fmax(bound, 0), *changes)),
+        codegen.Routine("joint_start", {"x": ca.vertcat(x, rate, time)}, ca.vertcat(*starts)),
     ]
     text = codegen.generate(routines, ca.vertcat(*[s for p in symbols for s in p.values()]), DECORATOR)
     entries = ", ".join(f"values[{i}]" for i in range(count))

@@ -9,17 +9,18 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.base import require_simulated
+from equimus_ctrl.effects.base import Effect, require_simulated
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import DELAY, DIRECT, FILL, FILTERED, FLOW, FOLLOW_KIND, RATE, SLEWED, VENT
-from equimus_ctrl.effects.force import force_laws
+from equimus_ctrl.effects.force import force_laws, laws_with
 from equimus_ctrl.effects.sensors import sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.augmented import law_parameters, rubbing_places, slots_of
+from equimus_ctrl.models.augmented import Laws, law_parameters, rubbing_places, slots_of
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.base import RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics, Structure
 from equimus_ctrl.robots.mjcf.form import FAR
 from equimus_ctrl.types import Array
@@ -31,6 +32,7 @@ class Encoded:
 
     Attributes:
         models: (k) whose.
+        laws: force laws that their equations have wherever they can sit.
         mechanics: (k) of their robots, with all effects on bodies.
         parameters: (k, np).
         valve: (k, na, 6), see ``effects.command.DELAY``.
@@ -41,6 +43,7 @@ class Encoded:
     """
 
     models: Sequence[Model]
+    laws: Laws
     mechanics: Sequence[Mechanics]
     parameters: Array
     valve: Array
@@ -57,7 +60,7 @@ class Encoded:
     @property
     def kernel(self) -> ModuleType:
         """The compiled kernel of their form."""
-        return compiled.load_lanes(self.form, self.models[0].phase, force_laws(self.models[0].robot.traits.catalogue))
+        return compiled.load_lanes(self.form, self.models[0].phase, self.laws)
 
 
 def encode(models: Sequence[Model], trial: Trial | None = None) -> Encoded:
@@ -78,7 +81,7 @@ def encode(models: Sequence[Model], trial: Trial | None = None) -> Encoded:
 def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
     """``encode`` with the models' mechanics, from ``mechanics_of``."""
     first, form = models[0], mechanics[0].form
-    laws = force_laws(first.robot.traits.catalogue)
+    laws = laws_for([effect for model in models for effect in model.effects], first.robot.traits)
     slots, places = slots_of(form, laws), rubbing_places(form, laws)
     in_use: set[int] = set()
     rows, valves, follows, between, sensors = [], [], [], [], []
@@ -109,6 +112,7 @@ def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
         sensors.append(sensor_settings(model.effects, model.robot.joint_names))
     return Encoded(
         models,
+        laws,
         mechanics,
         np.array(rows),
         np.array(valves),
@@ -117,6 +121,11 @@ def encoded(models: Sequence[Model], mechanics: Sequence[Mechanics]) -> Encoded:
         np.array(sensors),
         np.array(sorted(in_use), dtype=np.int64),
     )
+
+
+def laws_for(effects: Sequence[Effect], traits: RobotTraits) -> Laws:
+    """The force laws that compiled equations of a robot with some effects have, see ``keeps_states_of_laws``."""
+    return force_laws(traits.catalogue) if traits.keeps_states_of_laws else laws_with(effects, traits.catalogue)
 
 
 def mechanics_of(model: Model, trial: Trial | None) -> Mechanics:
@@ -154,10 +163,10 @@ def _channels(model: Model, own: Mechanics) -> tuple[Array, Array, Array]:
 
 
 def grouped(models: Sequence[Model], trial: Trial) -> list[tuple[list[int], Encoded]]:
-    """Models by their structure: which, and their arrays."""
-    groups: dict[tuple[Structure, str], list[int]] = {}
+    """Models by their structure and laws: which, and their arrays."""
+    groups: dict[tuple[Structure, str, Laws], list[int]] = {}
     known = {model: mechanics_of(model, trial) for model in dict.fromkeys(models)}
     mechanics = [known[model] for model in models]
     for i, (model, own) in enumerate(zip(models, mechanics, strict=True)):
-        groups.setdefault((own.form, model.phase), []).append(i)
+        groups.setdefault((own.form, model.phase, laws_for(model.effects, model.robot.traits)), []).append(i)
     return [(g, encoded([models[i] for i in g], [mechanics[i] for i in g])) for g in groups.values()]

@@ -5,8 +5,8 @@ of N·m, and where commands are no pressures their own unit that of Pa.
 
 A lane is one parameter set. All lanes' numbers live in one flat work array w: entry l of row r at r·LANES + l. The
 rows ROW_* hold, in this order: the state x = (q, v, z), its derivative, a sum of derivatives, the state at the start
-of a step, pressures, held friction, what friction needs, what joint stops need, and the constants that
-``prepare_lane`` makes from a parameter vector.
+of a step, pressures, held friction, what friction needs, what joint stops need, the time since the recording
+began at a start, and the constants that ``prepare_lane`` makes from a parameter vector.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BOUNDED = False
 SHORT = False
 """Whether there is ``lane_whole_step``."""
 QUICK_INSIDE = False
-"""Whether states of a robot's own may be faster than steps that follow its motion."""
+"""Whether states of a robot's own or of laws may be faster than steps that follow its motion."""
 SOFT_LIMITS = False
 """Whether a limit is pressed hangs on accelerations."""
 
@@ -58,6 +58,7 @@ ROW_FROM = 0
 ROW_PART = 0
 ROW_BEGIN = 0
 ROW_END = 0
+ROW_TIME = 0
 ROW_CONSTANTS = 0
 
 
@@ -81,8 +82,8 @@ def lane_grips(w: Array) -> None:
     raise NotImplementedError
 
 
-def lane_rest(w: Array) -> None:
-    """From the rows of q and v: the effects' states after a long rest there, into the rows of z."""
+def lane_start(w: Array) -> None:
+    """From the rows of q and v and ROW_TIME: the effects' states where a trial starts, into the rows of z."""
     raise NotImplementedError
 
 

@@ -32,12 +32,13 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_PRESSURE,
     ROW_RATE,
     ROW_START,
+    ROW_TIME,
     ROW_X,
     WORK_ROWS,
     lane_depths,
     lane_friction,
     lane_motion,
-    lane_rest,
+    lane_start,
     prepare_lane,
 )
 from equimus_ctrl.engines.lane_steps import N_STATE, anything_pressed, grip_limits, lane_stops, press_as_asked, step
@@ -120,7 +121,8 @@ def begin(
         for j in range(N_JOINTS):
             w[(ROW_X + j) * LANES + l] = q0[own, j]
             w[(ROW_X + N_JOINTS + j) * LANES + l] = v0[own, j]
-    lane_rest(w)
+        w[ROW_TIME * LANES + l] = start - times[0]
+    lane_start(w)
     history = np.empty((steps, 2, N_ACTUATORS))
     l = 0  # noqa: E741
     while l < k:

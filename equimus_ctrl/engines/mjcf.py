@@ -19,7 +19,7 @@ from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import DELAY, FILL, VENT, arrived, pressure_history
-from equimus_ctrl.effects.force import ForceEffect, force_effects, force_laws
+from equimus_ctrl.effects.force import ForceEffect, force_effects, laws_with
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
@@ -27,6 +27,7 @@ from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mjcf_kernel import drive_forces
 from equimus_ctrl.engines.trials import Condition, Predicted, Trial
 from equimus_ctrl.errors import ConfigError, NotAvailable
+from equimus_ctrl.models.augmented import Laws
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.robots.mjcf.entries import Drive
@@ -69,7 +70,8 @@ class Realised:
         effects: all of the model's.
         places: (nj, 3) of the joints in qpos and qvel, and in qvel of what drives them.
         rotors: (n, 3) of drives that turn by themselves: in qpos, in qvel, and which joint they drive.
-        laws: (nj, nc) prepared constants of what is stepped beside MuJoCo.
+        stepped: laws that are stepped beside MuJoCo.
+        laws: (nj, nc) prepared constants of these.
         loss: (nj,) dry friction in the model.
         valve: (na, 6), see ``effects.command.DELAY``.
         sensor: (nj, 4), see ``effects.sensors.OFFSET``.
@@ -80,6 +82,7 @@ class Realised:
     effects: tuple[Effect, ...]
     places: NDArray[np.int64]
     rotors: NDArray[np.int64]
+    stepped: Laws
     laws: Array
     loss: Array
     valve: Array
@@ -100,7 +103,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
     # To look which constraints hang together takes longer than to solve those of a few joints at once.
     own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in robot.joints}
-    laws = force_effects(model.effects)
+    laws, stepped = force_effects(model.effects), _stepped(model.effects)
     for effect in laws:
         if effect.mujoco_field is not None:
             field, entry = effect.mujoco_field
@@ -124,25 +127,27 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         model.effects,
         np.array(places, dtype=np.int64),
         np.array(rotors, dtype=np.int64).reshape(-1, 3),
-        _laws(laws, names),
+        stepped,
+        _laws(stepped, laws, names),
         np.array([own.dof_frictionloss[dofs[name]] for name in names]),
         valve,
         sensor_settings(model.effects, names),
     )
 
 
-def _stepped() -> tuple[type[ForceEffect], ...]:
-    return tuple(law for law in force_laws("mjcf") if law.mujoco_field is None)
+def _stepped(effects: Sequence[Effect]) -> Laws:
+    """The laws that MuJoCo has no field for; those with states where one of the effects has them."""
+    return tuple(law for law in laws_with(effects, "mjcf") if law.mujoco_field is None)
 
 
-def _laws(effects: Sequence[ForceEffect], joints: Sequence[str]) -> Array:
-    """(nj, nc) prepared constants of the laws that MuJoCo has no field for."""
-    generated, _ = compiled.load_mjcf(_stepped())
+def _laws(stepped: Laws, effects: Sequence[ForceEffect], joints: Sequence[str]) -> Array:
+    """(nj, nc) prepared constants of some laws, those of no effect doing nothing."""
+    generated, _ = compiled.load_mjcf(stepped)
     attached = {(type(e), e.location): e for e in effects}
     rows = []
     for joint in joints:
         values: list[float] = []
-        for law in _stepped():
+        for law in stepped:
             own = attached.get((law, joint))
             for key, meta in law.parameter_info().items():
                 values.append(law.neutral.get(key, meta["high"]) if own is None else float(getattr(own, key)))
@@ -274,7 +279,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
         ctrl: see ``commands_on``.
         force: (steps, nj) further generalised forces on the joints [N·m or N].
     """
-    _, kernel = compiled.load_mjcf(_stepped())
+    _, kernel = compiled.load_mjcf(own.stepped)
     model, nj = own.mujoco, len(own.places)
     data = scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
@@ -288,7 +293,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     whole = np.empty((len(ctrl) + 1 if trial.forces else 0, model.nq + model.nv + model.na))
     sound = kernel.run_mjcf(
         function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
-        np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force, _rests(own, start[:nj]),
+        np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force, _law_starts(own, trial, start),
         data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
         out_q, out_v, data.act, whole,
     )  # fmt: skip
@@ -304,10 +309,12 @@ def _integrate_from_here(model: Any, data: Any) -> None:
             data.act[model.actuator_actadr[i]] = data.actuator_length[model.actuator_outadr[i]]
 
 
-def _rests(own: Realised, position: Array) -> Array:
-    """(nj, nz) the laws' states after a long rest where the joints are (nj,)."""
-    generated, _ = compiled.load_mjcf(_stepped())
-    return np.array([generated.joint_rest((float(q),), c) for q, c in zip(position, own.laws, strict=True)])
+def _law_starts(own: Realised, trial: Trial, start: Array) -> Array:
+    """(nj, nz) the laws' states where a trial starts, the joints at (2 nj,) coordinates and rates."""
+    generated, _ = compiled.load_mjcf(own.stepped)
+    time = float(trial.start - trial.times[0])
+    joints = zip(*np.split(start, 2), own.laws, strict=True)
+    return np.array([generated.joint_start((float(q), float(v), time), c) for q, v, c in joints])
 
 
 def measured_of(own: Realised, path: Course, times: Array) -> tuple[Array, int]:
@@ -439,9 +446,12 @@ def simulate_mjcf(
 
     tasks = [(which, chunk) for which in range(k) for chunk in chunks]
     with quietly():
-        _, kernel = compiled.load_mjcf(_stepped())
-        if not kernel.run_mjcf.signatures:
-            work(tasks.pop(0))
+        for stepped in dict.fromkeys(_stepped(model.effects) for model in models):
+            _, kernel = compiled.load_mjcf(stepped)
+            if not kernel.run_mjcf.signatures:  # what has to be compiled is compiled once
+                first = next(task for task in tasks if _stepped(models[task[0]].effects) == stepped)
+                tasks.remove(first)
+                work(first)
         if count == 1 or len(tasks) <= 1:
             for task in tasks:
                 work(task)

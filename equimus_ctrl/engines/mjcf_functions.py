@@ -16,12 +16,15 @@ def prepare(p: Array) -> Array:
 
 
 def joint_force(x: Any, z: Any, c: Array) -> Any:
-    """(generalised force, greatest dry friction, rates of the laws' states …) of coordinate, rate, load and states."""
+    """(generalised force, greatest dry friction, changes of the laws' states over a step …).
+
+    Of (coordinate, rate, load, step) and the states; see ``models.augmented.state_change``.
+    """
     raise NotImplementedError
 
 
-def joint_rest(x: Any, c: Array) -> Any:
-    """The laws' states after a long rest at a coordinate (x,)."""
+def joint_start(x: Any, c: Array) -> Any:
+    """The laws' states where a trial starts, at (coordinate, rate, time since the recording began)."""
     raise NotImplementedError
 
 

@@ -27,6 +27,7 @@ from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.mjcf import Realised, commands_on, function_address, realise, scratch
 from equimus_ctrl.engines.mjcf_kernel import called
 from equimus_ctrl.engines.trials import Condition, Trial
+from equimus_ctrl.models.augmented import state_change
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.robots.base import Robot
@@ -76,6 +77,7 @@ class InverseDynamics:
         moving: (n, nj) whether a joint moves within its range: of one that stands, dry friction may exert anything, and
             at the end of its range its stop.
         parts: so many instants lie in one width.
+        time: (n,) since the recording began [s].
     """
 
     position: Array
@@ -84,6 +86,7 @@ class InverseDynamics:
     missing: Array
     moving: NDArray[np.bool_]
     parts: int
+    time: Array
 
     def weighted(self, values: Array) -> Array:
         """(m, …) values (n, …) smoothed by B∗B, one a width."""
@@ -149,28 +152,42 @@ def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMo
     missing, drives = _evaluated(own, q, v, a, u)
     missing += own.loss * np.sign(v)
     names = own.robot.joint_names
+    time = motion.time[0] - motion.trial.times[0] + dt * (width + stride * np.arange(len(q)))
     for law in laws:
         j = names.index(law.location)
-        missing[:, j] -= law_force(type(law), law.parameters(), q[:, j], v[:, j], drives[:, j])
+        missing[:, j] -= law_force(type(law), law.parameters(), q[:, j], v[:, j], drives[:, j], time)
     # The rate's noise: of (y₊ − y₋)/2dt smoothed by a triangle of the width.
     noise = motion.noise / own.sensor[:, SCALE] / (dt * width**1.5)
     low, high = own.robot.joint_range
     moving = (np.abs(v) > STILL * noise) & (q > low) & (q < high)
-    return InverseDynamics(q, v, drives, missing, moving, max(round(width / stride), 1))
+    return InverseDynamics(q, v, drives, missing, moving, max(round(width / stride), 1), time)
 
 
 def law_force(
-    law: type[ForceEffect], parameters: Mapping[str, float], position: Array, rate: Array, drive: Array
-) -> Array:
-    """(n,) what a law without states exerts at a joint that moves so, under a drive's force [N·m or N]."""
-    return _functions(law).force(position, rate, drive, np.array(list(parameters.values())))
+    law: type[ForceEffect], parameters: Mapping[str, float], position: Array, rate: Array, drive: Array,
+    time: Array | None = None,
+) -> Array:  # fmt: skip
+    """(n,) what a law exerts at a joint that moves so, under a drive's force [N·m or N].
+
+    Args:
+        law: which.
+        parameters: of the law.
+        position: (n,) of the joint [rad or m].
+        rate: (n,) of it.
+        drive: (n,) the drive's force [N·m or N].
+        time: (n,) since the recording began, evenly spaced [s]; laws without states need none.
+    """
+    own, values = _functions(law), np.array(list(parameters.values()))
+    return own.force(position, rate, drive, own.states(position, rate, time, values), values)
 
 
 def law_slopes(
-    law: type[ForceEffect], parameters: Mapping[str, float], position: Array, rate: Array, drive: Array
-) -> Array:
-    """(n, p) its derivatives by the parameters."""
-    return _functions(law).slopes(position, rate, drive, np.array(list(parameters.values())))
+    law: type[ForceEffect], parameters: Mapping[str, float], position: Array, rate: Array, drive: Array,
+    time: Array | None = None,
+) -> Array:  # fmt: skip
+    """(n, p) its derivatives by the parameters, its states held; see ``law_force``."""
+    own, values = _functions(law), np.array(list(parameters.values()))
+    return own.slopes(position, rate, drive, own.states(position, rate, time, values), values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,22 +195,39 @@ class _Law:
     """A law's force and its derivatives by the parameters, as compiled functions of scalars.
 
     Attributes:
+        n_states: of the law.
         one: the force.
         slope: (1, p).
+        start: its states where a motion starts.
+        step: them after a step in which the motion is held.
     """
 
+    n_states: int
     one: ca.Function
     slope: ca.Function
+    start: ca.Function
+    step: ca.Function
 
-    def force(self, position: Array, rate: Array, drive: Array, values: Array) -> Array:
+    def force(self, position: Array, rate: Array, drive: Array, states: Array, values: Array) -> Array:
         """(n,) at n instants."""
-        return np.asarray(self.one(position[None], rate[None], drive[None], values[:, None])).ravel()
+        return np.asarray(self.one(position[None], rate[None], drive[None], states, values[:, None])).ravel()
 
-    def slopes(self, position: Array, rate: Array, drive: Array, values: Array) -> Array:
+    def slopes(self, position: Array, rate: Array, drive: Array, states: Array, values: Array) -> Array:
         """(n, p) at n instants."""
         n = len(position)
-        found = self.slope.map(n)(position[None], rate[None], drive[None], np.tile(values[:, None], n))
+        found = self.slope.map(n)(position[None], rate[None], drive[None], states, np.tile(values[:, None], n))
         return np.asarray(found).reshape(n, len(values))
+
+    def states(self, position: Array, rate: Array, time: Array | None, values: Array) -> Array:
+        """(nz, n) along a motion, evenly sampled; between two instants it is half way between them."""
+        n = len(position)
+        if not self.n_states or time is None or n < 2:
+            return np.zeros((self.n_states, n))
+        first = np.asarray(self.start(position[0], rate[0], time[0], values))
+        middle = [(part[1:] + part[:-1])[None] / 2 for part in (position, rate)]
+        dt = np.full((1, n - 1), time[1] - time[0])
+        later = self.step.mapaccum("states", n - 1)(first, *middle, dt, np.tile(values[:, None], n - 1))
+        return np.hstack([first, np.asarray(later)])
 
 
 _KNOWN: dict[type[ForceEffect], _Law] = {}
@@ -201,13 +235,21 @@ _KNOWN: dict[type[ForceEffect], _Law] = {}
 
 def _functions(law: type[ForceEffect]) -> _Law:
     if law not in _KNOWN:
-        x, rate, drive = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("drive")
+        x, rate, drive, time, dt = (ca.SX.sym(name) for name in ("x", "rate", "drive", "time", "dt"))
         p = {key: ca.SX.sym(key) for key in law.parameter_info()}
-        whole = ca.vertcat(*p.values())
-        force = law.sliding_force(x, rate, [], drive, p)
-        symbols = [x, rate, drive, whole]
+        z = [ca.SX.sym(f"z{k}") for k in range(law.n_states)]
+        whole, states = ca.vertcat(*p.values()), ca.vertcat(*z, ca.SX(0, 1))
+        force = law.sliding_force(x, rate, z, drive, p)
+        symbols = [x, rate, drive, states, whole]
+        rates = law.state_rate(x, rate, z, p)
+        after = [own + state_change(ca.SX(r), own, dt) for own, r in zip(z, rates, strict=True)]
+        start = ca.vertcat(*law.start_state(x, rate, time, p), ca.SX(0, 1))
         _KNOWN[law] = _Law(
-            ca.Function("force", symbols, [force]), ca.Function("slope", symbols, [ca.jacobian(force, whole)])
+            law.n_states,
+            ca.Function("force", symbols, [force]),
+            ca.Function("slope", symbols, [ca.jacobian(force, whole)]),
+            ca.Function("start", [x, rate, time, whole], [start]),
+            ca.Function("step", [states, x, rate, dt, whole], [ca.vertcat(*after, ca.SX(0, 1))]),
         )
     return _KNOWN[law]
 

@@ -100,11 +100,11 @@ def run_mjcf(
             control[i] = ctrl[k, i]
         for j in range(nj):
             dof = places[j, 1]
-            found = joint_force((out_q[k, j], out_v[k, j], driven[places[j, 2]]), state_tuple(states[j]), laws[j])
+            found = joint_force((out_q[k, j], out_v[k, j], driven[places[j, 2]], dt), state_tuple(states[j]), laws[j])
             applied[dof] = found[0] + (force[k, j] if len(force) > 0 else 0.0)
             frictionloss[dof] = loss[j] + found[1]
             for s in range(N_STATES):
-                states[j, s] += dt * found[2 + s]
+                states[j, s] += found[2 + s]
         call(step, model, data)  # type: ignore[call-arg]
     return len(ctrl) + 1
 

@@ -45,7 +45,7 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class AugmentedModel:
-    """CasADi SX expressions; symbols are q, v, z, pressure, phi, q0, v0, pressed, p.
+    """CasADi SX expressions; symbols are q, v, z, pressure, phi, q0, v0, pressed, time, p.
 
     Units are those of hinges. Of slides m takes the place of rad and N of N·m. Where commands are no pressures their
     own unit takes the place of Pa.
@@ -59,6 +59,7 @@ class AugmentedModel:
         q0: (nj,) joint angles at the start of a step [rad].
         v0: (nj,) velocities there [rad/s].
         pressed: (nl,) 1 where a limit is pressed, else 0.
+        time: (1,) since the recording began, at a start [s].
         grip: (nl,) what limits add to the mass matrix, see ``parts.grips``.
         pull: (nl,) what they add to the load.
         a: (nj,) accelerations [rad/s²].
@@ -75,6 +76,7 @@ class AugmentedModel:
         grips: (2 nl,) grip and pull of the limits that ``pressed`` says.
         z_rate: (nz,) dz/dt.
         rest_state: (nz,) z after a long rest at q.
+        start_state: (nz,) z where a trial starts at q and v.
         rows: (nr,) rates that friction acts against, G(q) v.
         per_impulse: (nj, nr) change of the velocities per unit impulse at each row, M⁻¹Gᵀ, limits gripping.
         delassus: (nr, nr) G M⁻¹ Gᵀ.
@@ -95,6 +97,7 @@ class AugmentedModel:
     q0: ca.SX
     v0: ca.SX
     pressed: ca.SX
+    time: ca.SX
     grip: ca.SX
     pull: ca.SX
     a: ca.SX
@@ -111,6 +114,7 @@ class AugmentedModel:
     grips: ca.SX
     z_rate: ca.SX
     rest_state: ca.SX
+    start_state: ca.SX
     rows: ca.SX
     per_impulse: ca.SX
     delassus: ca.SX
@@ -154,23 +158,28 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
     ny = m.inside.state.numel()
     nz = ny + sum(slot.law.n_states for slot in slots)
     z, pressure = ca.SX.sym("z", nz), ca.SX.sym("pressure", m.u.numel())
-    q0, v0 = ca.SX.sym("q0", nj), ca.SX.sym("v0", nj)
+    q0, v0, time = ca.SX.sym("q0", nj), ca.SX.sym("v0", nj), ca.SX.sym("time")
     lengths, jacobian = m.lengths, m.jacobian
     coordinates = {"joint": (m.q, m.v), "actuator": (lengths, jacobian @ m.v)}
     exerted = {"joint": [ca.SX(0)] * nj, "actuator": [ca.SX(0)] * na}
     shares = [ca.SX(0)] * na
     rates = ca.vertsplit(m.inside.rate(pressure)) if ny else []
     rests = ca.vertsplit(m.inside.rest) if ny else []
+    starts, quick = list(rests), list[ca.SX]()
     for slot in slots:
         law, kind, i = slot.law, slot.kind, slot.index
         own = _own(slot, p)
         x, rate = coordinates[kind][0][i], coordinates[kind][1][i]
         states = [z[len(rates) + k] for k in range(law.n_states)]
+        own_rates = [ca.SX(r) for r in law.state_rate(x, rate, states, own)]
+        if law.quick_states:
+            quick += [ca.fabs(ca.jacobian(r, s)) for r, s in zip(own_rates, states, strict=True)]
         exerted[kind][i] = exerted[kind][i] + law.force(x, rate, states, own)
         if law.scales:
             shares[i] = shares[i] + law.more_area(x, m.rest_length[i], own)
-        rates += law.state_rate(x, rate, states, own)
+        rates += own_rates
         rests += law.rest_state(x, own)
+        starts += law.start_state(x, rate, time, own)
     force = ca.vertcat(*exerted["actuator"], ca.SX(0, 1))
     more_area = ca.vertcat(*shares, ca.SX(0, 1)) * m.area
     area = m.area + more_area
@@ -208,20 +217,21 @@ def augmented_model(form: Structure, phase: Phase, laws: Laws) -> AugmentedModel
         ca.vertcat(*in_mode),
         ca.vertcat(*rates, ca.SX(0, 1)),
         ca.vertcat(*rests, ca.SX(0, 1)),
+        ca.vertcat(*starts, ca.SX(0, 1)),
         gradient @ m.v,
         reach,
         gradient @ reach,
         gaps(m.limits, a),
         ca.vertcat(*[limit.depth for limit in m.limits], ca.SX(0, 1)),
-        _quickness(m, smooth_acceleration, pressed),
+        _quickness(m, smooth_acceleration, pressed, quick),
         ca.vertcat(*[bounds[row] for row in rubbing], ca.SX(0, 1)),
         gradient @ v0,
         drive,
-        ca.vertcat(m.inside.kept, z[ny:]),
+        ca.vertcat(m.inside.kept, z[ny:, 0]),
     ]
-    symbols, places = ca.vertcat(m.p, m.inside.state), ca.vertcat(p[:base], z[:ny])
+    symbols, places = ca.vertcat(m.p, m.inside.state), ca.vertcat(p[:base], z[:ny, 0])
     outputs = [ca.substitute(output, symbols, places) for output in outputs]
-    return AugmentedModel(m.q, m.v, z, pressure, phi, q0, v0, pressed, grip, pull, a, p, slots, rubbing, *outputs)
+    return AugmentedModel(m.q, m.v, z, pressure, phi, q0, v0, pressed, time, grip, pull, a, p, slots, rubbing, *outputs)
 
 
 Place = tuple[str, int]
@@ -242,14 +252,15 @@ def rubbing_places(form: Structure, laws: Laws) -> tuple[Place, ...]:
 
 def expressions(law: type[ForceEffect]) -> str:
     """What a law says, as text: two laws of one text are one."""
-    x, rate, speed, load, rest = (ca.SX.sym(name) for name in ("x", "rate", "speed", "load", "rest"))
+    x, rate, speed, load, rest, time = (ca.SX.sym(n) for n in ("x", "rate", "speed", "load", "rest", "time"))
     z = [ca.SX.sym(f"z{k}") for k in range(law.n_states)]
     p = {key: ca.SX.sym(key) for key in law.parameter_info()}
     said = [law.force(x, rate, z, p), *law.state_rate(x, rate, z, p), *law.rest_state(x, p)]
+    said += law.start_state(x, rate, time, p)
     said += [law.dry_friction(x, speed, p)] if law.rubs else []
     said += [law.friction_of_load(load, speed, p), law.force_of_drive(load, p)] if law.loads else []
     said += [law.more_area(x, rest, p)] if law.scales else []
-    kinds = (law.name, law.sits_at, law.n_states, law.rubs, law.loads, law.scales, tuple(p))
+    kinds = (law.name, law.sits_at, law.n_states, law.quick_states, law.rubs, law.loads, law.scales, tuple(p))
     return repr((kinds, [str(ca.SX(part)) for part in said]))
 
 
@@ -280,6 +291,21 @@ def _rubbing(
     return rows, bounds
 
 
+def state_change(rate: ca.SX, state: ca.SX, dt: ca.SX) -> ca.SX:
+    """What a law's state changes by over a step in which its coordinate's motion is held: rate·(e^{b·dt} − 1)/b.
+
+    With b = ∂rate/∂state, as exponential integrators have it: exact for dz/dt = a + b·z, however long the step.
+    """
+    decay = ca.jacobian(rate, state) * dt
+    if decay.is_zero():
+        return dt * rate
+    nearly_none = ca.fabs(decay) < NEARLY_NONE
+    share = ca.expm1(decay) / ca.if_else(nearly_none, 1, decay)
+    return dt * rate * ca.if_else(nearly_none, 1 + decay / 2, share)
+
+
+NEARLY_NONE = 1e-6
+"""A decay over a step below which its series is taken."""
 SLIDING = {"joint": 0.02, "actuator": 0.002}
 """Rate on which three quarters of dry friction are counted where it is smoothed [rad/s, m/s]."""
 
@@ -291,8 +317,8 @@ def sliding_friction(m: AugmentedModel) -> ca.SX:
     return -ca.jacobian(m.rows, m.v).T @ rubbing
 
 
-def _quickness(m: SymbolicModel, acceleration: ca.SX, pressed: ca.SX) -> ca.SX:
-    """How fast damping and the limits that are pressed may make a motion, (1,) [1/s]."""
+def _quickness(m: SymbolicModel, acceleration: ca.SX, pressed: ca.SX, laws: Sequence[ca.SX]) -> ca.SX:
+    """How fast damping, the limits that are pressed and states of laws may make a motion, (1,) [1/s]."""
 
     def largest(matrix: ca.SX) -> ca.SX:
         # Of real eigenvalues above zero: at most the root of the sum of their squares.
@@ -309,6 +335,8 @@ def _quickness(m: SymbolicModel, acceleration: ca.SX, pressed: ca.SX) -> ca.SX:
     for k, limit in enumerate(m.limits):
         if limit.force is None:
             found = ca.fmax(found, pressed[k] * limit.quickness)
+    for one in laws:
+        found = ca.fmax(found, one)
     return found
 
 

@@ -141,19 +141,25 @@ def trials_of(truth: GroundTruth) -> list[Trial]:
 
 
 class _AppliedForces:
-    """The forces of all effects at once, through buffers."""
+    """The forces of all effects at once, through buffers, and the effects' states."""
 
-    def __init__(self, function: ca.Function, rubbing: tuple[int, ...]) -> None:
-        self.rubbing, self._evaluate = rubbing, Buffered(function)
+    def __init__(self, function: ca.Function, start: ca.Function, rubbing: tuple[int, ...]) -> None:
+        self.rubbing, self._evaluate, self._start = rubbing, Buffered(function), start
 
-    def __call__(self, q: Array, v: Array, load: Array, command: Array, time: float) -> tuple[Array, Array]:
-        """(nj,) generalised forces and (nj,) bounds of dry friction."""
-        values: tuple[Array | float, ...] = (q, v, load, command, time)
+    def states(self, q: Array) -> Array:
+        """(nz,) the effects' states where a trial begins, at rest."""
+        return np.array(self._start(q)).ravel()
+
+    def __call__(
+        self, q: Array, v: Array, z: Array, load: Array, command: Array, time: float
+    ) -> tuple[Array, Array, Array]:
+        """(nj,) generalised forces, (nj,) bounds of dry friction and (nz,) rates of the states."""
+        values: tuple[Array | float, ...] = (q, v, z, load, command, time)
         for array, value in zip(self._evaluate.arguments, values, strict=True):
             array[:] = value
         self._evaluate()
-        torque, bound = self._evaluate.results
-        return torque, bound
+        torque, bound, rates = self._evaluate.results
+        return torque, bound, rates
 
 
 def _applied_forces(truth: GroundTruth) -> _AppliedForces | None:
@@ -166,6 +172,7 @@ def _applied_forces(truth: GroundTruth) -> _AppliedForces | None:
     q, v, load, command = ca.SX.sym("q", nj), ca.SX.sym("v", nj), ca.SX.sym("load", nj), ca.SX.sym("u", na)
     time = ca.SX.sym("t")
     torque, bound, rubbing = ca.SX.zeros(nj), ca.SX.zeros(nj), set()
+    states, rates, starts = list[ca.SX](), list[ca.SX](), list[ca.SX]()
     by_name = dict(zip(robot.joint_names, range(nj), strict=True))
     at = Motion(
         truth.robot, time, {name: q[j] for name, j in by_name.items()}, {name: v[j] for name, j in by_name.items()},
@@ -176,14 +183,21 @@ def _applied_forces(truth: GroundTruth) -> _AppliedForces | None:
             for name, value in effect.forces(at).items():
                 torque[by_name[name]] += value
             continue
-        assert isinstance(effect, ForceEffect) and effect.n_states == 0
+        assert isinstance(effect, ForceEffect)
         j, p = by_name[effect.location], {key: ca.SX(value) for key, value in effect.parameters().items()}
         speed = ca.fabs(v[j])
-        torque[j] += effect.force(q[j], v[j], (), p) + effect.force_of_drive(load[j], p)
+        own = [ca.SX.sym("z") for _ in range(effect.n_states)]
+        states += own
+        rates += effect.state_rate(q[j], v[j], own, p)
+        starts += effect.start_state(q[j], ca.SX(0), ca.SX(0), p)
+        torque[j] += effect.force(q[j], v[j], own, p) + effect.force_of_drive(load[j], p)
         bound[j] += effect.dry_friction(q[j], speed, p) + effect.friction_of_load(ca.fabs(load[j]), speed, p)
         if effect.rubs or effect.loads:
             rubbing.add(j)
-    return _AppliedForces(ca.Function("forces", [q, v, load, command, time], [torque, bound]), tuple(sorted(rubbing)))
+    none = ca.SX(0, 1)
+    given = [q, v, ca.vertcat(*states, none), load, command, time]
+    forces = ca.Function("forces", given, [torque, bound, ca.vertcat(*rates, none)])
+    return _AppliedForces(forces, ca.Function("start", [q], [ca.vertcat(*starts, none)]), tuple(sorted(rubbing)))
 
 
 def _follow(
@@ -203,6 +217,7 @@ def _follow(
     for place, _, joint in own.rotors:
         data.qpos[place] = trial.position[joint]
     data.act[:] = filled(own, trial)
+    z = np.zeros(0) if applied is None else applied.states(trial.position)
     ctrl, steps = commands_on(own, trial), steps_of(trial, dt)
     given, due = trial.commands.copy(), _steps_of_samples(trial, dt)
     q, v = np.zeros((2, steps + 1, nj))
@@ -227,7 +242,13 @@ def _follow(
             gain = 0.5 * (v[k] - v[max(k - 1, 0)])
             midpoint = q[k] + 0.5 * dt * (v[k] + 0.5 * gain)
             load = data.qfrc_actuator[drives]
-            torque, bound = applied(midpoint, v[k] + gain, load, ctrl[k], trial.start + (k + 0.5) * dt)
+            of_middle = load, ctrl[k], trial.start + (k + 0.5) * dt
+            half = z
+            if len(z):  # their own midpoint
+                *_, rates = applied(midpoint, v[k] + gain, z, *of_middle)
+                half = z + 0.5 * dt * rates
+            torque, bound, rates = applied(midpoint, v[k] + gain, half, *of_middle)
+            z = z + dt * rates
             data.qfrc_applied[dofs] = torque
             model.dof_frictionloss[dofs] = loss + bound
         mujoco.mj_step(model, data)

@@ -17,6 +17,7 @@ MANY = 4
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _DEGREES = 180.0 / math.pi
 
+_SMALL = ("N·m", "N·m/rad", "N·m·s/rad", "N·m·s/rad/s")
 # Below which SI size, the unit that a person reads, and how many of it one of the SI unit is.
 _READ: dict[str, tuple[tuple[float, str, float], ...]] = {
     "Pa": ((math.inf, "kPa", 1e-3),),
@@ -31,7 +32,7 @@ _READ: dict[str, tuple[tuple[float, str, float], ...]] = {
     "rad/s": ((math.inf, "°/s", _DEGREES),),
     "1": ((math.inf, "", 1.0),),
     "N/Pa": ((math.inf, "N/kPa", 1e3),),
-    **{unit: ((0.01, f"m{unit}", 1e3), (math.inf, unit, 1.0)) for unit in ("N·m", "N·m/rad", "N·m·s/rad")},
+    **{unit: ((0.01, f"m{unit}", 1e3), (math.inf, unit, 1.0)) for unit in _SMALL},
     "N": ((0.01, "mN", 1e3), (math.inf, "N", 1.0)),
 }
 

@@ -42,6 +42,9 @@ class RobotTraits:
         same_kind_of_trials: all recordings are of one kind of experiment, so what is found in some has to show in the
             others. Else some may never come near a drive's limit, say.
         notes_set_parameters: notes of a recording may set parameters for it alone, such as a payload or a gain.
+        keeps_states_of_laws: its compiled equations always hold the laws with states of their own, so that there is one
+            kernel for whatever effects it has. Else only where a model has such a law: a small robot's equations, which
+            are one short function without, would be several times slower.
         has_stance: it has a foot that can be pinned while the base moves.
         damping_known_within: factor by which damping is off at most when missing physics is looked for; beyond, it
             would stand in for what is missing. None where the parameter's own bounds are as narrow as is known.
@@ -61,6 +64,7 @@ class RobotTraits:
     commands_are_pressures: bool
     same_kind_of_trials: bool
     notes_set_parameters: bool
+    keeps_states_of_laws: bool
     has_stance: bool
     damping_known_within: float | None
     bounds_of_any_size: bool

@@ -23,7 +23,7 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_START,
     ROW_X,
     WORK_ROWS,
-    lane_rest,
+    lane_start,
     prepare_lane,
 )
 from equimus_ctrl.engines.lane_kernel import correct_friction
@@ -52,7 +52,7 @@ def start_lanes(parameters: Array, q0: Array, pressure: Array) -> Array:
             w[(ROW_X + j) * LANES + l] = q0[own, j]
         for i in range(N_ACTUATORS):
             w[(ROW_PRESSURE + i) * LANES + l] = pressure[i]
-    lane_rest(w)
+    lane_start(w)
     return w
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 SLIDING = {
     "rad": "m", "rad/s": "m/s", "N·m": "N", "N·m/rad": "N/m", "N·m·s/rad": "N·s/m", "N·m·s²/rad²": "N·s²/m²",
-    "kg·m²": "kg",
+    "N·m·s/rad/s": "N·s/m/s", "kg·m²": "kg",
 }  # fmt: skip
 """Units of a hinge → those of a slide."""
 

@@ -70,6 +70,7 @@ TRAITS = RobotTraits(
     commands_are_pressures=False,
     same_kind_of_trials=False,
     notes_set_parameters=True,
+    keeps_states_of_laws=False,
     has_stance=False,
     damping_known_within=None,
     bounds_of_any_size=True,
