@@ -16,7 +16,7 @@ from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, beside, model_of
 from equimus_ctrl.diagnosis.torque_columns import Columns
 from equimus_ctrl.diagnosis.torque_guesses import far_above_noise, refined_guesses
-from equimus_ctrl.diagnosis.torque_screening import CORRELATED, TorqueDomain, TorqueFit, TorqueScreen, torque_screen
+from equimus_ctrl.diagnosis.torque_screening import CORRELATED, TorqueDomain, TorqueScreen, torque_screen
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.model import Model
@@ -152,7 +152,7 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
     """Candidates without those that are far behind the best one in the torque domain, see ``BEHIND``.
 
     All where none of them explains anything there. Those that cannot be seen there stay. Laws that equations are
-    compiled anew for have to explain most, see ``worth_compiling``. Guesses are joined by what least squares give.
+    compiled anew for have to explain more, see ``worth_compiling``. Guesses are joined by what least squares give.
 
     Args:
         data: what was measured.
@@ -160,8 +160,9 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
         fitted: the hypothesis that they are to be added to.
         pool: the candidates.
     """
-    fits = torque_screen(data, domain, fitted, pool).alone()
-    pool = _worth_compiling(data, fits, pool)
+    screen = torque_screen(data, domain, fitted, pool)
+    pool = _worth_compiling(data, screen, fitted, pool)
+    fits = {candidate: fit for candidate, fit in screen.alone().items() if candidate in pool}
     gains = sorted((fit.gain for fit in fits.values()), reverse=True)
     prune = len(gains) > AT_LEAST and _more_than_chance(data, gains[0], pool)
     least = min(BEHIND * gains[0], gains[AT_LEAST - 1]) if prune else -math.inf
@@ -175,22 +176,35 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
 
 
 def worth_compiling(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates without the laws with states of their own that explain less than one without in the torque domain.
+    """Candidates without those laws with states of their own that hardly explain more than the others.
 
-    Equations of motion are compiled anew for a law with states, which takes as long as a short search.
+    Equations of motion are compiled anew for a law with states, which takes as long as a short search. In the torque
+    domain it has to lower by ``START_SHARE`` what the best law without states leaves. Where it excludes a part of the
+    hypothesis it is tried in that one's place, not beside it.
+
+    Args:
+        data: what was measured.
+        domain: the same in the torque domain.
+        fitted: the hypothesis that they are to be added to.
+        pool: the candidates.
     """
     if not any(_has_states(candidate) for candidate in pool):
         return list(pool)
-    return _worth_compiling(data, torque_screen(data, domain, fitted, pool).alone(), pool)
+    return _worth_compiling(data, torque_screen(data, domain, fitted, pool), fitted, pool)
 
 
-def _worth_compiling(data: Data, fits: Mapping[Candidate, TorqueFit], pool: Sequence[Candidate]) -> list[Candidate]:
+def _worth_compiling(data: Data, screen: TorqueScreen, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
+    fits = screen.alone()
     most = max((fit.gain for candidate, fit in fits.items() if not _has_states(candidate)), default=0.0)
+    least = most + START_SHARE * (screen.missing - most)
 
     def worth(candidate: Candidate) -> bool:
         if candidate not in fits or not _has_states(candidate):
             return True
-        return fits[candidate].gain >= most and _more_than_chance(data, fits[candidate].gain, pool)
+        part = Part(candidate, fits[candidate].values)
+        if beside(screen.robot, part, fitted.hypothesis) != fitted.hypothesis:
+            return False
+        return fits[candidate].gain >= least and _more_than_chance(data, fits[candidate].gain, pool)
 
     return [candidate for candidate in pool if worth(candidate)]
 

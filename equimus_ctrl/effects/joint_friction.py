@@ -259,7 +259,7 @@ class DahlFriction(ForceEffect):
 
     @classmethod
     def reduces_to_simpler(cls, values: Mapping[str, float]) -> bool:
-        return values["distance"] < 2 * cls.parameter_info()["distance"]["low"]
+        return values["distance"] < 2 * float(cls.parameter_info()["distance"]["low"])
 
     @classmethod
     def sentence(cls, t: Description) -> str:
