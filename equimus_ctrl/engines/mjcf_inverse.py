@@ -221,9 +221,12 @@ class _Law:
     def states(self, position: Array, rate: Array, time: Array | None, values: Array) -> Array:
         """(nz, n) along a motion, evenly sampled; between two instants it is half way between them."""
         n = len(position)
-        if not self.n_states or time is None or n < 2:
-            return np.zeros((self.n_states, n))
+        if not self.n_states:
+            return np.zeros((0, n))
+        assert time is not None
         first = np.asarray(self.start(position[0], rate[0], time[0], values))
+        if n < 2:
+            return first
         middle = [(part[1:] + part[:-1])[None] / 2 for part in (position, rate)]
         dt = np.full((1, n - 1), time[1] - time[0])
         later = self.step.mapaccum("states", n - 1)(first, *middle, dt, np.tile(values[:, None], n - 1))
