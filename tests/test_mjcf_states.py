@@ -9,6 +9,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
+from mjcf_models import RIG
 from pendulum_runs import MOTOR, PENDULUM, recorded
 from scipy.integrate import solve_ivp
 
@@ -22,6 +23,7 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_para
 from equimus_ctrl.diagnosis.torque_screening import torque_domain
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_compiling, worth_simulating
 from equimus_ctrl.effects import CoulombFriction, DahlFriction, Effect, ForceEffect, FrictionDrift, ViscousFriction
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import simulate
@@ -217,3 +219,12 @@ def test_damping_over_time_that_is_left_restates_a_drift() -> None:
     drifts, damped = part(FrictionDrift, {"slope": 0.1}), part(ViscousFriction, {"damping": 0.1})
     assert restates(left, (drifts,), True) == "same"
     assert restates(left, (damped,), True) == "more"
+
+
+@pytest.mark.parametrize(("robot", "place", "unit"), [(RIG, "shoulder", "N·m·s/rad"), (RIG, "reach", "N·s/m")])
+def test_a_drift_is_drawn_as_the_change_of_friction_over_a_trial(robot: MjcfRobot, place: str, unit: str) -> None:
+    seen = Excitation(0.0, 1.0, 2.0, 3.0, 1.0, 0.01, 20.0, 1.0)
+    (curve,) = FrictionDrift(place, -0.002).curves(robot, seen)
+    assert (curve.x_unit, curve.y_unit) == ("s", unit) and curve.without == 0.0
+    assert curve.along[[0, -1]] == pytest.approx([0.0, 20.0])
+    np.testing.assert_allclose(curve.values, -0.002 * curve.along)
