@@ -273,6 +273,18 @@ CASES: dict[str, Case] = {
     "constant_force": Case(
         mjcf={"size": 1.5},
     ),
+    "coupled_damping": Case(
+        mjcf={"damping": 0.6},
+    ),
+    "coupled_damping_difference": Case(
+        mjcf={"damping": 0.6},
+    ),
+    "coupled_friction": Case(
+        mjcf={"friction": 1.0},
+    ),
+    "coupled_friction_difference": Case(
+        mjcf={"friction": 1.0},
+    ),
     "dahl_friction": Case(
         mjcf={"friction": 1.0, "distance": 0.1},
     ),
@@ -299,6 +311,9 @@ CASES: dict[str, Case] = {
     ),
     "motor_dead_zone": Case(
         mjcf={"threshold": 1.5},
+    ),
+    "supply_sag": Case(
+        mjcf={"drop": 0.05},
     ),
     "quadratic_damping": Case(
         mjcf={"drag": 0.5},

@@ -131,6 +131,10 @@ RIG = MjcfRobot(
 )
 
 
+HINGES = MjcfRobot("hinges", RIG.xml.replace('type="slide" axis="0 0 -1"', 'axis="0 1 0"'))
+"""The rig with a second hinge, behind a spring, in the place of its slide."""
+
+
 def swinging(index: int = 0, until: float = 2.0) -> Trial:
     times = np.arange(0.0, until, 0.25)
     commands = np.column_stack([4 * np.sin(2.1 * times + index), 8 * np.cos(3.3 * times - index)])

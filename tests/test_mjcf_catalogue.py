@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from effect_cases import CASES
-from mjcf_models import DT, RIG, M, Ran, cart, run, swinging
+from mjcf_models import DT, HINGES, RIG, M, Ran, cart, run, swinging
 from scipy.integrate import solve_ivp
 
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
@@ -37,7 +37,7 @@ def rig(name: str, joint: str) -> MjcfRobot | None:
     """One that can have an effect there."""
     cls = REGISTRY[name]
     kind = cls.sits_at[0]
-    return next((robot for robot in (RIG, BARE) if AT[joint][kind] in cls.places_on(robot)[kind]), None)
+    return next((robot for robot in (RIG, BARE, HINGES) if AT[joint][kind] in cls.places_on(robot)[kind]), None)
 
 
 def strong(name: str, joint: str) -> Effect:
@@ -94,8 +94,9 @@ def test_every_effect_has_a_sentence_in_its_units(name: str, joint: str) -> None
     model = Model(robot, (strong(name, joint),))
     text = sentence(finding(model), model)
     assert text.endswith(".") and "_" not in text and "nan" not in text
-    assert model.effects[0].location in text or name == "gravity_tilt"
-    if joint == "reach" and name != "gravity_tilt":
+    of_the_whole = REGISTRY[name].sits_at == ("base",)
+    assert model.effects[0].location in text or of_the_whole
+    if robot.slides(joint) and not of_the_whole:
         for wrong in ("rad", "°", "N·m", "angle", "pressure"):
             assert wrong not in text, text
 

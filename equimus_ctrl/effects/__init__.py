@@ -11,6 +11,12 @@ from equimus_ctrl.effects.bodies import (
     SpringTether,
     TetherWithFreeLength,
 )
+from equimus_ctrl.effects.couplings import (
+    CoupledDamping,
+    CoupledDampingDifference,
+    CoupledFriction,
+    CoupledFrictionDifference,
+)
 from equimus_ctrl.effects.description import Curve, Description
 from equimus_ctrl.effects.drives import (
     ActuatorGain,
@@ -19,6 +25,7 @@ from equimus_ctrl.effects.drives import (
     DrivePlay,
     MotorDeadZone,
     RotorInertia,
+    SupplySag,
     TorqueRipple,
     TorqueSaturation,
 )
@@ -69,6 +76,10 @@ __all__ = [
     "BodyEffect",
     "ConstantForce",
     "CoulombFriction",
+    "CoupledDamping",
+    "CoupledDampingDifference",
+    "CoupledFriction",
+    "CoupledFrictionDifference",
     "Creep",
     "Curve",
     "Cutoff",
@@ -110,6 +121,7 @@ __all__ = [
     "SpringTether",
     "StribeckFriction",
     "SupplyCoupling",
+    "SupplySag",
     "TetherWithFreeLength",
     "TorqueRipple",
     "TorqueSaturation",

@@ -15,7 +15,7 @@ import numpy as np
 
 from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.bodies import BodyEffect
-from equimus_ctrl.effects.description import Description
+from equimus_ctrl.effects.description import CURVE_POINTS, Curve, Description
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect, Parameters
 from equimus_ctrl.effects.native import add_constant_force
@@ -241,6 +241,63 @@ class MotorDeadZone(ShapingEffect):
     def sentence(cls, t: Description) -> str:
         lose = t.one_or("loses", "each lose")
         return f"{t.at} {lose} the first {t['threshold']} of every command, of either sign: a dead zone."
+
+
+@register
+@dataclass(frozen=True)
+class SupplySag(ShapingEffect):
+    """u_i' = u_i·max(1 − drop·Σ_j |u_j|, 0): drives on one supply exert less, the more all of them ask for.
+
+    A supply of inner resistance R has the voltage V₀ − R·Σ I_j under the currents I_j of its drives. The force of a
+    motor that is fed a share of that voltage goes with it, and its current with the size of its command (Hughes &
+    Drury, *Electric Motors and Drives*, 2019).
+
+    Every drive counts by its command as the XML takes it. What current belongs to it, τ/(gear ratio·torque constant),
+    an XML driven by torques does not tell. From one voltage a drive draws about its power, and joints of one robot move
+    about as fast as each other: so currents go with torques, and not with shares of each drive's own range, by which a
+    small wrist would count as much as a shoulder.
+
+    Only of robots all of whose drives, two or more, are motors with commands of one unit: a goal is no force, and
+    forces and torques have no sum. It comes after a dead zone, and before delays, filters and limits of drives.
+    """
+
+    name = "supply_sag"
+    robots = ("mjcf",)
+    sits_at = ("base",)
+    summary = "all drives exert less, the more all of them together ask of their supply"
+    exclusive = "supply_sag"
+    order = 1
+    mjcf_sizes = (Share("drop", 0.01, 0.15),)
+    drop: float = parameter("1/command", 0.0, 1e4, "share of the force that is lost for each unit of all commands")
+
+    @classmethod
+    def places_on(cls, robot: Any) -> Mapping[str, tuple[str, ...]]:
+        places = robot.places()
+        return {**places, "base": places["base"] if len(robot.sharing) > 1 else ()}
+
+    def columns(self, actuators: Sequence[str]) -> tuple[int, ...]:
+        return tuple(range(len(actuators)))
+
+    def shape(self, commands: Array, own: int) -> Array:
+        return np.asarray(commands[:, own] * self._left(np.abs(commands).sum(axis=1)))
+
+    def _left(self, total: Array) -> Array:
+        """(n,) the share that is left of all forces, under totals (n,) of all commands."""
+        return np.maximum(1.0 - self.drop * total, 0.0)
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        (unit,) = {t.robot.command_unit(name) for name in t.robot.sharing}
+        lost = t.scaled("drop", "%", 100.0)
+        each = "unit" if unit == "1" else unit
+        return f"All drives lose {lost} of their force for each {each} of all commands together: a supply that sags."
+
+    def curves(self, robot: Any, excitation: Excitation) -> tuple[Curve, ...]:
+        total = np.linspace(0.0, len(robot.sharing) * excitation.command, CURVE_POINTS)
+        unit = robot.command_unit(robot.sharing[0])
+        return (
+            Curve("share of forces", "sum of all commands", unit, "what is left", "1", total, self._left(total), 1.0),
+        )
 
 
 @register

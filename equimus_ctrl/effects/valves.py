@@ -67,6 +67,14 @@ class ShapingEffect(Effect):
         """
         raise NotImplementedError
 
+    def columns(self, actuators: Sequence[str]) -> tuple[int, ...]:
+        """Which of the actuators' commands it changes: that of its own place.
+
+        Args:
+            actuators: names of all.
+        """
+        return (list(actuators).index(self.location),)
+
 
 @dataclass(frozen=True)
 class CompiledShaping(ShapingEffect):
@@ -381,8 +389,8 @@ def shaped_commands(effects: Sequence[Effect], actuators: Sequence[str], command
         given = shaped.copy()
         for effect in shapers:
             if effect.order == order:
-                own = list(actuators).index(effect.location)
-                shaped[:, own] = effect.shape(given, own)
+                for own in effect.columns(actuators):
+                    shaped[:, own] = effect.shape(given, own)
     return shaped
 
 

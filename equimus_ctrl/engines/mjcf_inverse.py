@@ -153,6 +153,11 @@ def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMo
     missing += own.loss * np.sign(v)
     names = own.robot.joint_names
     time = motion.time[0] - motion.trial.times[0] + dt * (width + stride * np.arange(len(q)))
+    for coupling in own.robot.couplings:
+        first, second = names.index(coupling.joint), names.index(coupling.other)
+        against = coupling.friction * np.sign(v[:, first] + coupling.sign * v[:, second])
+        missing[:, first] += against
+        missing[:, second] += coupling.sign * against
     for law in laws:
         j = names.index(law.location)
         missing[:, j] -= law_force(type(law), law.parameters(), q[:, j], v[:, j], drives[:, j], time)

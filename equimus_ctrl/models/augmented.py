@@ -247,7 +247,7 @@ def rubbing_places(form: Structure, laws: Laws) -> tuple[Place, ...]:
     found = set(form.friction_at)
     found |= {(slot.kind, slot.index) for slot in slots_of(form, laws) if slot.law.rubs or slot.law.loads}
     order = {"joint": 0, "actuator": 1}
-    return tuple(sorted(found, key=lambda at: (order.get(at[0], 2), at[1])))
+    return tuple(sorted(found, key=lambda at: (order.get(at[0], 2), *at)))
 
 
 def expressions(law: type[ForceEffect]) -> str:

@@ -84,6 +84,11 @@ class _Builder:
             distance = ca.sqrt(ca.sumsqr(away) + NEAREST)
             bias += tether * (1 - length / distance) * (frames.jacobian(hook).T @ away)
             potential += tether * (distance - length) ** 2 / 2
+        for k, (first, second) in enumerate(form.coupled):
+            _, _, *dampings = self.parameters(f"coupling {k}")
+            for sign, size in zip((1, -1), dampings, strict=True):
+                row = self._coupled(first, second, sign)
+                bias += row.T * (size * (row @ v))
         off_joint = {j for j, through in form.clamped if through}
         through = ca.SX(n, 1)
         for i in range(n):
@@ -95,16 +100,23 @@ class _Builder:
         limits = [limit for k in range(len(form.limits)) for limit in self._limit(k)]
         limits += [self._surface()] if form.surfaced else []
         held = [self._equality(k) for k in range(len(form.equalities))]
-        rubbing = [
-            Rubbing(kind, i, _unit(n, i) if kind == "joint" else tendons[i][1], self.p[at])
-            for (kind, i), at in form.friction_at.items()
-        ]
+        rubbing = [Rubbing(kind, i, self._row(kind, i), self.p[at]) for (kind, i), at in form.friction_at.items()]
         return SymbolicModel.assembled(
             q, v, self.p, mass=mass, bias=bias, actuation=actuation, lengths=lengths,
             rest_length=ca.SX(len(form.actuators), 1), limits=limits, held=held, rubbing=rubbing,
             foot=ca.SX(3, 1), knots=ca.horzcat(ca.SX(3, 1), *frames.origin), potential=potential, inside=self.own,
             commands=form.n_commands,
         )  # fmt: skip
+
+    def _coupled(self, first: int, second: int, sign: float | ca.SX) -> ca.SX:
+        """(1, n) derivative of the sum of two coordinates, the second counted with a sign."""
+        return _unit(self.n, first) + sign * _unit(self.n, second)
+
+    def _row(self, kind: str, i: int) -> ca.SX:
+        """(1, n) derivative of the coordinate of a place that can have dry friction."""
+        if kind == "coupling":
+            return self._coupled(*self.form.coupled[i], self.parameters(f"coupling {i}")[0])
+        return self._coordinate(kind, i)[1]
 
     def _weight(self, rigid: Equations, gravity: ca.SX) -> ca.SX:
         """Potential of gravity, less that of what is held up [J]."""

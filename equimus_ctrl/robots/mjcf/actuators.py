@@ -246,6 +246,16 @@ def _negative(base: Any, drive: Drive, key: str, array: str, entry: int, unit: s
     return ModelParameter(f"{drive.actuator}.{key}", 0.0 - float(getattr(base, array)[drive.index, entry]), unit, write)
 
 
+def exerts_its_command(base: Any, drive: Drive) -> bool:
+    """Whether an actuator's force is its command, filtered or not, times a gain."""
+    i = drive.index
+    gain, bias, dynamics = (
+        int(kinds[i]) for kinds in (base.actuator_gaintype, base.actuator_biastype, base.actuator_dyntype)
+    )
+    plain = gain == int(mujoco.mjtGain.mjGAIN_FIXED) and bias == int(mujoco.mjtBias.mjBIAS_NONE)
+    return plain and dynamics in (int(mujoco.mjtDyn.mjDYN_NONE), *FILTERS)
+
+
 def scale_force(model: Any, actuator: str, factor: float) -> None:
     """Make an actuator's force, a gain and a bias, so many times as large."""
     i = model.actuator(actuator).id

@@ -30,10 +30,8 @@ def exported(
         folder: of the files that it names, as seen from where it is to be.
         late: joint → by how much its measurements are late, at least a step [s]: the delay of its sensors.
     """
-    joints = tuple(c.joint for c in robot.compliances)
-    places = tuple(tether.place for tether in robot.tethers)
-    touching = tuple(surface.place for surface in robot.surfaces)
-    spec = with_parts_spec(robot.xml, Assets(robot.assets), joints, places, touching)
+    parts = robot.parts
+    spec = with_parts_spec(robot.xml, Assets(robot.assets), parts)
     before = spec.compile()  # gives ids to what has no name
     turn = 180 / math.pi if spec.compiler.degree else 1.0
     for body in spec.bodies[1:]:
@@ -68,16 +66,18 @@ def exported(
         tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]
         tendon.damping = [model.tendon_damping[t], *model.tendon_dampingpoly[t]]
         tendon.springlength = model.tendon_lengthspring[t]
+        tendon.frictionloss = model.tendon_frictionloss[t]
+        tendon.solref_friction, tendon.solimp_friction = model.tendon_solref_fri[t], model.tendon_solimp_fri[t]
     for name, delay in (late or {}).items():
         for sensor in _sensors(spec, name):
             sensor.delay += delay
             _buffer(sensor, model)
-    for place in places:
+    for place in parts.tethered:
         _, *ends = tether_of(place)
         for name in ends:
             if (site := spec.site(name)) is not None:
                 site.pos = model.site_pos[model.site(name).id]
-    for place in touching:
+    for place in parts.touching:
         for name in surface_of(place):
             g = model.geom(name).id
             spec.geom(name).pos, spec.geom(name).quat = model.geom_pos[g], model.geom_quat[g]

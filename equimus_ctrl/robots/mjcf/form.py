@@ -25,6 +25,9 @@ N_TETHER = 8
 N_SURFACE, N_TOUCH = 11, 4
 """Of a surface in the room: the way up, its height, stiffness, damping and impedance of contact, the inverse inertia of
 what touches it. Of each link: whether it may touch it, and its point there."""
+N_COUPLING = 4
+"""Of friction over two links: the sign with which the second's rate counts for the dry one, its size, and the damping
+of the sum and of the difference of the rates."""
 N_DRIVE = 8
 """Of a drive that may turn by itself: whether it does, its inertia, stiffness and damping of its spring, half its play,
 stiffness and damping of the play's ends, and the inverse of the inertia that its motion against the joint has."""
@@ -163,6 +166,7 @@ class TreeForm:
             or touch a surface; none where it may not.
         tethered: whether springs to points of the room may hang on it.
         surfaced: whether a point of it may touch a level surface in the room.
+        coupled: pairs of links, the second carried by the first, over which friction may act.
     """
 
     links: tuple[LinkForm, ...]
@@ -180,6 +184,7 @@ class TreeForm:
     hooks: tuple[tuple[int, int, Vector, Vector], ...] = ()
     tethered: bool = False
     surfaced: bool = False
+    coupled: tuple[tuple[int, int], ...] = ()
     key: str = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -216,6 +221,7 @@ class TreeForm:
         if self.surfaced:
             yield "surface", N_SURFACE
             yield from ((f"touch {i}", N_TOUCH) for i in range(len(self.links)))
+        yield from ((f"coupling {k}", N_COUPLING) for k in range(len(self.coupled)))
         yield from ((f"clamp {j}", 2) for j, _ in self.clamped)
         yield from ((f"clamp tendon {t}", 2) for t in self.clamped_tendons)
 
@@ -235,7 +241,8 @@ class TreeForm:
         if "frictionloss" in self.off:
             return {}
         found = {("joint", i): self.layout[f"joint {i}"][FRICTION] for i in range(len(self.links))}
-        return found | {("tendon", t): self.layout[f"tendon {t}"][TENDON_FRICTION] for t in self.rubbing}
+        found |= {("tendon", t): self.layout[f"tendon {t}"][TENDON_FRICTION] for t in self.rubbing}
+        return found | {("coupling", k): self.layout[f"coupling {k}"][1] for k in range(len(self.coupled))}
 
     def unlimited(self, parameters: Array) -> Array:
         """(n_parameters,) the same parameters with no bounds of forces."""

@@ -11,7 +11,7 @@ from equimus_ctrl.effects.command import DIRECT, FILTERED, INTEGRATED, SLEWED
 from equimus_ctrl.robots.mechanics import Channel, Mechanics
 from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
 from equimus_ctrl.robots.mjcf.packing import Drive, commands_between, pack
-from equimus_ctrl.robots.mjcf.parts import Surface, Tether, hook_of
+from equimus_ctrl.robots.mjcf.parts import Coupling, Surface, Tether, hook_of
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.reading import form_of
 
@@ -26,6 +26,7 @@ def mechanics_of(
     drives: Mapping[str, Drive],
     tethers: Sequence[Tether],
     surfaces: Sequence[Surface],
+    couplings: Sequence[Coupling],
 ) -> Mechanics:
     """The equations' form and parameters of a robot.
 
@@ -37,11 +38,12 @@ def mechanics_of(
         drives: joint whose drive turns by itself → see ``packing.pack``.
         tethers: springs to points of the room.
         surfaces: level planes in it that points touch.
+        couplings: friction over two joints.
 
     Raises:
         ModelError: where the equations cannot hold it.
     """
-    form = _form((xml, assets, bool(drives), bool(tethers), bool(surfaces)), model)
+    form = _form((xml, assets, bool(drives), bool(tethers), bool(surfaces), bool(couplings)), model)
     names = [link.name for link in form.links]
     joints = np.array([names.index(name) for name in joint_names], dtype=np.int64)
     starts = np.array([list(joint_names).index(name) for name in names], dtype=np.int64)
@@ -53,7 +55,7 @@ def mechanics_of(
     for surface in surfaces:
         body, point = hook_of(model, surface.place)
         touches[body] = point, np.array(surface.up), surface.height, surface.time_constant
-    numbers = pack(form, model, loose, springs, touches)
+    numbers = pack(form, model, loose, springs, touches, couplings)
     places = {"joint": names, "actuator": ()}
     return Mechanics(form, numbers, joints, starts, places, tuple(_channels(form, model)))
 
@@ -62,7 +64,7 @@ def _form(key: Any, model: Any) -> TreeForm:
     if key not in _forms:
         if len(_forms) > 256:
             _forms.clear()
-        _forms[key] = form_of(model, flexible=key[2], tethered=key[3], surfaced=key[4])
+        _forms[key] = form_of(model, flexible=key[2], tethered=key[3], surfaced=key[4], coupled=key[5])
     return _forms[key]
 
 

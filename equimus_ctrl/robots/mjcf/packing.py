@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from equimus_ctrl.robots.mjcf.form import (
     FAR,
     FRICTION,
+    N_COUPLING,
     N_DRIVE,
     N_FLOAT,
     N_JOINT,
@@ -22,7 +23,7 @@ from equimus_ctrl.robots.mjcf.form import (
     TENDON_FRICTION,
     TreeForm,
 )
-from equimus_ctrl.robots.mjcf.parts import SOLIMP
+from equimus_ctrl.robots.mjcf.parts import SOLIMP, Coupling
 from equimus_ctrl.robots.mjcf.reading import quaternion_matrix
 from equimus_ctrl.types import Array
 
@@ -46,6 +47,7 @@ def pack(
     drives: Mapping[int, Drive] | None = None,
     tethers: Mapping[int, Tether] | None = None,
     touches: Mapping[int, Touch] | None = None,
+    couplings: Sequence[Coupling] = (),
 ) -> Array:
     """(n,) the parameters of an ``mujoco.MjModel`` of a form, in the order of ``TreeForm.layout``.
 
@@ -55,6 +57,7 @@ def pack(
         drives: joint → inertia of a drive that turns by itself, stiffness and damping of its spring, and their play.
         tethers: body → a spring to a point of the room; one link has one at most.
         touches: body → the surface that it may touch; there is one at most.
+        couplings: friction over two links.
     """
     off = form.off
     parts = [np.zeros(3) if "gravity" in off else np.array(model.opt.gravity), *_bodies(form, model)]
@@ -83,6 +86,8 @@ def pack(
         parts.append(_tethers(form, tethers or {}).ravel())
     if form.surfaced:
         parts += _touches(form, model, touches or {})
+    if form.coupled:
+        parts.append(_couplings(form, couplings).ravel())
     parts += [model.jnt_actfrcrange[j] for j, _ in form.clamped]
     parts += [model.tendon_actfrcrange[t] for t in form.clamped_tendons]
     return np.concatenate(parts)
@@ -181,6 +186,17 @@ def _touches(form: TreeForm, model: Any, touches: Mapping[int, Touch]) -> list[A
             own[:3], own[3], own[10] = up, height, model.body_invweight0[body, 0]
             rows[link] = [1.0, *(np.array(place) + np.array(turn).reshape(3, 3) @ point)]
     return [own, rows.ravel()]
+
+
+def _couplings(form: TreeForm, couplings: Sequence[Coupling]) -> Array:
+    rows, names = np.zeros((len(form.coupled), N_COUPLING)), [link.name for link in form.links]
+    for own in couplings:
+        row = rows[form.coupled.index((names.index(own.joint), names.index(own.other)))]
+        if own.friction > 0 and "frictionloss" not in form.off:
+            row[:2] = own.sign, own.friction
+        if "damper" not in form.off:
+            row[2 if own.sign > 0 else 3] = own.damping
+    return rows
 
 
 def _switch(rows: Array, form: TreeForm, friction: int) -> None:

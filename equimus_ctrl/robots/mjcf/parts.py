@@ -73,6 +73,30 @@ class Surface:
     time_constant: float
 
 
+@dataclass(frozen=True)
+class Coupling:
+    """Friction over a joint and the next one down its chain, against v + sign·v' of their rates v and v'.
+
+    Attributes:
+        joint: the first.
+        other: the next.
+        sign: 1 for the sum of the rates, −1 for their difference.
+        friction: dry [N·m].
+        damping: viscous [N·m·s/rad].
+    """
+
+    joint: str
+    other: str
+    sign: int
+    friction: float = 0.0
+    damping: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """What it is called as a tendon."""
+        return f"{self.joint} {'and' if self.sign > 0 else 'against'} {self.other}"
+
+
 SOLIMP = 0.9, 0.95, 1e-3, 0.5, 2.0
 """Impedance of contact with a surface: MuJoCo's default, whatever the file's is. One nearer to 1 would let go of what
 slides over the surface on an arc, for MuJoCo's constraints know no centripetal acceleration, and catch it again."""
@@ -108,30 +132,51 @@ def surface_of(place: str) -> tuple[str, str]:
     return f"{place} surface", f"{place} surface point"
 
 
+@dataclass(frozen=True)
+class Parts:
+    """What is added to a file's model; what of it has a size has none yet.
+
+    Attributes:
+        joints: whose drives turn by themselves, each tied to its joint by a tendon that can give way.
+        tethered: bodies and sites with a tendon to a site of the room.
+        touching: bodies and sites with a surface of their own.
+        coupled: joints with a tendon over both of them.
+    """
+
+    joints: tuple[str, ...] = ()
+    tethered: tuple[str, ...] = ()
+    touching: tuple[str, ...] = ()
+    coupled: tuple[Coupling, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.joints or self.tethered or self.touching or self.coupled)
+
+
 @lru_cache(maxsize=64)
-def with_parts(
-    xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...], touching: tuple[str, ...]
-) -> Any:
+def with_parts(xml: str, assets: Assets, parts: Parts) -> Any:
     """``with_parts_spec`` compiled; not to be changed."""
-    return with_parts_spec(xml, assets, joints, tethered, touching).compile()
+    return with_parts_spec(xml, assets, parts).compile()
 
 
-def with_parts_spec(
-    xml: str, assets: Assets, joints: tuple[str, ...], tethered: tuple[str, ...], touching: tuple[str, ...]
-) -> Any:
-    """The model with drives of their own, with springs to points of the room, and with surfaces in it.
+def with_parts_spec(xml: str, assets: Assets, parts: Parts) -> Any:
+    """The model with drives of their own, springs to points of the room, surfaces, and friction over two joints.
 
     Args:
         xml: the model.
         assets: files that it names.
-        joints: whose drives turn by themselves, each tied to its joint by a tendon that can give way.
-        tethered: bodies and sites with a tendon to a site of the room, of no stiffness yet.
-        touching: bodies and sites with a surface of their own, at no height yet.
+        parts: what is added.
     """
     spec = spec_of(xml, assets)
-    for place in touching:
+    for own in parts.coupled:
+        tendon = spec.add_tendon(name=own.name, springlength=[0.0, 0.0])
+        # Nothing of the file's defaults for tendons is to describe it.
+        tendon.stiffness, tendon.damping, tendon.frictionloss, tendon.limited = [0.0] * 3, [0.0] * 3, 0.0, 0
+        tendon.armature, tendon.actfrclimited = 0.0, 0
+        tendon.wrap_joint(own.joint, 1.0)
+        tendon.wrap_joint(own.other, float(own.sign))
+    for place in parts.touching:
         _add_surface(spec, place)
-    for place in tethered:
+    for place in parts.tethered:
         name, end, point = tether_of(place)
         spec.worldbody.add_site(name=end, pos=OFF)
         if spec.site(place) is None:
@@ -140,7 +185,7 @@ def with_parts_spec(
         tendon.stiffness, tendon.damping, tendon.frictionloss, tendon.limited = [0.0] * 3, [0.0] * 3, 0.0, 0
         tendon.wrap_site(end)
         tendon.wrap_site(point if spec.site(place) is None else place)
-    for name in joints:
+    for name in parts.joints:
         joint = spec.joint(name)
         # Bodies of one joint each at the same place; the rotor's mass moves with the body that carries it.
         rotor = joint.parent.parent.add_body(name=rotor_of(name), pos=joint.parent.pos, quat=joint.parent.quat)
@@ -215,6 +260,14 @@ def lay(model: Any, surface: Surface) -> None:
     model.geom_pos[plane] = (surface.height - RADIUS) * up
     model.geom_pos[ball] = hook_of(model, surface.place)[1]
     model.pair_solref[model.pair(plane).id] = surface.time_constant, 1.0
+
+
+def rub(model: Any, coupling: Coupling) -> None:
+    """Give a tendon over two joints, see ``with_parts``, its friction, which stops it within a step."""
+    tendon = model.tendon(coupling.name).id
+    model.tendon_damping[tendon], model.tendon_frictionloss[tendon] = coupling.damping, coupling.friction
+    model.tendon_solref_fri[tendon] = -1.0, -1.0 / model.opt.timestep
+    model.tendon_solimp_fri[tendon] = HARD, HARD, 1e-3, 0.5, 2.0
 
 
 def harden(model: Any, dof: int) -> None:

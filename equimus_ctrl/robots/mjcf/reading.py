@@ -27,7 +27,18 @@ INPUTS = {1: "pos", 2: "vel", 4: "ff", 8: "voltage"}
 """Bits of MuJoCo's ``actuator_ctrlspec`` of pid and dcmotor."""
 
 
-def form_of(model: Any, flexible: bool = False, tethered: bool = False, surfaced: bool = False) -> TreeForm:
+def next_hinges(model: Any) -> tuple[tuple[int, int], ...]:
+    """Pairs of joints, hinges both, of which the second is the only one that the first carries next."""
+    carried = [np.flatnonzero(model.dof_parentid == dof) for dof in range(model.nv)]
+    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+    pairs = [(dof, int(own[0])) for dof, own in enumerate(carried) if len(own) == 1]
+    joints = [(int(model.dof_jntid[first]), int(model.dof_jntid[second])) for first, second in pairs]
+    return tuple(pair for pair in joints if all(int(model.jnt_type[joint]) == hinge for joint in pair))
+
+
+def form_of(
+    model: Any, flexible: bool = False, tethered: bool = False, surfaced: bool = False, coupled: bool = False
+) -> TreeForm:
     """The form of an ``mujoco.MjModel``.
 
     Args:
@@ -35,6 +46,7 @@ def form_of(model: Any, flexible: bool = False, tethered: bool = False, surfaced
         flexible: whether drives of its joints may turn by themselves.
         tethered: whether springs to points of the room may hang on it.
         surfaced: whether a point of it may touch a level surface in the room.
+        coupled: whether friction may act over two hinges that follow each other.
 
     Raises:
         ModelError: where it has what the equations cannot hold.
@@ -74,6 +86,7 @@ def form_of(model: Any, flexible: bool = False, tethered: bool = False, surfaced
         moving if tethered or surfaced else (),
         tethered,
         surfaced,
+        next_hinges(model) if coupled else (),
     )
 
 

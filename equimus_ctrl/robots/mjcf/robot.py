@@ -22,7 +22,7 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
-from equimus_ctrl.robots.mjcf.actuators import OWN, hold_peak_forces, limit_force, scale_force
+from equimus_ctrl.robots.mjcf.actuators import OWN, exerts_its_command, hold_peak_forces, limit_force, scale_force
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
 from equimus_ctrl.robots.mjcf.independent import independent
@@ -31,16 +31,20 @@ from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
 from equimus_ctrl.robots.mjcf.parts import (
     Compliance,
+    Coupling,
+    Parts,
     Place,
     Surface,
     Tether,
     hardness,
     lay,
     loosen,
+    rub,
     stretch,
     with_parts,
 )
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
+from equimus_ctrl.robots.mjcf.reading import next_hinges
 from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
 
@@ -96,6 +100,7 @@ class MjcfRobot(Robot):
         compliances: drives that are not rigid.
         tethers: springs to points of the room, one to a link at most.
         surfaces: level planes in the room below which a point of it cannot go, one at most.
+        couplings: friction over two joints, one for a pair and a sign.
         gains: (actuator, factor) on the forces of actuators.
         limits: (actuator, size) to which forces of actuators are limited [N·m or N].
 
@@ -115,6 +120,7 @@ class MjcfRobot(Robot):
     compliances: tuple[Compliance, ...] = ()
     tethers: tuple[Tether, ...] = ()
     surfaces: tuple[Surface, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
     gains: tuple[tuple[str, float], ...] = ()
     limits: tuple[tuple[str, float], ...] = ()
 
@@ -127,7 +133,7 @@ class MjcfRobot(Robot):
         """SHA-256 of all that it is but its name and the file's."""
         files = [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(self.assets.items())]
         parts = (self.xml, files, sorted(self.values.items()), self.payloads, self.compliances, self.gains, self.limits)
-        whole = (*parts, *(own for own in (self.tethers, self.surfaces) if own))
+        whole = (*parts, *(own for own in (self.tethers, self.surfaces, self.couplings) if own))
         return hashlib.sha256(repr(whole).encode()).hexdigest()
 
     @cached_property
@@ -231,6 +237,10 @@ class MjcfRobot(Robot):
         drive = next((drive for drive in self.actuators if drive.name == place), None)
         if hinge == "command":
             return drive.unit if drive else "1"
+        if hinge == "1/command":
+            own = {drive.unit} if drive else {each.unit for each in self.actuators}
+            unit = own.pop() if len(own) == 1 else "1"
+            return "1" if unit == "1" else f"1/({unit})" if "·" in unit else f"1/{unit}"
         joint = drive.joint if drive else place
         return SLIDING.get(hinge, hinge) if joint in self.joint_names and self.slides(joint) else hinge
 
@@ -306,6 +316,36 @@ class MjcfRobot(Robot):
         """Actuators whose command is no goal for where something is."""
         return tuple(drive.name for drive in self.actuators if not drive.servo)
 
+    @cached_property
+    def next_hinges(self) -> dict[str, str]:
+        """Hinge → the only joint that it carries next, where that is a hinge and both have drives."""
+        base, driven = self.plan.base, {drive.joint for drive in self.actuators}
+        pairs = [(base.joint(first).name, base.joint(second).name) for first, second in next_hinges(base)]
+        return {first: second for first, second in pairs if {first, second} <= driven}
+
+    def with_coupling(self, joint: str, sign: int, friction: float = 0.0, damping: float = 0.0) -> MjcfRobot:
+        """A copy with friction over a joint and the next one beside what it has there, see ``Coupling``.
+
+        Raises:
+            ConfigError: where there is dry friction over the same joints with the other sign.
+        """
+        other = self.next_hinges[joint]
+        there = {own.sign: own for own in self.couplings if own.joint == joint}
+        if friction > 0 and -sign in there and there[-sign].friction > 0:
+            raise ConfigError(
+                f"{self.name}: dry friction over {joint} and {other} acts against the sum and the difference of their "
+                "rates, expected one of both"
+            )
+        old = there.pop(sign, Coupling(joint, other, sign))
+        new = replace(old, friction=old.friction + friction, damping=old.damping + damping)
+        return replace(self, couplings=(*(own for own in self.couplings if own != old), new))
+
+    @property
+    def sharing(self) -> tuple[str, ...]:
+        """All actuators, where the commands of all are forces of one unit, as motors' are; else none."""
+        forces = all(exerts_its_command(self.plan.base, drive) for drive in self.actuators)
+        return self.actuator_names if forces and len({drive.unit for drive in self.actuators}) == 1 else ()
+
     @property
     def ends(self) -> dict[str, tuple[str, ...]]:
         """``places`` of what sticks out: sites, or where there are none the bodies that carry no other."""
@@ -370,7 +410,8 @@ class MjcfRobot(Robot):
             drives[c.joint] = float(model.dof_armature[dof]), c.stiffness, c.damping, c.play
             model.dof_armature[dof] = 0.0
         mujoco.mj_setConst(model, data)
-        return mechanics_of(model, self.xml, assets, self.joint_names, drives, self.tethers, self.surfaces)
+        parts = self.tethers, self.surfaces, self.couplings
+        return mechanics_of(model, self.xml, assets, self.joint_names, drives, *parts)
 
     @property
     def obstacles(self) -> tuple[str, ...]:
@@ -391,11 +432,15 @@ class MjcfRobot(Robot):
 
     def _base(self) -> Any:
         """MuJoCo's model of the file, with what ``with_parts`` adds to it; not to be changed."""
+        return with_parts(self.xml, Assets(self.assets), self.parts) if self.parts else self.plan.base
+
+    @property
+    def parts(self) -> Parts:
+        """What is added to the file's model."""
         joints = tuple(c.joint for c in self.compliances)
         tethered, touching = (tuple(own.place for own in which) for which in (self.tethers, self.surfaces))
-        if not (joints or tethered or touching):
-            return self.plan.base
-        return with_parts(self.xml, Assets(self.assets), joints, tethered, touching)
+        bare = tuple(replace(own, friction=0.0, damping=0.0) for own in self.couplings)
+        return Parts(joints, tethered, touching, bare)
 
     def _write_parameters(self, model: Any) -> None:
         """Put all that is not as in the file into a copy of its model, except drives that turn by themselves."""
@@ -424,6 +469,8 @@ class MjcfRobot(Robot):
             stretch(model, tether)
         for surface in self.surfaces:
             lay(model, surface)
+        for coupling in self.couplings:
+            rub(model, coupling)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
     def default_names(self) -> list[str]:
