@@ -195,8 +195,8 @@ class Robot(ABC):
 
         Args:
             unit: of it at a hinge; ``joint unit | actuator unit`` where actuators have another, ``command`` for the
-                unit of commands.
-            place: the joint's or actuator's name.
+                unit of commands, ``1/command`` for its inverse.
+            place: the joint's or actuator's name, or the base for all actuators.
         """
 
     @abstractmethod
