@@ -88,6 +88,15 @@ def test_it_is_kept_in_a_model_file_and_told_as_missing_from_the_xml() -> None:
     assert mujoco.MjModel.from_xml_string(xml).nu == 2
 
 
+def test_its_curve_is_what_is_left_of_forces_over_all_that_is_asked_for() -> None:
+    from test_guesses import SEEN
+
+    (curve,) = SupplySag("base", DROP / SEEN.command).curves(HINGES, SEEN)
+    assert (curve.x_unit, curve.y_unit, curve.without) == ("N·m", "1", 1.0)
+    np.testing.assert_allclose(curve.along[[0, -1]], [0.0, 2 * SEEN.command])
+    np.testing.assert_allclose(curve.values, 1 - DROP * curve.along / SEEN.command)
+
+
 @pytest.mark.slow
 def test_a_diagnosis_names_it_and_no_gain_or_saturation() -> None:
     """Recordings by MuJoCo alone."""
