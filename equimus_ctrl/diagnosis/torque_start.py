@@ -17,7 +17,6 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, besid
 from equimus_ctrl.diagnosis.torque_columns import Columns
 from equimus_ctrl.diagnosis.torque_guesses import far_above_noise, refined_guesses
 from equimus_ctrl.diagnosis.torque_screening import CORRELATED, TorqueDomain, TorqueScreen, torque_screen
-from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
@@ -176,11 +175,11 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
 
 
 def worth_compiling(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates without those laws with states of their own that hardly explain more than the others.
+    """Candidates without those with ``own_equations`` that hardly explain more than the others.
 
-    Equations of motion are compiled anew for a law with states, which takes as long as a short search. In the torque
-    domain it has to lower by ``START_SHARE`` what the best law without states leaves. Where it excludes a part of the
-    hypothesis it is tried in that one's place, not beside it.
+    Compiling equations takes as long as a short search. In the torque domain such a law has to lower by ``START_SHARE``
+    what the best law without equations of its own leaves. Where it excludes a part of the hypothesis it is tried in
+    that one's place, not beside it.
 
     Args:
         data: what was measured.
@@ -188,18 +187,18 @@ def worth_compiling(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequ
         fitted: the hypothesis that they are to be added to.
         pool: the candidates.
     """
-    if not any(_has_states(candidate) for candidate in pool):
+    if not any(candidate.effect.own_equations for candidate in pool):
         return list(pool)
     return _worth_compiling(data, torque_screen(data, domain, fitted, pool), fitted, pool)
 
 
 def _worth_compiling(data: Data, screen: TorqueScreen, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
     fits = screen.alone()
-    most = max((fit.gain for candidate, fit in fits.items() if not _has_states(candidate)), default=0.0)
+    most = max((fit.gain for candidate, fit in fits.items() if not candidate.effect.own_equations), default=0.0)
     least = most + START_SHARE * (screen.missing - most)
 
     def worth(candidate: Candidate) -> bool:
-        if candidate not in fits or not _has_states(candidate):
+        if candidate not in fits or not candidate.effect.own_equations:
             return True
         part = Part(candidate, fits[candidate].values)
         if beside(screen.robot, part, fitted.hypothesis) != fitted.hypothesis:
@@ -207,10 +206,6 @@ def _worth_compiling(data: Data, screen: TorqueScreen, fitted: Fitted, pool: Seq
         return fits[candidate].gain >= least and _more_than_chance(data, fits[candidate].gain, pool)
 
     return [candidate for candidate in pool if worth(candidate)]
-
-
-def _has_states(candidate: Candidate) -> bool:
-    return issubclass(candidate.effect, ForceEffect) and candidate.effect.n_states > 0
 
 
 def _with_guess(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Candidate:

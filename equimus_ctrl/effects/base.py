@@ -70,6 +70,9 @@ class Effect:
     in_torques: ClassVar[bool] = True
     """Whether inverse dynamics along the measured motion show it: not what moves without being measured, and not what
     scales all forces, as masses do."""
+    own_equations: ClassVar[bool] = False
+    """Whether equations of motion are compiled for robots that have it, beside those of robots without: it has states
+    of its own, or acts on a coordinate of its own."""
     exclusive: ClassVar[str | None] = None
     """Of effects that share this word one place can have only one; see ``slot``."""
     leg_sizes: ClassVar[tuple[Size, ...]] = ()

@@ -28,6 +28,7 @@ class JointCoupling(BodyEffect):
     robots = ("mjcf",)
     sits_at = ("joint",)
     alike = False
+    own_equations = True
     sign: ClassVar[int]
     """1 for the sum of both rates, −1 for their difference."""
 

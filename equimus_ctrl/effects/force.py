@@ -54,6 +54,7 @@ class ForceEffect(Effect):
         # The compiled engine has one set of parameters for each law and place.
         super().__init_subclass__()
         cls.rubs = cls.dry_friction.__func__ is not ForceEffect.dry_friction.__func__  # type: ignore[attr-defined]
+        cls.own_equations = cls.n_states > 0
         cls.scales = cls.more_area.__func__ is not ForceEffect.more_area.__func__  # type: ignore[attr-defined]
         cls.loads = any(
             getattr(cls, own).__func__ is not getattr(ForceEffect, own).__func__
