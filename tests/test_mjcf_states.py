@@ -126,6 +126,21 @@ def test_drift_counts_from_the_recordings_start_in_a_later_interval(simulated: E
     assert np.abs(simulated(model, shorter).position[0] - whole.position[0, k:]).max() > 0.02
 
 
+def test_a_stiff_law_gains_no_energy_from_long_steps() -> None:
+    """After the drive has stopped a light joint swings on friction that gives way, less and less."""
+    body = "<worldbody><body name='arm'><joint name='hinge'/><inertial pos='0 0 0' mass='1' diaginertia='{0} {0} {0}'/>"
+    drive = "</body></worldbody><actuator><motor name='motor' joint='hinge'/></actuator>"
+    robot = MjcfRobot("light", f"<mujoco><option gravity='0 0 0'/>{body.format(0.01)}{drive}</mujoco>")
+    time, torque = np.array([0.0, 0.2]), np.array([[1.0], [0.0]])
+    own = Trial("t", time, torque, torque[0], 0.0, np.zeros(1), np.arange(0.0, 2.0, 2e-3), np.zeros(1))
+
+    def swings(dt: float) -> float:
+        (found,) = simulate_mjcf([Model(robot, (dahl(0.5, 0.01),))], [own], dt=dt, threads=1)
+        return float(np.ptp(found.position[0, -250:, 0]))
+
+    assert swings(2e-3) == pytest.approx(swings(2e-5), rel=0.3)
+
+
 def test_a_model_without_such_a_law_keeps_its_kernel() -> None:
     plain, rubbing = Model(ROBOT), Model(ROBOT, (CoulombFriction("hinge", 0.1),))
     warming = Model(ROBOT, (drift(0.01),))

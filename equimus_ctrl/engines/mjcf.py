@@ -391,7 +391,7 @@ def simulate_mjcf(
     """Every model through every trial, with the integrator, solver and step that the MuJoCo model asks for.
 
     Dry friction that is an effect stops a joint within a step, through MuJoCo's own friction constraint. Other laws act
-    on the state at the beginning of a step.
+    on the state at the beginning of a step; states of their own go on with the rate at its end.
 
     Args:
         models: of MJCF robots.
