@@ -73,6 +73,15 @@ def test_muscles_are_taken_with_mujoco_and_a_sentence_why() -> None:
     assert "muscle 'flexor'; expected --engine mujoco" in told
 
 
+@pytest.mark.parametrize(("gain", "bias"), [("muscle", "affine"), ("fixed", "muscle")])
+def test_gain_and_bias_are_both_of_a_muscle_or_neither(gain: str, bias: str) -> None:
+    kinds = f'gaintype="{gain}" biastype="{bias}"'
+    numbers = " ".join(f'{key}="0.75 1.05 -1 200 0.5 1.6 1.5 1.3 1.2"' for key in ("gainprm", "biasprm"))
+    drive = f'<general name="mixed" joint="elbow" {kinds} {numbers} lengthrange="-1 1"/></actuator>'
+    told = refusal(lambda: MjcfRobot("mixed", ARM.replace("</actuator>", drive)))
+    assert f"actuator 'mixed' has the gain '{gain}' and the bias '{bias}'" in told
+
+
 def test_a_muscled_arm_moves_as_mujoco_moves_it_from_rest_and_from_any_instant_on() -> None:
     """At an interval's start a muscle is as active as the commands before have made it."""
     given, time = activations(0, 150), EVERY * np.arange(150)

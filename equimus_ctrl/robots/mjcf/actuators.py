@@ -101,6 +101,14 @@ def _check(base: Any, i: int, named: str) -> None:
         if int(array[i]) not in {int(kind) for kind in taken}:
             kind = type(taken[0])(int(array[i])).name.partition("_")[2].lower()
             raise ModelError(f"{named} has the {what} {kind!r}, which neither engine takes; expected {TAKEN}")
+    gain, bias = mujoco.mjtGain(int(base.actuator_gaintype[i])), mujoco.mjtBias(int(base.actuator_biastype[i]))
+    muscles = gain == mujoco.mjtGain.mjGAIN_MUSCLE, bias == mujoco.mjtBias.mjBIAS_MUSCLE
+    if any(muscles) and not all(muscles) and bias != mujoco.mjtBias.mjBIAS_NONE:
+        gains, biases = (kind.name.partition("_")[2].lower() for kind in (gain, bias))
+        raise ModelError(
+            f"{named} has the gain {gains!r} and the bias {biases!r}, which neither engine takes; expected both of a "
+            "muscle, or neither"
+        )
     if base.actuator_plugin[i] >= 0:
         raise ModelError(f"{named} is a plugin, which neither engine takes; expected {TAKEN}")
 
