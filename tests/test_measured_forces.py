@@ -273,6 +273,14 @@ def test_a_force_may_be_measured_at_some_drives_alone(tmp_path: Path) -> None:
     assert "column 'meas.a' is missing, though 'meas.b' is there" in told
 
 
+def test_recordings_of_which_one_has_no_measured_forces_are_told_before_a_search() -> None:
+    first, second = with_channels(measured()[:2], ["meas.*"])
+    lacking = replace(second, measured=None, notes={})
+    for trials in ([first, lacking], [lacking, first]):
+        told = refusal(lambda trials=trials: preflight.check(Model(SERVO), trials))
+        assert told.startswith(f"{trials[1].name} and {trials[0].name} do not compare the same columns")
+
+
 def test_a_measured_torque_of_the_other_sign_or_in_another_unit_is_told_before_a_search() -> None:
     model, trials = Model(SERVO), with_channels(measured(), ["meas.*"])
     preflight.check(model, trials)

@@ -23,7 +23,7 @@ from equimus_ctrl.engines.mjcf_inverse import (
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.identification.channels import channels_of
+from equimus_ctrl.identification.channels import channels_of, require_alike
 from equimus_ctrl.identification.noise import noise_of_differences
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
@@ -189,7 +189,9 @@ def _check_measured(model: Model, robot: MjcfRobot, recordings: Sequence[Recordi
 
     Of drives that drive a joint by itself, all of which have a sensor.
     """
-    base, channels = robot.plan.base, channels_of(model, recordings[0]).forces
+    compared = [channels_of(model, r) for r in recordings]
+    require_alike(compared, [r.name for r in recordings])
+    base, channels = robot.plan.base, compared[0].forces
     for name in robot.joint_names:
         places = {d.actuator: i for i, d in reversed(list(enumerate(robot.actuators))) if d.joint == name}
         drives = [robot.actuators[i] for i in places.values()]

@@ -136,6 +136,16 @@ def channels_of(model: Model, recording: Recording) -> Channels:
     return Channels(tuple(velocities), tuple((name, AXES.index(axis)) for name, _, axis in parts), tuple(forces))
 
 
+def require_alike(channels: Sequence[Channels], names: Sequence[str]) -> None:
+    """Raise ConfigError unless the same is compared in all recordings, which have these names."""
+    for name, own in zip(names, channels, strict=True):
+        if own != channels[0]:
+            raise ConfigError(
+                f"{name} and {names[0]} do not compare the same columns beside joint positions; expected all "
+                "recordings to have them"
+            )
+
+
 def recorded_columns(recording: Recording) -> tuple[str, ...]:
     """What of a recording could be compared beside joint positions."""
     rates = () if recording.velocity is None else tuple(VELOCITY + joint for joint in recording.joints)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.engines.trials import Predicted
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.identification.channels import require_alike
 from equimus_ctrl.identification.noise import Noise, whiten
 from equimus_ctrl.identification.parameters import FreeParameters
 from equimus_ctrl.identification.residuals import FARTHEST, difference, stacked_residuals
@@ -114,7 +114,8 @@ class Problem:
         self.simulator = simulator
         self.noise = noise
         self.evaluations = 0
-        _check_channels(self.segments)
+        # Noise is estimated over all of them.
+        require_alike([s.channels for s in self.segments], [s.recording_name for s in self.segments])
         self._start_weights = [self._weights_of(segment) for segment in self.segments]
         shapes: dict[tuple[int, ...], list[int]] = {}
         for k, segment in enumerate(self.segments):
@@ -275,16 +276,6 @@ class Problem:
             by_theta.append(np.moveaxis(change[:p] / steps[:, None, None], 0, -1))
             by_start.append(np.moveaxis(change[p : p + segment.free_start] / by, 0, -1))
         return by_theta, by_start
-
-
-def _check_channels(segments: Sequence[Segment]) -> None:
-    """Raise ConfigError unless the same is compared in all segments: noise is estimated over all of them."""
-    for segment in segments:
-        if segment.channels != segments[0].channels:
-            raise ConfigError(
-                f"{segment.recording_name} and {segments[0].recording_name} do not compare the same columns beside "
-                "joint positions; expected all recordings to have them"
-            )
 
 
 def _triangle(matrix: Array) -> Array:
