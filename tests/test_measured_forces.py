@@ -28,7 +28,7 @@ from equimus_ctrl.effects import (
     TorqueSaturation,
     TransportDelay,
 )
-from equimus_ctrl.effects.command import DELAY, FILL, VENT, arrived
+from equimus_ctrl.effects.command import DELAY, FILL, FILTERED, FOLLOW_KIND, FOLLOW_NUMBER, VENT, arrived
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
@@ -247,6 +247,21 @@ def test_what_has_arrived_of_commands_is_that_of_the_instant(linear: bool, delay
             value += 1e-5 / lag * (u - value)
         expected = np.interp(at, fine, path)
     np.testing.assert_allclose(out[:, 0], expected, atol=1e-3 if lag else 1e-9)
+
+
+def test_a_filter_of_commands_follows_them_within_a_sample_interval() -> None:
+    """A command that comes and goes between two samples."""
+    times, given, at, lag = (
+        np.array([0.0, 0.03, 0.05]),
+        np.array([[0.0], [2.0], [0.0]]),
+        np.array([0.0, 0.1, 0.2]),
+        0.02,
+    )
+    follow, out = np.array([[0.0, 0.0, -9.0, 9.0, -9.0, 9.0]]), np.empty((3, 1))
+    follow[0, [FOLLOW_KIND, FOLLOW_NUMBER]] = FILTERED, lag
+    arrived(times, given, np.zeros(1), valve_settings((), ["drive"]), follow, np.zeros(1), 0.0, 1e-3, at, out)
+    expected = 2.0 * (1 - math.exp(-0.02 / lag)) * np.exp(-(at[1:] - 0.05) / lag)
+    np.testing.assert_allclose(out[:, 0], [0.0, *expected], rtol=2e-3)
 
 
 def test_names_units_and_joints_of_forces() -> None:

@@ -412,7 +412,7 @@ def arrived(
         follow: as there.
         first: as there.
         start: of the motion [s].
-        dt: steps in which what follows the commands is followed until the start [s].
+        dt: longest steps in which what follows the commands is followed [s].
         at: (m,) ascending, none before the start [s].
         out: (m, na) written.
         linear: as there.
@@ -430,10 +430,21 @@ def arrived(
         for k in range(len(at)):
             span = at[k] - now
             if span > 0.0:
-                pressure, piece[0, 0, i], piece[0, 1, i], cursor = _advance(
-                    times, column, before[i], cursor, now, span, pressure, valve[i], linear
-                )
-                value = follow_history(follow[i], value, span, i, piece) if follows else pressure
+                # What follows a command takes it for a line over each of the parts.
+                parts = max(math.ceil(span / dt - 1e-9), 1) if follows else 1
+                for part in range(parts):
+                    pressure, piece[0, 0, i], piece[0, 1, i], cursor = _advance(
+                        times,
+                        column,
+                        before[i],
+                        cursor,
+                        now + part * span / parts,
+                        span / parts,
+                        pressure,
+                        valve[i],
+                        linear,
+                    )
+                    value = follow_history(follow[i], value, span / parts, i, piece) if follows else pressure
                 now = at[k]
             if at_once:
                 there = now - valve[i, DELAY]
