@@ -32,6 +32,7 @@ from equimus_ctrl.effects.command import DELAY, FILL, FILTERED, FOLLOW_KIND, FOL
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
+from equimus_ctrl.engines.mjcf_inverse import InverseDynamics, MeasuredMotion
 from equimus_ctrl.engines.mjcf_motion import simulated_response
 from equimus_ctrl.engines.motion import motion
 from equimus_ctrl.engines.trials import Trial
@@ -308,3 +309,73 @@ def test_a_measured_torque_of_the_other_sign_or_in_another_unit_is_told_before_a
     assert "meas.drive looks like a force in another unit" in said(1e3)
     untold = [replace(t, measured=-np.asarray(t.measured), notes={}) for t in trials]
     preflight.check(model, untold)  # it is not compared
+
+
+def pulled(xml: str, given: Array, seed: int) -> tuple[Array, Array]:
+    """(n, nj) positions and (n, outputs) forces by MuJoCo alone, angles to 0.1 mrad."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data, positions, forces = mujoco.MjData(model), [], []
+    for row in given:
+        data.ctrl[:] = row
+        mujoco.mj_forward(model, data)
+        positions.append(data.qpos.copy())
+        forces.append(data.actuator_force.copy())
+        for _ in range(round(EVERY / model.opt.timestep)):
+            mujoco.mj_step(model, data)
+    return np.array(positions) + np.random.default_rng(seed).normal(0, 1e-4, (len(given), model.nq)), np.array(forces)
+
+
+def test_of_an_actuator_with_several_commands_any_column_is_checked() -> None:
+    drive = '<pid name="pid" joint="hinge" kp="12" kv="0.4" input="pos vel"/>'
+    xml = PENDULUM.format(drive=drive)
+    robot, given = MjcfRobot("arm", xml), commands(2, 400)
+    q, f = pulled(xml, given, 1)
+    force = np.column_stack([np.full(400, math.nan), -f[:, 0]])
+    trial = Recording("t0", EVERY * np.arange(400), given, q, robot.actuator_names, ("hinge",), measured=force)
+    told = refusal(lambda: preflight.check(Model(robot), with_channels([trial], ["meas.*"])))
+    assert "meas.pid.vel looks negated" in told
+
+
+TWO = """<mujoco><compiler angle="radian"/><option timestep="0.001"/><worldbody><body>
+  <joint name="first" axis="0 1 0" damping="0.3" armature="0.05"/>
+  <inertial mass="1.5" pos="0.02 0 -0.2" diaginertia="0.02 0.02 0.01"/><body name="rod" pos="0 0 -0.4">
+  <joint name="second" axis="0 1 0" damping="0.1" armature="0.02"/>
+  <inertial mass="0.5" pos="0 0 -0.1" diaginertia="0.002 0.002 0.001"/></body></body></worldbody>
+  <tendon><fixed name="cable"><joint joint="first" coef="{coef}"/><joint joint="second" coef="1"/></fixed></tendon>
+  <actuator><motor name="a" joint="first"/><motor name="b" joint="second"/><motor name="c" {third}/></actuator>
+</mujoco>"""
+
+
+def two(coef: float, given: Array, third: str = 'tendon="cable"') -> tuple[Model, Recording]:
+    """A recording of it, and what it is of."""
+    xml, time = TWO.format(coef=coef, third=third), EVERY * np.arange(len(given))
+    robot, (q, f) = MjcfRobot("two", xml), pulled(xml, given, 2)
+    trial = Recording("t0", time, given, q, robot.actuator_names, robot.joint_names, measured=f)
+    return Model(robot), trial
+
+
+WAY = np.sin(4 * EVERY * np.arange(400)) + np.sin(9 * EVERY * np.arange(400))
+
+
+def test_a_joint_on_which_another_actuator_pulls_is_not_checked() -> None:
+    """A tendon drives it the other way, and more; where it does not, what was measured is the opposite."""
+    model, own = two(0.9, np.column_stack([-0.4 * WAY, 0 * WAY, 2 * WAY]))
+    preflight.check(model, with_channels([own], ["meas.*"]))
+    model, own = two(0.0, np.column_stack([1.4 * WAY, 0 * WAY, 2 * WAY]))
+    turned = with_channels([replace(own, measured=-np.asarray(own.measured))], ["meas.*"])
+    assert "meas.a looks negated" in refusal(lambda: preflight.check(model, turned))
+
+
+def test_what_two_joints_need_is_worked_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    widths, evaluated = list[int](), preflight.inverse_dynamics
+
+    def counted(model: Model, motions: list[MeasuredMotion], width: int) -> list[InverseDynamics]:
+        widths.append(width)
+        return evaluated(model, motions, width)
+
+    monkeypatch.setattr(preflight, "inverse_dynamics", counted)
+    model, own = two(0.0, np.column_stack([1.4 * WAY, 0.3 * WAY, 0.2 * WAY]), 'joint="second"')
+    preflight.check(model, with_channels([own], ["meas.*"]))
+    assert sorted(widths) == sorted(
+        2 * preflight.WIDTHS
+    )  # for what drives exert by the model, and for what was measured

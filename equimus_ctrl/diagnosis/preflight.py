@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -27,6 +28,7 @@ from equimus_ctrl.identification.channels import channels_of, require_alike
 from equimus_ctrl.identification.noise import noise_of_differences
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.mjcf.actuators import moments_at
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array, Recording
 
@@ -52,6 +54,8 @@ SAME = 1e-9
 """Of the largest value: nearer values are the same but for rounding."""
 LEAST_STEPS = 10
 """Fewer different values say nothing of a step."""
+FEW = 10
+"""Poses of a recording in which actuators that drive a joint are looked for."""
 
 
 def check(model: Model, recordings: Sequence[Recording]) -> None:
@@ -187,23 +191,18 @@ def _check_forces(model: Model, robot: MjcfRobot, recordings: Sequence[Recording
 def _check_measured(model: Model, robot: MjcfRobot, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError where forces that were measured are the opposite of what moves a joint, or far from its size.
 
-    Of drives that drive a joint by itself, all of which have a sensor.
+    Of joints that only drives of their own drive, all of which have a sensor.
     """
     compared = [channels_of(model, r) for r in recordings]
     require_alike(compared, [r.name for r in recordings])
-    base, channels = robot.plan.base, compared[0].forces
-    for name in robot.joint_names:
-        places = {d.actuator: i for i, d in reversed(list(enumerate(robot.actuators))) if d.joint == name}
-        drives = [robot.actuators[i] for i in places.values()]
-        if not drives or not set(places.values()) <= set(channels) or not all(d.at_joint for d in drives):
-            continue
-        gear = np.array([base.actuator_gear[base.actuator_outadr[d.index], 0] for d in drives])
-        needed, shown = _measured(model, recordings, robot.joint_names.index(name), list(places.values()), gear)
+    joints = _measured_joints(robot, compared[0].forces, recordings)
+    for joint, (needed, shown) in zip(joints, _measured(model, recordings, joints), strict=True):
         if len(needed) < LEAST_ROWS or not shown.any():
             continue
         sizes = float(np.linalg.norm(needed) * np.linalg.norm(shown))
         alike = float(needed @ shown) / max(sizes, 1e-300)
-        column = " and ".join(f"meas.{robot.actuators[i].name}" for i in places.values())
+        name = robot.joint_names[joint.index]
+        column = " and ".join(f"meas.{robot.actuator_names[i]}" for i in joint.places)
         if alike < -ALIKE:
             raise ConfigError(
                 f"{column} looks negated: what the motion of {name} needs is the opposite of what was measured "
@@ -218,27 +217,54 @@ def _check_measured(model: Model, robot: MjcfRobot, recordings: Sequence[Recordi
             )
 
 
+@dataclass(frozen=True, eq=False)
+class _MeasuredJoint:
+    """A joint, by its place, all of whose drives have a sensor: for each a command of it, and its gear."""
+
+    index: int
+    places: list[int]
+    gear: Array
+
+
+def _measured_joints(robot: MjcfRobot, forces: Sequence[int], recordings: Sequence[Recording]) -> list[_MeasuredJoint]:
+    """Those that only drives of their own drive, by the commands whose forces are compared."""
+    base, found = robot.plan.base, list[_MeasuredJoint]()
+    if not forces:
+        return found
+    moments = moments_at(base, robot.joint_names, recordings[0].position[:: max(len(recordings[0].time) // FEW, 1)])
+    for j, name in enumerate(robot.joint_names):
+        drives = [d for d in robot.actuators if moments[base.actuator_outadr[d.index], base.joint(name).dofadr[0]] > 0]
+        # An actuator with several commands exerts one force, of which any of their columns tells.
+        places = {d.actuator: i for i, d in reversed(list(enumerate(robot.actuators))) if d in drives and i in forces}
+        if not drives or {d.actuator for d in drives} != set(places) or not all(d.at_joint for d in drives):
+            continue
+        outputs = [base.actuator_outadr[robot.actuators[i].index] for i in places.values()]
+        found.append(_MeasuredJoint(j, list(places.values()), np.array([base.actuator_gear[k, 0] for k in outputs])))
+    return found
+
+
 def _measured(
-    model: Model, recordings: Sequence[Recording], joint: int, places: list[int], gear: Array
-) -> tuple[Array, Array]:
-    """(m,) what a joint's motion needs of its drives, and what was measured of them, at the likest width."""
-    best, found = -math.inf, (np.empty(0), np.empty(0))
-    motions = measured_motions(model, recordings)
+    model: Model, recordings: Sequence[Recording], joints: Sequence[_MeasuredJoint]
+) -> list[tuple[Array, Array]]:
+    """For each joint (m,) what its motion needs of its drives, and what was measured of them, at the likest width."""
+    best, found = [-math.inf] * len(joints), [(np.empty(0), np.empty(0))] * len(joints)
+    motions = measured_motions(model, recordings) if joints else []
     forces = [
-        np.interp(m.time, r.time, np.asarray(r.measured)[:, places] @ gear)
-        for m, r in zip(motions, recordings, strict=True)
+        [np.interp(m.time, r.time, np.asarray(r.measured)[:, joint.places] @ joint.gear) for joint in joints]
+        for m, r in zip(motions, recordings, strict=False)
     ]
     for width in WIDTHS:
         long = [k for k, m in enumerate(motions) if len(m.time) > 8 * width]
         if not long:
             break
         at = inverse_dynamics(model, [motions[k] for k in long], width)
-        needed = np.concatenate([one.weighted((one.missing + one.drives)[:, joint]) for one in at])
-        smooth = [one.weighted(weighed_as_motion(forces[k], width)) for k, one in zip(long, at, strict=True)]
-        shown = np.concatenate(smooth)
-        alike = abs(float(needed @ shown)) / max(float(np.linalg.norm(needed) * np.linalg.norm(shown)), 1e-300)
-        if alike > best:
-            best, found = alike, (needed, shown)
+        for n, joint in enumerate(joints):
+            needed = np.concatenate([one.weighted((one.missing + one.drives)[:, joint.index]) for one in at])
+            smooth = [one.weighted(weighed_as_motion(forces[k][n], width)) for k, one in zip(long, at, strict=True)]
+            shown = np.concatenate(smooth)
+            alike = abs(float(needed @ shown)) / max(float(np.linalg.norm(needed) * np.linalg.norm(shown)), 1e-300)
+            if alike > best[n]:
+                best[n], found[n] = alike, (needed, shown)
     return found
 
 

@@ -48,16 +48,37 @@ def drives_of(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]
     Raises:
         ModelError: for an actuator without a name, or of a kind that neither engine takes.
     """
-    data = mujoco.MjData(base)
-    mujoco.mj_forward(base, data)
-    moments = np.zeros((base.nout, base.nv))
-    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    moments = _moments(base, mujoco.MjData(base))
     found: list[Drive] = []
     for i in range(base.nactuator):
         found += _commands(base, i, name, joints, moments[int(base.actuator_outadr[i])])
     if not found:
         raise ModelError(f"{name}: has no actuator with a command; --motors gives each joint a motor")
     return tuple(found)
+
+
+def _moments(base: Any, data: Any) -> Array:
+    """(nout, nv) moments of actuators where a robot is."""
+    mujoco.mj_forward(base, data)
+    moments = np.zeros((base.nout, base.nv))
+    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return moments
+
+
+def moments_at(base: Any, joints: Sequence[str], positions: Array) -> Array:
+    """(nout, nv) greatest size of the moments of actuators in some poses [m or rad for each m or rad of a dof].
+
+    Args:
+        base: MuJoCo's model.
+        joints: names of all.
+        positions: (n, nj) of them.
+    """
+    data, places = mujoco.MjData(base), [int(base.joint(name).qposadr[0]) for name in joints]
+    greatest = np.zeros((base.nout, base.nv))
+    for position in positions:
+        data.qpos[places] = position
+        greatest = np.maximum(greatest, np.abs(_moments(base, data)))
+    return greatest
 
 
 def _commands(base: Any, i: int, name: str, joints: Sequence[Axis], moment: Array) -> Iterator[Drive]:
