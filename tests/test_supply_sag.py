@@ -51,6 +51,21 @@ def test_it_moves_as_under_commands_that_are_as_much_smaller(engine: str) -> Non
     assert np.abs(own - moved(engine, Model(HINGES), np.ones_like(share))).max() > 0.01
 
 
+@pytest.mark.parametrize("engine", ["reduced", "mujoco"])
+def test_a_drive_asks_for_no_more_than_its_range_lets_it(engine: str) -> None:
+    """MuJoCo clips commands there; where that is switched off they count as they are."""
+    limited = '<motor ctrlrange="-2 2" ctrllimited="true"'
+    free = HINGES.xml.replace("<option ", "<option><flag clampctrl='disable'/></option><option ")
+    given = swinging(until=1.5)
+    for xml, most in ((HINGES.xml, 2.0), (free, np.inf)):
+        model = Model(MjcfRobot("limited", xml.replace("<motor", limited)), (SupplySag("base", DROP),))
+        rows = np.vstack([given.before, given.commands])
+        taken = np.clip(rows, -most, most) / np.where(rows == 0, 1.0, rows)
+        sagging = moved(engine, Model(HINGES, model.effects), taken)
+        np.testing.assert_allclose(moved(engine, model, np.ones_like(taken)), sagging, rtol=0, atol=1e-12)
+    assert np.abs(rows).min(axis=1).max() > 2.0
+
+
 def test_only_several_motors_with_commands_of_one_unit_share_a_supply() -> None:
     motor, servo = '<motor name="motor" joint="way"/>', '<position name="servo" joint="way" kp="10"/>'
     speed = '<velocity name="speed" joint="way" kv="10"/>'

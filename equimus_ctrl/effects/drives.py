@@ -252,10 +252,10 @@ class SupplySag(ShapingEffect):
     motor that is fed a share of that voltage goes with it, and its current with the size of its command (Hughes &
     Drury, *Electric Motors and Drives*, 2019).
 
-    Every drive counts by its command as the XML takes it. What current belongs to it, τ/(gear ratio·torque constant),
-    an XML driven by torques does not tell. From one voltage a drive draws about its power, and joints of one robot move
-    about as fast as each other: so currents go with torques, and not with shares of each drive's own range, by which a
-    small wrist would count as much as a shoulder.
+    Every drive counts by its command as the XML takes it, clipped to the range of the drive. What current belongs to
+    it, τ/(gear ratio·torque constant), an XML driven by torques does not tell. From one voltage a drive draws about its
+    power, and joints of one robot move about as fast as each other: so currents go with torques, and not with shares of
+    each drive's own range, by which a small wrist would count as much as a shoulder.
 
     Only of robots all of whose drives, two or more, are motors with commands of one unit: a goal is no force, and
     forces and torques have no sum. It comes after a dead zone, and before delays, filters and limits of drives.
@@ -267,6 +267,7 @@ class SupplySag(ShapingEffect):
     summary = "all drives exert less, the more all of them together ask of their supply"
     exclusive = "supply_sag"
     order = 1
+    within_ranges = True
     mjcf_sizes = (Share("drop", 0.01, 0.15),)
     drop: float = parameter("1/command", 0.0, 1e4, "share of the force that is lost for each unit of all commands")
 

@@ -57,6 +57,8 @@ class ShapingEffect(Effect):
     sits_at = ("actuator",)
     order: ClassVar[int]
     """Effects of lower order act first."""
+    within_ranges: ClassVar[bool] = False
+    """Whether it takes commands as drives do that clip them to their ranges."""
 
     def shape(self, commands: Array, own: int) -> Array:
         """(n,) the actuator's shaped commands [Pa].
@@ -381,16 +383,26 @@ def shaping_effects(effects: Sequence[Effect]) -> list[ShapingEffect]:
     return sorted((e for e in effects if isinstance(e, ShapingEffect)), key=lambda e: e.order)
 
 
-def shaped_commands(effects: Sequence[Effect], actuators: Sequence[str], commands: Array) -> Array:
-    """(n, na) what reaches the valves of commands (n, na) [Pa]; shaping effects of one order act side by side."""
+def shaped_commands(
+    effects: Sequence[Effect], actuators: Sequence[str], commands: Array, ranges: Array | None = None
+) -> Array:
+    """(n, na) what reaches the valves of commands (n, na) [Pa]; shaping effects of one order act side by side.
+
+    Args:
+        effects: all of one robot.
+        actuators: names of all.
+        commands: of all.
+        ranges: (2, na) between what drives clip commands (``Robot.command_ranges``); None where they do not.
+    """
     shapers = shaping_effects(effects)
     shaped: Array = np.array(commands)
     for order in sorted({e.order for e in shapers}):
         given = shaped.copy()
         for effect in shapers:
             if effect.order == order:
+                taken = given if ranges is None or not effect.within_ranges else np.clip(given, *ranges)
                 for own in effect.columns(actuators):
-                    shaped[:, own] = effect.shape(given, own)
+                    shaped[:, own] = effect.shape(taken, own)
     return shaped
 
 

@@ -335,4 +335,5 @@ def compile_kernel(model: Model) -> None:
 
 def shaped_for(model: Model, trial: Trial) -> Array:
     """(1 + n, na) what reaches the valves, before the first row, then row by row [Pa or unit of the commands]."""
-    return shaped_commands(model.effects, model.robot.actuator_names, np.vstack([trial.before, trial.commands]))
+    given, robot = np.vstack([trial.before, trial.commands]), model.robot
+    return shaped_commands(model.effects, robot.actuator_names, given, robot.command_ranges)

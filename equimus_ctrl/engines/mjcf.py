@@ -209,11 +209,17 @@ def steps_of(trial: Trial, dt: float) -> int:
     return max(int(np.ceil(span / dt - 1e-9)), 1)
 
 
+def _shaped(own: Realised, trial: Trial) -> Array:
+    """(1 + n, na) what gets on the way to the actuators, before the first row, then row by row."""
+    given, robot = np.vstack([trial.before, trial.commands]), own.robot
+    return shaped_commands(own.effects, robot.actuator_names, given, robot.command_ranges)
+
+
 def commands_on(own: Realised, trial: Trial) -> Array:
     """(steps, na) means over physics steps of the commands as they arrive at the actuators."""
     dt = float(own.mujoco.opt.timestep)
     out = np.empty((steps_of(trial, dt), 2, trial.commands.shape[1]))
-    whole = shaped_commands(own.effects, own.robot.actuator_names, np.vstack([trial.before, trial.commands]))
+    whole = _shaped(own, trial)
     pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out, trial.linear)
     return np.ascontiguousarray(out[:, 0])
 
@@ -354,7 +360,7 @@ def forces_of(own: Realised, path: Course, trial: Trial) -> Array:
     assert path.whole is not None  # of trials that ask for forces
     model, times = own.mujoco, trial.sample_times
     nq, nv = model.nq, model.nv  # the same, of hinges and slides
-    given = shaped_commands(own.effects, own.robot.actuator_names, np.vstack([trial.before, trial.commands]))
+    given = _shaped(own, trial)
     ctrl, at_once = np.empty((len(times), given.shape[1])), np.zeros((given.shape[1], 6))
     arrived(
         trial.times, given[1:].copy(), given[0].copy(), own.valve, at_once, given[0], trial.start, path.dt, times, ctrl,

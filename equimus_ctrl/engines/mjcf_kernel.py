@@ -103,7 +103,7 @@ def run_mjcf(
             found = joint_force((out_q[k, j], out_v[k, j], driven[places[j, 2]], dt), state_tuple(states[j]), laws[j])
             applied[dof] = found[0] + (force[k, j] if len(force) > 0 else 0.0)
             frictionloss[dof] = loss[j] + found[1]
-        call(step, model, data)  # type: ignore[call-arg]
+        called(step, model, data)
         # The laws' states go on with the rate after the step: a stiff law that went on with that before it would gain
         # energy from step to step.
         for j in range(nj):

@@ -102,14 +102,15 @@ class _Valve:
         names = self.model.robot.actuator_names
         asked = np.full((POINTS, len(names)), self.demand)
         asked[:, self.place] = self.grid
-        return np.asarray(shaped_commands((*self.model.effects, *effects), names, asked)[:, self.place])
+        ranges = self.model.robot.command_ranges
+        return np.asarray(shaped_commands((*self.model.effects, *effects), names, asked, ranges)[:, self.place])
 
     def response(self, effects: Sequence[Effect], low: float, high: float, half: float) -> Array:
         """(n,) what reaches it from a tenth of ``half`` [s] before the step up to ``half`` after the one down."""
         names, whole = self.model.robot.actuator_names, (*self.model.effects, *effects)
         asked = np.full((3, len(names)), self.demand)
         asked[:, self.place] = low, high, low
-        shaped = shaped_commands(whole, names, asked)
+        shaped = shaped_commands(whole, names, asked, self.model.robot.command_ranges)
         out = np.empty((round(2.1 * half / STEP), 2, len(names)))
         times = np.array([0.0, half])
         pressure_history(times, shaped[1:], shaped[0], valve_settings(whole, names), -0.1 * half, STEP, out)

@@ -217,6 +217,11 @@ class Robot(ABC):
         """Actuator → (low, high) at which a simulation clips its commands, for those where it does."""
         return {}
 
+    @property
+    def command_ranges(self) -> Array | None:
+        """(2, na) between what drives clip their commands; None where none does."""
+        return None
+
     @abstractmethod
     def with_payload(self, place: str, mass: float) -> Self:
         """A copy that carries a point mass [kg] at a link or foot."""

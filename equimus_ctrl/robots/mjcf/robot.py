@@ -341,6 +341,13 @@ class MjcfRobot(Robot):
         return replace(self, couplings=(*(own for own in self.couplings if own != old), new))
 
     @property
+    def command_ranges(self) -> Array | None:
+        """(2, na) the XML's ``ctrlrange`` of each command, where MuJoCo clips commands there."""
+        if self.plan.base.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
+            return None
+        return np.array([drive.range for drive in self.actuators]).T
+
+    @property
     def sharing(self) -> tuple[str, ...]:
         """All actuators, where the commands of all are forces of one unit, as motors' are; else none."""
         forces = all(exerts_its_command(self.plan.base, drive) for drive in self.actuators)
