@@ -20,6 +20,7 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.force_basis import Group
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.torque_screening import torque_domain
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_compiling, worth_simulating
 from equimus_ctrl.effects import CoulombFriction, DahlFriction, Effect, ForceEffect, FrictionDrift, ViscousFriction
@@ -234,6 +235,17 @@ def test_damping_over_time_that_is_left_restates_a_drift() -> None:
     drifts, damped = part(FrictionDrift, {"slope": 0.1}), part(ViscousFriction, {"damping": 0.1})
     assert restates(left, (drifts,), True) == "same"
     assert restates(left, (damped,), True) == "more"
+
+
+def test_what_changes_with_time_is_guessed_and_drawn_by_the_time_since_a_recording_began() -> None:
+    """Of shooting intervals of 1 s of recordings of 8 s."""
+    segments = data_of(recorded(Model(ROBOT), seed=1, seconds=8.0, dt=5e-4)).segments
+    seen = excitation_of(Model(ROBOT), segments)["hinge"]
+    assert seen.duration < 1.5 and seen.lasts == pytest.approx(8.0, abs=0.1)
+    (curve,) = FrictionDrift("hinge", 0.1).curves(ROBOT, seen)
+    assert curve.along[-1] == seen.lasts
+    largest = max(guess["slope"] for guess in FrictionDrift.guesses(seen))
+    assert largest == pytest.approx(0.2 * seen.force / seen.speed / seen.lasts)
 
 
 @pytest.mark.parametrize(("robot", "place", "unit"), [(RIG, "shoulder", "N·m·s/rad"), (RIG, "reach", "N·s/m")])

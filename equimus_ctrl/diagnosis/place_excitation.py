@@ -39,6 +39,7 @@ class _Recorded:
         commands: (l, na) those before the segments included [Pa or unit of the commands].
         interval: usual time between samples [s].
         duration: of the longest segment [s].
+        recorded: from a recording's start to a segment's last sample, the longest [s].
     """
 
     position: Array
@@ -47,6 +48,7 @@ class _Recorded:
     commands: Array
     interval: float
     duration: float
+    recorded: float
 
     @classmethod
     def of(cls, segments: Sequence[Segment]) -> _Recorded:
@@ -60,6 +62,7 @@ class _Recorded:
             np.concatenate([np.vstack([s.trial.before, s.trial.commands]) for s in segments]),
             float(np.median(np.concatenate([np.diff(t) for t in times]))),
             float(max(t[-1] - t[0] for t in times)),
+            float(max(s.trial.sample_times[-1] - s.trial.times[0] for s in segments)),
         )
 
 
@@ -124,8 +127,9 @@ def _excitation_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str
         force = max(float(np.quantile(np.abs(v), SELDOM)) for v in (whole, weights[:, j])) or 1.0
         drive_force = max((by_drive[robot.actuators[i].name] for i in own_drives), default=force)
         found[joint.name] = Excitation(
-            low, high, float(speed[j]), force, float(largest.max()), seen.interval, seen.duration, mass, drive_force
-        )
+            low, high, float(speed[j]), force, float(largest.max()), seen.interval, seen.duration, mass, drive_force,
+            recorded=seen.recorded,
+        )  # fmt: skip
     ends = {
         drive.name: replace(found[drive.joint], command=float(largest[i]), drive=by_drive[drive.name])
         for i, drive in enumerate(robot.actuators)

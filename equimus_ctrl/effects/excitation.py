@@ -24,6 +24,7 @@ class Excitation:
         roams: how far from there it seldom is [m].
         lowest: how low it ever is, from the room's origin against the model's gravity [m].
         rises: how far above that it ever is [m].
+        recorded: from the start of a recording to its last sample [s]; 0 where a trial is a whole recording.
     """
 
     low: float
@@ -40,11 +41,17 @@ class Excitation:
     roams: float = 0.1
     lowest: float = 0.0
     rises: float = 0.1
+    recorded: float = 0.0
 
     @property
     def span(self) -> float:
         """What the coordinate covers [rad or m]."""
         return self.high - self.low
+
+    @property
+    def lasts(self) -> float:
+        """From the start of a recording to its last sample [s]: a trial may be a part of it."""
+        return max(self.recorded, self.duration)
 
     def sizes(self, unit: str) -> tuple[float, ...]:
         """A few values from hardly visible to strong of something that has this unit; none for a unit unknown here."""
@@ -65,7 +72,7 @@ class Excitation:
             **dict.fromkeys(("N·m/rad", "N/m"), _shares(self.force / self.span, 0.05, 0.2)),
             **dict.fromkeys(("N·m·s/rad", "N·s/m"), _shares(self.force / self.speed, 0.05, 0.2)),
             **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), _shares(self.force / self.speed**2, 0.05, 0.2)),
-            **dict.fromkeys(("N·m·s/rad/s", "N·s/m/s"), _shares(self.force / self.speed / self.duration, 0.05, 0.2)),
+            **dict.fromkeys(("N·m·s/rad/s", "N·s/m/s"), _shares(self.force / self.speed / self.lasts, 0.05, 0.2)),
             **dict.fromkeys(("N·m/rad²", "N/m²"), _shares(self.force / self.span**2, 0.05, 0.2)),
             **dict.fromkeys(("N·m/rad³", "N/m³"), _shares(self.force / self.span**3, 0.05, 0.2)),
         }
@@ -87,7 +94,7 @@ class Excitation:
             **dict.fromkeys(("N·m/rad", "N/m"), self.force / self.span),
             **dict.fromkeys(("N·m·s/rad", "N·s/m"), self.force / self.speed),
             **dict.fromkeys(("N·m·s²/rad²", "N·s²/m²"), self.force / self.speed**2),
-            **dict.fromkeys(("N·m·s/rad/s", "N·s/m/s"), self.force / self.speed / self.duration),
+            **dict.fromkeys(("N·m·s/rad/s", "N·s/m/s"), self.force / self.speed / self.lasts),
         }
         return known.get(unit, 1.0)
 

@@ -116,8 +116,8 @@ class FrictionDrift(ForceEffect):
         return {"vel", "time"}
 
     def curves(self, robot: Any, excitation: Excitation) -> tuple[Curve, ...]:
-        """By how much viscous friction has changed, over a trial."""
-        time = np.linspace(0.0, excitation.duration, CURVE_POINTS)
+        """By how much viscous friction has changed, over a recording."""
+        time = np.linspace(0.0, excitation.lasts, CURVE_POINTS)
         unit = robot.place_unit("N·m·s/rad", self.location)
         what = ("time since the recording began", "s", "change of the viscous friction", unit)
         return (Curve("viscous friction over time", *what, time, self.slope * time),)
