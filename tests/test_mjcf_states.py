@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
+import casadi as ca
 import mujoco
 import numpy as np
 import pytest
-from mjcf_models import RIG
+from mjcf_models import RIG, refusal
 from pendulum_runs import MOTOR, PENDULUM, recorded
 from scipy.integrate import solve_ivp
 
@@ -23,7 +24,15 @@ from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_para
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.torque_screening import torque_domain
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for, worth_compiling, worth_simulating
-from equimus_ctrl.effects import CoulombFriction, DahlFriction, Effect, ForceEffect, FrictionDrift, ViscousFriction
+from equimus_ctrl.effects import (
+    CoulombFriction,
+    DahlFriction,
+    Effect,
+    ForceEffect,
+    FrictionDrift,
+    Hysteresis,
+    ViscousFriction,
+)
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import force_laws
 from equimus_ctrl.engines import compiled
@@ -185,6 +194,20 @@ def test_along_a_measured_motion_states_follow_it() -> None:
     np.testing.assert_allclose(law_force(DahlFriction, p, x, rate, none, time), -0.5 * z, rtol=0, atol=2e-3)
     slopes = law_slopes(DahlFriction, p, x, rate, none, time)
     np.testing.assert_allclose(slopes[:, 0], -z, rtol=0, atol=4e-3)
+
+
+def test_legs_start_after_a_long_rest_and_nowhere_else() -> None:
+    """Not all that is done with legs asks where else a law's states would start."""
+
+    @dataclass(frozen=True)
+    class Begun(Hysteresis):
+        name = "begun"
+
+        @classmethod
+        def start_state(cls, x: ca.SX, rate: ca.SX, time: ca.SX, p: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+            return (ca.sign(rate),)
+
+    assert "only an MJCF robot has start_state" in refusal(Begun.check_class)
 
 
 # --- in a diagnosis ---------------------------------------------------------------------------------------------

@@ -91,6 +91,12 @@ class ForceEffect(Effect):
             raise ConfigError(f"{who}: sits_at is {cls.sits_at!r}, but only an actuator has an area that may change")
         if cls.loads and "elastic" in cls.robots:
             raise ConfigError(f"{who}: robots is {cls.robots!r}, but only an MJCF robot has friction of loads")
+        begins_at_rest = cls.start_state.__func__ is ForceEffect.start_state.__func__  # type: ignore[attr-defined]
+        if "elastic" in cls.robots and not begins_at_rest:
+            raise ConfigError(
+                f"{who}: robots is {cls.robots!r}, but only an MJCF robot has start_state: legs start after a long "
+                "rest, with rest_state"
+            )
         if not getattr(cls, "neutral", None) or not set(cls.neutral) <= set(info):
             raise ConfigError(f"{who}: neutral must give values of some of {', '.join(info)} that switch it off")
         x, rate, speed = ca.SX.sym("x"), ca.SX.sym("rate"), ca.SX.sym("speed")
