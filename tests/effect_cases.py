@@ -297,6 +297,9 @@ CASES: dict[str, Case] = {
     "friction_drift": Case(
         mjcf={"slope": 0.5},
     ),
+    "friction_warmup": Case(
+        mjcf={"size": 1.5, "time_constant": 1.0},
+    ),
     "joint_compliance": Case(
         mjcf={"stiffness": 15.0, "damping": 0.1},
     ),

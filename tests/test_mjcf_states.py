@@ -30,6 +30,7 @@ from equimus_ctrl.effects import (
     Effect,
     ForceEffect,
     FrictionDrift,
+    FrictionWarmup,
     Hysteresis,
     ViscousFriction,
 )
@@ -57,12 +58,17 @@ def drift(slope: float) -> Effect:
     return FrictionDrift("hinge", slope)
 
 
+def warmup(size: float, time_constant: float) -> Effect:
+    return FrictionWarmup("hinge", size, time_constant)
+
+
 def dahl(friction: float, distance: float) -> Effect:
     return DahlFriction("hinge", friction, distance)
 
 
 DRIFTING, GIVING = (drift(0.03), dahl(0.0, 1.0)), (drift(0.0), dahl(0.25, 0.05))
 """Each with the other's law doing nothing, so that one kernel has both."""
+WARMING = (warmup(0.3, 1.5),)
 
 
 def trial(until: float = 4.0, start: float = 0.0, inner: bool = False) -> Trial:
@@ -73,7 +79,7 @@ def trial(until: float = 4.0, start: float = 0.0, inner: bool = False) -> Trial:
 
 
 @cache
-def by_hand(drifts: float, friction: float, distance: float) -> Array:
+def by_hand(drifts: float, friction: float, distance: float, size: float = 0.0) -> Array:
     """(n,) angles of the same trial by MuJoCo, stepped from Python with the laws written out here."""
     model = mujoco.MjModel.from_xml_string(ROBOT.xml)
     model.opt.timestep, model.opt.integrator = FINE, mujoco.mjtIntegrator.mjINT_RK4
@@ -85,7 +91,8 @@ def by_hand(drifts: float, friction: float, distance: float) -> Array:
             v = float(data.qvel[0])
             z += FINE * (v - abs(v) * z) / distance
             data.ctrl[:] = torque
-            data.qfrc_applied[0] = -drifts * data.time * v - friction * z
+            cold = size * np.exp(-data.time / 1.5)
+            data.qfrc_applied[0] = -(drifts * data.time + cold) * v - friction * z
             mujoco.mj_step(model, data)
     return np.array(angles)
 
@@ -109,10 +116,12 @@ ENGINES = pytest.mark.parametrize(
 
 @ENGINES
 @pytest.mark.parametrize(
-    ("effects", "numbers"), [(DRIFTING, (0.03, 0.0, 1.0)), (GIVING, (0.0, 0.25, 0.05))], ids=["drift", "dahl"]
+    ("effects", "numbers"),
+    [(DRIFTING, (0.03, 0.0, 1.0)), (GIVING, (0.0, 0.25, 0.05)), (WARMING, (0.0, 0.0, 1.0, 0.3))],
+    ids=["drift", "dahl", "warmup"],
 )
 def test_both_engines_move_as_mujoco_stepped_by_hand(
-    effects: tuple[Effect, ...], numbers: tuple[float, float, float], simulated: Engine
+    effects: tuple[Effect, ...], numbers: tuple[float, ...], simulated: Engine
 ) -> None:
     expected, plain = by_hand(*numbers), by_hand(0.0, 0.0, 1.0)
     assert np.abs(expected - plain).max() > 0.2
@@ -222,7 +231,11 @@ def data_of(recordings: list[Recording]) -> Data:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "numbers", "size"),
-    [(FrictionDrift, {"slope": 0.02}, "slope"), (DahlFriction, {"friction": 0.3, "distance": 0.2}, "friction")],
+    [
+        (FrictionDrift, {"slope": 0.02}, "slope"),
+        (FrictionWarmup, {"size": 0.3, "time_constant": 2.0}, "size"),
+        (DahlFriction, {"friction": 0.3, "distance": 0.2}, "friction"),
+    ],
 )
 def test_a_search_begins_with_it_where_measured_torques_ask_for_it(
     law: type[ForceEffect], numbers: dict[str, float], size: str
@@ -246,7 +259,7 @@ def test_where_other_laws_explain_as_much_none_is_compiled() -> None:
     assert domain is not None
     kept = worth_compiling(data, domain, data.nominal_fit(), pool)
     dropped = {c.effect for c in pool} - {c.effect for c in kept}
-    assert dropped == {FrictionDrift, DahlFriction} and len(kept) > 20
+    assert dropped == {FrictionDrift, FrictionWarmup, DahlFriction} and len(kept) > 20
 
 
 def test_damping_over_time_that_is_left_restates_a_drift() -> None:
@@ -269,6 +282,15 @@ def test_what_changes_with_time_is_guessed_and_drawn_by_the_time_since_a_recordi
     assert curve.along[-1] == seen.lasts
     largest = max(guess["slope"] for guess in FrictionDrift.guesses(seen))
     assert largest == pytest.approx(0.2 * seen.force / seen.speed / seen.lasts)
+
+
+def test_a_warmup_takes_the_place_of_a_drift_and_is_drawn_as_what_has_not_faded_yet() -> None:
+    assert "friction_drift" in refusal(lambda: Model(ROBOT, (drift(0.1), warmup(0.1, 1.0))))
+    seen = Excitation(0.0, 1.0, 2.0, 3.0, 1.0, 0.01, 1.0, 1.0, recorded=20.0)
+    assert {guess["time_constant"] for guess in FrictionWarmup.guesses(seen)} == {5.0, 20.0}
+    (curve,) = FrictionWarmup("hinge", 0.4, 10.0).curves(ROBOT, seen)
+    np.testing.assert_allclose(curve.values, 0.4 * np.exp(-curve.along / 10.0))
+    assert curve.along[-1] == 20.0 and curve.without == 0.0
 
 
 @pytest.mark.parametrize(("robot", "place", "unit"), [(RIG, "shoulder", "N·m·s/rad"), (RIG, "reach", "N·s/m")])

@@ -24,6 +24,7 @@ from equimus_ctrl.effects import (
     Effect,
     FirstOrderLag,
     FrictionDrift,
+    FrictionWarmup,
     ParallelSpring,
     PayloadMass,
     SensorDelay,
@@ -254,7 +255,7 @@ def test_nothing_is_asked_for_by_a_robot_that_is_held() -> None:
     domain = torque_domain(data, pool)
     assert domain is not None and laws_asked_for(data, domain, pool, 3) is None
     kept = {c.effect for c in worth_simulating(data, domain, data.nominal_fit(), pool)}
-    assert {c.effect for c in pool} - kept == {DahlFriction, FrictionDrift}
+    assert {c.effect for c in pool} - kept == {DahlFriction, FrictionDrift, FrictionWarmup}
 
 
 def test_of_a_group_of_trials_a_law_adds_nothing_where_it_is_absent() -> None:

@@ -75,29 +75,22 @@ class QuadraticDamping(ForceEffect):
         return f"A drag at {t.the} that grows with the square of speed, of {t['drag']}{t.one_or('', ' each')}."
 
 
-@register
-@dataclass(frozen=True)
-class FrictionDrift(ForceEffect):
-    """−slope·t·rate, t the time since the recording began: viscous friction that changes while it lasts.
+class _OverTime(ForceEffect):
+    """Viscous friction that changes with the time since the recording began, the law's only state."""
 
-    Friction of gears falls as their grease warms up, within minutes to hours, and what is viscous in it most
-    (Bittencourt, Wernholt, Sander-Tavallaey & Brogårdh, "An extended friction model to capture load and temperature
-    effects in robot joints", 2010). A recording much shorter than that shows the beginning of it, which is a line. What
-    there is at t = 0 is the model's own viscous friction, so a slope may have either sign.
-    """
-
-    name = "friction_drift"
     robots = ("mjcf",)
     sits_at = ("joint",)
-    summary = "viscous friction that drifts with the time since the recording began"
+    exclusive = "friction_drift"
     n_states = 1
-    neutral = {"slope": 0.0}  # noqa: RUF012
-    mjcf_sizes = (Share("slope", 0.01, 0.5),)  # upwards: friction that falls below none would drive the joint
-    slope: float = parameter("N·m·s/rad/s", -1e4, 1e4, "change of the torque for each speed, each second")
+
+    @classmethod
+    def damping(cls, time: ca.SX, p: Parameters) -> ca.SX:
+        """What there is of it at a time since the recording began [N·m·s/rad or N·s/m]."""
+        raise NotImplementedError
 
     @classmethod
     def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
-        return -p["slope"] * z[0] * rate
+        return -cls.damping(z[0], p) * rate
 
     @classmethod
     def state_rate(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> Sequence[ca.SX]:
@@ -116,17 +109,78 @@ class FrictionDrift(ForceEffect):
         return {"vel", "time"}
 
     def curves(self, robot: Any, excitation: Excitation) -> tuple[Curve, ...]:
-        """By how much viscous friction has changed, over a recording."""
-        time = np.linspace(0.0, excitation.lasts, CURVE_POINTS)
+        """What it adds to viscous friction, over a recording."""
+        time, at = np.linspace(0.0, excitation.lasts, CURVE_POINTS), ca.SX.sym("time")
+        p = {key: ca.SX(value) for key, value in self.parameters().items()}
+        values = np.array(ca.Function("damping", [at], [self.damping(at, p)])(time[None])).ravel()
         unit = robot.place_unit("N·m·s/rad", self.location)
         what = ("time since the recording began", "s", "change of the viscous friction", unit)
-        return (Curve("viscous friction over time", *what, time, self.slope * time),)
+        return (Curve("viscous friction over time", *what, time, values),)
+
+
+@register
+@dataclass(frozen=True)
+class FrictionDrift(_OverTime):
+    """−slope·t·rate, t the time since the recording began: viscous friction that changes while it lasts.
+
+    Friction of gears falls as their grease warms up, within minutes to hours, and what is viscous in it most
+    (Bittencourt, Wernholt, Sander-Tavallaey & Brogårdh, "An extended friction model to capture load and temperature
+    effects in robot joints", 2010). A recording much shorter than that shows the beginning of it, which is a line; one
+    that shows more is for ``friction_warmup``. What there is at t = 0 is the model's own viscous friction, so a slope
+    may have either sign.
+    """
+
+    name = "friction_drift"
+    summary = "viscous friction that drifts with the time since the recording began"
+    neutral = {"slope": 0.0}  # noqa: RUF012
+    mjcf_sizes = (Share("slope", 0.01, 0.5),)  # upwards: friction that falls below none would drive the joint
+    slope: float = parameter("N·m·s/rad/s", -1e4, 1e4, "change of the torque for each speed, each second")
+
+    @classmethod
+    def damping(cls, time: ca.SX, p: Parameters) -> ca.SX:
+        return p["slope"] * time
 
     @classmethod
     def sentence(cls, t: Description) -> str:
         more = "grows" if t.value("slope") > 0 else "falls"
         size = t.scaled("slope", t.unit("slope"), math.copysign(1.0, t.value("slope")))
         return f"Viscous friction at {t.the} {more} while a recording lasts, by {size}{t.one_or('', ' each')}."
+
+
+@register
+@dataclass(frozen=True)
+class FrictionWarmup(_OverTime):
+    """−size·exp(−t/time_constant)·rate, t the time since the recording began: friction that fades as a joint warms up.
+
+    A joint that works settles at a temperature in about an exponential, and its friction goes with that (Bittencourt et
+    al., 2010, see ``friction_drift``, which is the beginning of it). Warm, what is left is the model's own viscous
+    friction.
+    """
+
+    name = "friction_warmup"
+    summary = "viscous friction that fades exponentially while the joint warms up"
+    neutral = {"size": 0.0}  # noqa: RUF012
+    size: float = parameter("N·m·s/rad", 0.0, 1e4, "torque for each speed that is lost from the beginning until warm")
+    time_constant: float = parameter("s", 0.1, 1e4, "of the warming up")
+
+    @classmethod
+    def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:
+        return [
+            {"size": size, "time_constant": share * excitation.lasts}
+            for size in excitation.sizes("N·m·s/rad")
+            for share in (0.25, 1.0)
+        ]
+
+    @classmethod
+    def damping(cls, time: ca.SX, p: Parameters) -> ca.SX:
+        return p["size"] * ca.exp(-time / p["time_constant"])
+
+    @classmethod
+    def sentence(cls, t: Description) -> str:
+        return (
+            f"Viscous friction at {t.the} falls by {t['size']}{t.one_or('', ' each')} while a recording lasts, with a "
+            f"time constant of {t['time_constant']}: it warms up."
+        )
 
 
 @register
