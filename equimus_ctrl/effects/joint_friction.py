@@ -178,8 +178,8 @@ class FrictionWarmup(_OverTime):
     @classmethod
     def sentence(cls, t: Description) -> str:
         return (
-            f"Viscous friction at {t.the} falls by {t['size']}{t.one_or('', ' each')} while a recording lasts, with a "
-            f"time constant of {t['time_constant']}: it warms up."
+            f"Viscous friction at {t.the} falls by {t['size']}{t.one_or('', ' each')} until warm, with a time constant "
+            f"of {t['time_constant']} from the start of a recording on."
         )
 
 
