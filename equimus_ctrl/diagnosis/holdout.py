@@ -265,7 +265,7 @@ def _too_long(
 ) -> bool:
     """Whether what is fitted lasts longer than ``MOST_TIME``, times the joints."""
     spans = [_span(r, window) for k, r in enumerate(recordings) if k not in heldout.validation | heldout.test]
-    whole = sum(min(high, until or math.inf) - low for low, high in spans)
+    whole = sum((high if until is None else min(high, until)) - low for low, high in spans)
     return whole * len(recordings[0].joints) > MOST_TIME
 
 
@@ -311,14 +311,11 @@ def _parted(
             into = test if k in heldout.test else validation
             into += _cut(model, r, k, (low, high), shoot)
             continue
-        edge = high - LAST * (high - low) if k in heldout.ends else high
-        edge = min(until or math.inf, edge)
-        middle = (edge + high) / 2
-        parts = [(edge, middle, validation), (middle, high, test)] if k in heldout.last else [(edge, high, validation)]
-        if edge > low:
-            train += _cut(model, r, k, (low, edge), shoot, fit_start=True)
-        for begin, end, into in parts:
-            if np.count_nonzero((r.time > begin) & (r.time <= end)) >= LEAST_SAMPLES:
+        edges = _edges(r, (low, high), until, k in heldout.ends, k in heldout.last)
+        if edges[0] > low:
+            train += _cut(model, r, k, (low, edges[0]), shoot, fit_start=True)
+        for begin, end, into in zip(edges[:-1], edges[1:], (validation, test)[: len(edges) - 1], strict=True):
+            if _samples(r, begin, end) >= LEAST_SAMPLES:
                 into += _cut(model, r, k, (float(np.nextafter(begin, high)), end), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
@@ -330,6 +327,29 @@ def _parted(
         spans = [(s.recording, (float(s.trial.sample_times[0]), float(s.trial.sample_times[-1]))) for s in chosen]
         short_segments = [s for k, span in spans for s in _cut(model, recordings[k], k, span, length, fit_start=True)]
     return Split(tuple(chosen), tuple(validation), tuple(test), tuple(short_segments), len(train))
+
+
+def _edges(
+    r: Recording, span: tuple[float, float], until: float | None, ends: bool, divided: bool
+) -> tuple[float, ...]:
+    """Until when a trial is fitted, and when what of it is held out ends: the validation set's, the test set's [s].
+
+    Of a trial whose end is held out (``ends``) the test set has the second half of it (``divided``), unless that half
+    is too short to judge by; where all of the end is, the trial is fitted whole.
+    """
+    low, high = span
+    if not ends:
+        return high if until is None else min(until, high), high
+    edge = high - LAST * (high - low)
+    middle = (edge + high) / 2
+    if divided and min(_samples(r, edge, middle), _samples(r, middle, high)) >= LEAST_SAMPLES:
+        return edge, middle, high
+    return (edge, high) if _samples(r, edge, high) >= LEAST_SAMPLES else (high, high)
+
+
+def _samples(r: Recording, begin: float, end: float) -> int:
+    """How many there are after an instant, up to another."""
+    return int(np.count_nonzero((r.time > begin) & (r.time <= end)))
 
 
 def _some(segments: Sequence[Segment], joints: int) -> list[Segment]:

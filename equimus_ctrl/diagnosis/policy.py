@@ -325,7 +325,7 @@ class SearchSettings:
             large, and a part's alternatives are taken from all hypotheses fitted.
     """
 
-    most_parts: int = 3
+    most_parts: int = 4
     rounds_per_part: int = 2
     tried: int = 5
     tried_in_place: int = 3

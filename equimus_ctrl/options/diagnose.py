@@ -100,7 +100,7 @@ class DiagnoseOptions:
     )
     also: Sequence[str] = also_option()
     zero_per_trial: Sequence[str] = zero_option()
-    most: int = option(3, int, "Largest number of effects in a hypothesis.")
+    most: int = option(4, int, "Largest number of effects in a hypothesis.")
     exclude: Sequence[str] = option((), NAMES, "Do not try this effect, see list effects.", metavar="EFFECT")
     engine: EngineName | None = engine_option()
     threads: int | None = threads_option()
