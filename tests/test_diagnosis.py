@@ -424,7 +424,6 @@ def test_which_trials_are_held_out() -> None:
 @pytest.mark.parametrize(
     ("count", "given", "validation", "test", "other"),
     [
-        (1, {}, "", "", ""),
         (2, {}, "1", "", ""),
         (3, {}, "2", "", ""),
         (4, {}, "3", "", "2"),
@@ -452,6 +451,7 @@ def test_of_a_trial_alone_of_its_kind_the_end_is_held_out() -> None:
     assert choose_holdout(names, test=["step_0"]).last == frozenset()
     assert choose_holdout(names, validation=["step_0"]).ends == frozenset()
     assert choose_holdout(["walk", "run", "jump", "rest", "fall"]).ends == frozenset()  # no kind has several
+    assert choose_holdout(["walk"]) == Holdout(ends=frozenset({0}))
 
 
 def test_the_end_of_a_trial_alone_of_its_kind_is_divided() -> None:
