@@ -424,7 +424,6 @@ def test_which_trials_are_held_out() -> None:
 @pytest.mark.parametrize(
     ("count", "given", "validation", "test", "other"),
     [
-        (1, {}, "", "", ""),
         (2, {}, "1", "", ""),
         (3, {}, "2", "", ""),
         (4, {}, "3", "", "2"),
@@ -452,6 +451,7 @@ def test_of_a_trial_alone_of_its_kind_the_end_is_held_out() -> None:
     assert choose_holdout(names, test=["step_0"]).last == frozenset()
     assert choose_holdout(names, validation=["step_0"]).ends == frozenset()
     assert choose_holdout(["walk", "run", "jump", "rest", "fall"]).ends == frozenset()  # no kind has several
+    assert choose_holdout(["walk"]) == Holdout(ends=frozenset({0}))
 
 
 def test_the_end_of_a_trial_alone_of_its_kind_is_divided() -> None:
@@ -466,6 +466,23 @@ def test_the_end_of_a_trial_alone_of_its_kind_is_divided() -> None:
     assert [len(own) for own in times] == [1, 1, 1]
     assert [own[0][-1] for own in times] == pytest.approx(ends, abs=0.02)
     assert times[0][0][-1] < times[1][0][0] < times[1][0][-1] < times[2][0][0]
+
+
+@pytest.mark.parametrize(
+    ("samples", "sets"), [(480, "train validation test"), (320, "train validation"), (200, "train")]
+)
+def test_an_end_that_is_too_short_to_judge_by_is_not_lost(samples: int, sets: str) -> None:
+    trials = [replace(r, name=f"step_{k}") for k, r in enumerate(recordings((), count=8))]
+    short = trials[0]
+    rows = slice(0, samples)
+    alone = replace(
+        short, name="alone", time=short.time[rows], position=short.position[rows], command=short.command[rows]
+    )
+    parts = split(nominal_model(), [*trials, alone])
+    whole = {"train": parts.train, "validation": parts.validation, "test": parts.test}
+    found = {name: [s for s in own if s.recording == 8] for name, own in whole.items()}
+    assert " ".join(name for name, own in found.items() if own) == sets
+    assert sum(len(s.trial.sample_times) for own in found.values() for s in own) == samples
 
 
 def spoilt(change: str) -> list[Recording]:

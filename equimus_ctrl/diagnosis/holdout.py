@@ -62,7 +62,7 @@ class Holdout:
         test: touched for the report alone.
         other: for validation in the place of the first, where those show what the rest does not; empty where somebody
             said which judge, or there are too few.
-        ends: trials alone of their kind, the ends of which alone are held out, for validation,
+        ends: trials that are alone, or alone of their kind, the ends of which alone are held out, for validation,
         last: and of these those whose end's second half is for the test.
     """
 
@@ -88,9 +88,9 @@ def choose_holdout(
     """Choose trials to hold out.
 
     Where nobody says which are for validation: of four trials or more every fourth, of two or three the last, of one
-    none (its end is held out). Of every fourth the later half are the test set, where these are two or more and nobody
-    says which are. A trial that is alone of its kind beside four or more of another is not among these: nothing else
-    would show what it shows. Its end is held out, one half for validation and one for the test.
+    its end. Of every fourth the later half are the test set, where these are two or more and nobody says which are. A
+    trial that is alone of its kind beside four or more of another is not among these: nothing else would show what it
+    shows. Its end is held out, one half for validation and one for the test.
 
     Args:
         names: of all trials, in order.
@@ -120,6 +120,8 @@ def choose_holdout(
 
 def _of_each_kind(names: Sequence[str], fitted: Sequence[int], unseen: frozenset[int], test: bool) -> Holdout:
     """Of some trials what is held out where nobody says which, see ``choose_holdout``."""
+    if len(names) == 1:
+        return Holdout(ends=frozenset(fitted))
     counts = Counter(kind_of(names[k]) for k in fitted)
     if max(counts.values(), default=0) < EVERY:
         return _every_so_manieth(fitted, unseen, test)
@@ -224,21 +226,17 @@ def split(
     if window is not None and not window[0] < window[1]:
         raise ConfigError(f"the window goes from {window[0]:g} to {window[1]:g} s, expected the earlier time first")
     heldout = choose_holdout([r.name for r in recordings], validation, test, by_time=until is not None, groups=groups)
-    edge = until
     if until is not None:
         _check_until(until, recordings, window)
-    elif not validation and len(recordings) == 1:
-        low, high = _span(recordings[0], window)
-        edge = high - LAST * (high - low)
     short = not model.robot.traits.held_in_place
     if short:
-        long = _too_long(recordings, heldout, edge, window)
+        long = _too_long(recordings, heldout, until, window)
         if shoot is None:
             counted = [r for k, r in enumerate(recordings) if k not in heldout.test]
             longest = longest_interval(model, counted, window, simulator and simulator(), whole=not long)
             shoot, short = longest.length, not longest.steady
         shoot = min(shoot or math.inf, ENOUGH) if long else shoot
-    parts = _grouped(_parted(model, recordings, heldout, edge, window, shoot, short), groups)
+    parts = _grouped(_parted(model, recordings, heldout, until, window, shoot, short), groups)
     if until is not None and not parts.validation:
         raise ConfigError(
             f"fitted is what comes before {until:g} s, and no trial has {LEAST_SAMPLES} samples after that, too few to "
@@ -247,7 +245,7 @@ def split(
     if not heldout.other:
         return parts
     instead = replace(heldout, validation=heldout.other)
-    other = _parted(model, recordings, instead, edge, window, shoot, short)
+    other = _parted(model, recordings, instead, until, window, shoot, short)
     return replace(parts, other=_grouped(other, groups))
 
 
@@ -264,8 +262,9 @@ def _too_long(
     recordings: Sequence[Recording], heldout: Holdout, until: float | None, window: tuple[float, float] | None
 ) -> bool:
     """Whether what is fitted lasts longer than ``MOST_TIME``, times the joints."""
-    spans = [_span(r, window) for k, r in enumerate(recordings) if k not in heldout.validation | heldout.test]
-    whole = sum(min(high, until or math.inf) - low for low, high in spans)
+    fitted = [k for k in range(len(recordings)) if k not in heldout.validation | heldout.test]
+    spans = [(k, _span(recordings[k], window)) for k in fitted]
+    whole = sum(_edges(recordings[k], k, span, heldout, until)[0] - span[0] for k, span in spans)
     return whole * len(recordings[0].joints) > MOST_TIME
 
 
@@ -311,14 +310,11 @@ def _parted(
             into = test if k in heldout.test else validation
             into += _cut(model, r, k, (low, high), shoot)
             continue
-        edge = high - LAST * (high - low) if k in heldout.ends else high
-        edge = min(until or math.inf, edge)
-        middle = (edge + high) / 2
-        parts = [(edge, middle, validation), (middle, high, test)] if k in heldout.last else [(edge, high, validation)]
-        if edge > low:
-            train += _cut(model, r, k, (low, edge), shoot, fit_start=True)
-        for begin, end, into in parts:
-            if np.count_nonzero((r.time > begin) & (r.time <= end)) >= LEAST_SAMPLES:
+        edges = _edges(r, k, (low, high), heldout, until)
+        if edges[0] > low:
+            train += _cut(model, r, k, (low, edges[0]), shoot, fit_start=True)
+        for begin, end, into in zip(edges[:-1], edges[1:], (validation, test)[: len(edges) - 1], strict=True):
+            if _samples(r, begin, end) >= LEAST_SAMPLES:
                 into += _cut(model, r, k, (float(np.nextafter(begin, high)), end), shoot)
     if not train:
         raise ConfigError("every trial is held out, so there is nothing to fit; hold out fewer")
@@ -330,6 +326,27 @@ def _parted(
         spans = [(s.recording, (float(s.trial.sample_times[0]), float(s.trial.sample_times[-1]))) for s in chosen]
         short_segments = [s for k, span in spans for s in _cut(model, recordings[k], k, span, length, fit_start=True)]
     return Split(tuple(chosen), tuple(validation), tuple(test), tuple(short_segments), len(train))
+
+
+def _edges(r: Recording, k: int, span: tuple[float, float], heldout: Holdout, until: float | None) -> tuple[float, ...]:
+    """Until when a trial is fitted, and when what of it is held out ends: the validation set's, the test set's [s].
+
+    Of one of ``ends`` that is also one of ``last`` the test set has the second half of the end, unless that half is too
+    short to judge by; where all of the end is, the trial is fitted whole.
+    """
+    low, high = span
+    if k not in heldout.ends:
+        return high if until is None else min(until, high), high
+    edge = high - LAST * (high - low)
+    middle = (edge + high) / 2
+    if k in heldout.last and min(_samples(r, edge, middle), _samples(r, middle, high)) >= LEAST_SAMPLES:
+        return edge, middle, high
+    return (edge, high) if _samples(r, edge, high) >= LEAST_SAMPLES else (high, high)
+
+
+def _samples(r: Recording, begin: float, end: float) -> int:
+    """How many there are after an instant, up to another."""
+    return int(np.count_nonzero((r.time > begin) & (r.time <= end)))
 
 
 def _some(segments: Sequence[Segment], joints: int) -> list[Segment]:

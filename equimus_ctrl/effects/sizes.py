@@ -22,7 +22,7 @@ import numpy as np
 from equimus_ctrl.effects.excitation import Excitation
 
 Law = Literal["log", "linear", "either sign", "about one"]
-Whole = Literal["unit", "drive", "range", "none"]
+Whole = Literal["unit", "drive", "range", "recording", "none"]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,8 @@ class Share:
         high: largest.
         law: as of ``Size``.
         of: what it is a share of: what goes with the parameter's unit (``Excitation.scale``), the drive's largest
-            force, the range that the coordinate covers (from its lower end on), or nothing: a number [SI].
+            force, the range that the coordinate covers (from its lower end on), how long a recording lasts, or nothing: a
+            number [SI].
     """
 
     parameter: str
@@ -96,7 +97,13 @@ class Share:
         if self.of == "range":
             low, high = excitation.low + self.low * excitation.span, excitation.high - (1 - self.high) * excitation.span
             return Size(self.parameter, low, high, "within the range that is covered", self.law, at)
-        whole = {"unit": excitation.scale(unit), "drive": excitation.drive, "none": 1.0}[self.of]
+        known = {
+            "unit": excitation.scale(unit),
+            "drive": excitation.drive,
+            "recording": excitation.lasts,
+            "none": 1.0,
+        }
+        whole = known[self.of]
         return Size(self.parameter, self.low * whole, self.high * whole, "of what is seen there", self.law, at)
 
 
