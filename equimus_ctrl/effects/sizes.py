@@ -76,8 +76,8 @@ class Share:
         high: largest.
         law: as of ``Size``.
         of: what it is a share of: what goes with the parameter's unit (``Excitation.scale``), the drive's largest
-            force, the range that the coordinate covers (from its lower end on), how long a recording lasts, or nothing: a
-            number [SI].
+            force, the range that the coordinate covers (from its lower end on), how long a recording lasts, or
+            nothing: a number [SI].
     """
 
     parameter: str
