@@ -52,6 +52,7 @@ class Candidate:
             of a shooting interval would stand for anything.
         own: parameters that have a value of their own in a group of trials, each with the group.
         absent: groups of trials in which it does not act.
+        given: parameters of the effect that are not estimated, by key: where a spline's knots are, say.
     """
 
     effect: type[Effect]
@@ -61,11 +62,12 @@ class Candidate:
     most: Mapping[str, float] = field(default_factory=dict)
     own: tuple[tuple[str, str], ...] = ()
     absent: tuple[str, ...] = ()
+    given: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def common(self) -> tuple[OwnParameter, ...]:
         """What it adds in all groups of trials, in order."""
-        keys = self.effect.parameter_info()
+        keys = [key for key in self.effect.parameter_info() if key not in self.given]
         if not self.each:
             return tuple(OwnParameter(key, key, self.locations) for key in keys)
         return tuple(OwnParameter(f"{place}.{key}", key, (place,)) for place in self.locations for key in keys)
@@ -91,7 +93,8 @@ class Candidate:
 
     def at(self, values: Mapping[str, float], location: str) -> dict[str, float]:
         """The effect's own parameters at one of its places."""
-        return {own.key: values[own.name] for own in self.common if location in own.places}
+        known = {**self.given, **{own.key: values[own.name] for own in self.common if location in own.places}}
+        return {key: known[key] for key in self.effect.parameter_info()}
 
     def attached(self, values: Mapping[str, float]) -> tuple[Effect, ...]:
         """The effects with these values."""
@@ -114,10 +117,12 @@ class Candidate:
 
     def alone(self, location: str) -> Candidate:
         """The same effect at one of its places."""
-        guesses = tuple(self.at(guess, location) for guess in self.guesses)
         here = {p.name: p.key for p in self.common if location in p.places}
+        guesses = tuple({key: guess[name] for name, key in here.items()} for guess in self.guesses)
         own = tuple((here[name], group) for name, group in self.own if name in here)
-        return Candidate(self.effect, (location,), guesses, most=self.most, own=own, absent=self.absent)
+        return Candidate(
+            self.effect, (location,), guesses, most=self.most, own=own, absent=self.absent, given=self.given
+        )
 
     def narrowed(self, locations: tuple[str, ...]) -> Candidate:
         """The same law at fewer of the places that have parameters of their own."""
@@ -126,7 +131,7 @@ class Candidate:
         kept = [own.name for own in self.common if set(own.places) & set(locations)]
         guesses = tuple({name: guess[name] for name in kept} for guess in self.guesses)
         own = tuple((name, group) for name, group in self.own if name in kept)
-        return Candidate(self.effect, locations, guesses, self.each, self.most, own, self.absent)
+        return Candidate(self.effect, locations, guesses, self.each, self.most, own, self.absent, self.given)
 
 
 @dataclass(frozen=True, eq=False)

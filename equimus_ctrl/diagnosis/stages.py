@@ -49,8 +49,9 @@ from equimus_ctrl.diagnosis.results import (
 )
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.smooth_laws import analysed
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test, residual_analysis
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
@@ -235,7 +236,7 @@ def explain_residuals(state: State) -> State:
     search, end, rejected = state.search, state.end, state.rejected
     reasons: dict[str, str] = {}
     further = search.settings.again
-    analysis = residual_analysis(state.data, end.base, end.best, end.without)
+    analysis = analysed(search, end, state.inputs.split)
     while analysis.redundant:
         dropped = {end.best.hypothesis[k]: reason for k, reason in analysis.redundant.items()}
         rejected += tuple(named_part(part) for part in dropped)
@@ -246,7 +247,7 @@ def explain_residuals(state: State) -> State:
             end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
             search, end = still_apart(search, end, state.inputs.split)
             further -= 1
-        beside, analysis = analysis, residual_analysis(state.data, end.base, end.best, end.without)
+        beside, analysis = analysis, analysed(search, end, state.inputs.split)
         if not end.best.hypothesis and not analysis.unexplained:
             analysis = ResidualAnalysis(beside.unexplained)
     after = replace(

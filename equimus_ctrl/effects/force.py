@@ -452,6 +452,9 @@ def force_laws(robots: Robots = "elastic") -> tuple[type[ForceEffect], ...]:
 
 
 def laws_with(effects: Sequence[Effect], robots: Robots) -> tuple[type[ForceEffect], ...]:
-    """All force laws of a kind of robots, those with states of their own only where one of some effects has them."""
-    present = laws_of(effects)
-    return tuple(law for law in force_laws(robots) if not law.n_states or law in present)
+    """All force laws of a kind of robots, and those of some effects.
+
+    Laws with states of their own, and laws outside the catalogue, only where one of the effects has them.
+    """
+    usual = {law for law in force_laws(robots) if not law.n_states}
+    return tuple(sorted(usual.union(laws_of(effects)), key=lambda law: law.name))

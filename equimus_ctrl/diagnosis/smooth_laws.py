@@ -1,0 +1,270 @@
+"""Whether the laws of a hypothesis are the right ones: a force of any smooth shape, simulated beside them.
+
+A law that is nearly right may leave residuals that pass for coloured noise, and then no residual force is found to
+first order: dry friction that depends on the angle in the place of viscous friction that does, say. So at each joint
+of a hypothesis a smooth force over the angle, one over the speed, and one that is the speed times a function of the
+angle, is fitted beside it (``effects.smooth``), begun at nothing. The hypothesis is nested in what is fitted, so its
+gain is judged by the likelihood-ratio test, and on validation trials, as that of any part.
+
+Where there is a torque domain, only what it asks for is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+from scipy.special import chdtri
+
+from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, carried_over, confirms
+from equimus_ctrl.diagnosis.coordinates import Coordinate
+from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.place_excitation import excitation_of
+from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.diagnosis.results import ResidualForce, Unexplained
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
+from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
+from equimus_ctrl.effects.smooth import SmoothForce, splines
+from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.parameters import place_unit
+from equimus_ctrl.types import Array
+
+ASKED = 0.05
+"""Simulated is what chance would explain in the torque domain with at most this probability. It decides nothing."""
+WIDER = (1, 2)
+"""Widths of the test functions at which that is asked, over that of the search: wide ones see slow forces better."""
+POINTS = 61
+CONFIDENT = 1.96
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a smooth force depends on.
+
+    Attributes:
+        over: ``pos`` or ``vel``.
+        times_rate: whether it is multiplied by the rate.
+    """
+
+    over: Literal["pos", "vel"]
+    times_rate: bool
+
+
+SHAPES = (Shape("pos", False), Shape("vel", False), Shape("pos", True))
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothLaw:
+    """A smooth force beside a hypothesis.
+
+    Attributes:
+        joint: where.
+        shape: on what it depends.
+        fitted: the hypothesis with it.
+        gain: −2Δln L by it.
+    """
+
+    joint: str
+    shape: Shape
+    fitted: Fitted
+    gain: float
+
+
+def analysed(search: Search, state: SearchState, split: Split) -> ResidualAnalysis:
+    """The analysis of the residuals that a search's end leaves, with smooth forces beside its laws.
+
+    Where robots are held in place, residual forces say as much to first order.
+    """
+    own = residual_analysis(search.data, state.base, state.best, state.without)
+    if own.redundant or not state.best.hypothesis or search.data.free.model.robot.traits.held_in_place:
+        return own
+    laws = beside(search, state, split)
+    replaced = dict.fromkeys(redundant(search, state, laws), GENERALISED)
+    return ResidualAnalysis(_together(own.unexplained, as_residual_forces(search, laws)), replaced)
+
+
+def _together(known: tuple[Unexplained, ...], smooth: Sequence[ResidualForce]) -> tuple[Unexplained, ...]:
+    """Residual forces to first order, and smooth ones at other joints; the strongest first."""
+    forces = [force for force in known if isinstance(force, ResidualForce)]
+    if len(forces) < len(known):  # joints whose residuals no force explains
+        return known
+    forces += [force for force in smooth if force.location not in {own.location for own in forces}]
+    total = sum(force.gain for force in forces)
+    return tuple(replace(force, share=force.gain / total) for force in sorted(forces, key=lambda f: -f.gain))
+
+
+def beside(search: Search, state: SearchState, split: Split) -> tuple[SmoothLaw, ...]:
+    """The smooth forces that the best hypothesis leaves unexplained, of each joint the one that gains most.
+
+    A force counts where its gain exceeds the acceptance threshold and more than a trace of what the hypothesis
+    explains, and where validation trials confirm it.
+    """
+    best = state.best
+    whole = state.base.deviance - best.deviance
+    found: dict[str, SmoothLaw] = {}
+    for joint in _joints(search, best):
+        for shape, candidate in _asked_for(search, best, joint):
+            law = _fitted(search, best, joint, shape, candidate)
+            if law is None or not search.accepts(best, law.fitted):
+                continue
+            if search.data.thresholds.decides(partial(_but_a_trace, law.gain, whole)):
+                continue
+            if joint not in found or law.gain > found[joint].gain:
+                found[joint] = law
+    holdout = HoldoutResiduals(search.data, split, state)
+    return tuple(
+        law
+        for law in found.values()
+        if not split.validation or confirms(search, carried_over(search, holdout, best, law.fitted).ratio)
+    )
+
+
+def _but_a_trace(gain: float, whole: float, t: Thresholds) -> bool:
+    return gain < t.trace * (whole + gain)
+
+
+def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> tuple[int, ...]:
+    """Places of parts at a smooth force's joint that explain nothing more beside it.
+
+    Where the force gains hardly anything over what the part does, the part stays: what is left is another thing.
+    """
+    places: list[int] = []
+    for law in laws:
+        for k, part in enumerate(state.best.hypothesis):
+            fall = state.without[k].deviance - state.best.deviance
+            if law.joint not in _joints_of(search, part) or k in places:
+                continue
+            if not search.data.thresholds.decides(partial(_distinguished, law.gain, fall)):
+                continue
+            simpler = _without(search, law, k)
+            if simpler is not None and not search.accepts(simpler, law.fitted):
+                places.append(k)
+    return tuple(sorted(places))
+
+
+def _distinguished(gain: float, fall: float, t: Thresholds) -> bool:
+    return gain > t.indistinguishable_share * fall
+
+
+def _without(search: Search, law: SmoothLaw, k: int) -> Fitted | None:
+    """A hypothesis with a smooth force and without one of its other parts; None where it diverges."""
+    data, fitted = search.data, law.fitted
+    hypothesis = (*fitted.hypothesis[:k], *fitted.hypothesis[k + 1 :])
+    begin = (data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
+    try:
+        simpler = data.coarse_fit(hypothesis, [begin], fitted.noise, search.settings.long_steps)
+        return data.converge(simpler) if search.accepts(simpler, fitted) else simpler
+    except SimulationDiverged:
+        return None
+
+
+def _joints(search: Search, best: Fitted) -> list[str]:
+    """At which a hypothesis has parts, in the robot's order."""
+    own = {joint for part in best.hypothesis for joint in _joints_of(search, part)}
+    return [name for name in search.data.free.model.robot.joint_names if name in own]
+
+
+def _joints_of(search: Search, part: Part) -> set[str]:
+    """The joints at which a part acts: its places, or those that its actuators drive."""
+    robot, places = search.data.free.model.robot, set(part.candidate.locations)
+    driven = [robot.driven_joints(name) for name in robot.actuator_names if name in places]
+    return places.intersection(robot.joint_names).union(*driven)
+
+
+def _asked_for(search: Search, best: Fitted, joint: str) -> Iterator[tuple[Shape, Candidate]]:
+    """Smooth forces at a joint that the torque domain asks for; all where there is none."""
+    data, domain = search.data, search.torque_domain
+    excitation = excitation_of(data.free.model, data.segments)[joint]
+    ranges = {"pos": (excitation.low, excitation.high), "vel": (-excitation.speed, excitation.speed)}
+    candidates = []
+    for shape in SHAPES:
+        low, high = ranges[shape.over]
+        given = {
+            "over_rate": float(shape.over == "vel"),
+            "times_rate": float(shape.times_rate),
+            "low": low,
+            "width": max(high - low, 1e-9),
+            "speed": max(excitation.speed, 1e-9),
+            "force_scale": max(excitation.force, 1e-9),
+        }
+        candidates.append(Candidate(SmoothForce, (joint,), (dict(SmoothForce.neutral),), given=given))
+    gains: dict[Candidate, float] = {}
+    for width in WIDER if domain is not None else ():
+        assert domain is not None
+        for candidate in candidates:
+            screen = torque_screen(data, replace(domain, width=width * domain.width), best, [candidate])
+            for own, fit in screen.alone().items():
+                gains[own] = max(gains.get(own, 0.0), fit.gain / CORRELATED)
+    least = float(chdtri(len(SmoothForce.neutral), ASKED))
+    for shape, candidate in zip(SHAPES, candidates, strict=True):
+        if gains.get(candidate, np.inf) > least:
+            yield shape, candidate
+
+
+def _fitted(search: Search, best: Fitted, joint: str, shape: Shape, candidate: Candidate) -> SmoothLaw | None:
+    """A smooth force fitted beside a hypothesis, begun at nothing; None where that diverges."""
+    data = search.data
+    hypothesis = (*best.hypothesis, Part(candidate, dict(SmoothForce.neutral)))
+    begin = (np.append(best.fit.theta, np.zeros(candidate.n_parameters)), best.fit.starts)
+    try:
+        fitted = data.coarse_fit(hypothesis, [begin], best.noise, search.settings.long_steps)
+        fitted = data.converge(fitted) if search.accepts(best, fitted) else fitted
+    except SimulationDiverged:
+        return None
+    return SmoothLaw(joint, shape, fitted, best.deviance - fitted.deviance)
+
+
+def as_residual_forces(search: Search, laws: Sequence[SmoothLaw]) -> tuple[ResidualForce, ...]:
+    """Of a report."""
+    return tuple(_residual_force(search, law) for law in laws)
+
+
+def _residual_force(search: Search, law: SmoothLaw) -> ResidualForce:
+    model, part, axis = search.data.free.model, law.fitted.hypothesis[-1], Coordinate(law.shape.over, law.joint)
+    given = part.candidate.given
+    x = np.linspace(given["low"], given["low"] + given["width"], POINTS)
+    rows, size = _basis(x, given), given["force_scale"] / (given["speed"] if law.shape.times_rate else 1.0)
+    coefficients, spread = _coefficients(law)
+    force, band = (
+        -size * (rows @ coefficients),
+        CONFIDENT * size * np.sqrt(np.maximum(((rows @ spread) * rows).sum(axis=1), 0.0)),
+    )
+    factor = (Coordinate("vel", law.joint),) if law.shape.times_rate else ()
+    unit = "N·m·s/rad" if law.shape.times_rate else "N·m"
+    return ResidualForce(
+        location=law.joint,
+        share=1.0,
+        coordinates=(axis, *factor),
+        places=(law.joint,),
+        gain=law.gain,
+        threshold=search.threshold(part.candidate.n_parameters),
+        unit=place_unit(model, unit, law.joint),
+        axis=axis,
+        axis_unit=place_unit(model, "rad" if law.shape.over == "pos" else "rad/s", law.joint),
+        x=x,
+        force=force,
+        band=band,
+    )
+
+
+def _basis(x: Array, given: Mapping[str, float]) -> Array:
+    """(n, k) the splines at x (n,)."""
+    u = ca.SX.sym("u")
+    rows = ca.Function("splines", [u], [ca.horzcat(*splines(u, ca.SX(given["low"]), ca.SX(given["width"])))])
+    return np.vstack([np.array(rows(value)) for value in x])
+
+
+def _coefficients(law: SmoothLaw) -> tuple[Array, Array]:
+    """(k,) a smooth force's coefficients, and (k, k) their covariance, 0 where one is not identifiable."""
+    k, uncertainty = law.fitted.hypothesis[-1].candidate.n_parameters, law.fitted.fit.uncertainty
+    error = np.where(np.isfinite(uncertainty.standard_error), uncertainty.standard_error, 0.0)[-k:]
+    correlation = np.nan_to_num(uncertainty.correlation[-k:, -k:])
+    return law.fitted.fit.theta[-k:], correlation * np.outer(error, error)

@@ -1,0 +1,69 @@
+"""A force of any smooth shape, by which a diagnosis asks whether a named law is the right one. Never named itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from equimus_ctrl.effects.base import parameter
+from equimus_ctrl.effects.force import ForceEffect, Parameters
+
+PIECES = (
+    lambda s: s**3 / 6,
+    lambda s: (-3 * s**3 + 12 * s**2 - 12 * s + 4) / 6,
+    lambda s: (3 * s**3 - 24 * s**2 + 60 * s - 44) / 6,
+    lambda s: (4 - s) ** 3 / 6,
+)
+"""A cubic B-spline on each of the four intervals between its knots 0, 1, …, 4 (de Boor, "A practical guide to splines",
+1978)."""
+
+
+@dataclass(frozen=True)
+class SmoothForce(ForceEffect):
+    """−force·Σ cₖ Bₖ(u)·(1 or rate/speed), Bₖ uniform cubic B-splines of u = x or rate, from ``low`` on ``width`` wide.
+
+    Beyond that u is taken to be at its end. It is not part of the catalogue: ``diagnosis.smooth_laws`` fits it beside
+    a hypothesis, and whatever it explains no named law does.
+    """
+
+    name = "smooth_force"
+    robots = ("mjcf",)
+    sits_at = ("joint",)
+    summary = "a force of any smooth shape over the angle or the speed"
+    alike = False
+    neutral = dict.fromkeys(("c1", "c2", "c3", "c4", "c5", "c6"), 0.0)
+    c1: float = parameter("1", -1e3, 1e3, "of the first spline")
+    c2: float = parameter("1", -1e3, 1e3, "of the second")
+    c3: float = parameter("1", -1e3, 1e3, "of the third")
+    c4: float = parameter("1", -1e3, 1e3, "of the fourth")
+    c5: float = parameter("1", -1e3, 1e3, "of the fifth")
+    c6: float = parameter("1", -1e3, 1e3, "of the sixth")
+    over_rate: float = parameter("1", 0.0, 1.0, "1 where u is the rate, 0 where it is x")
+    times_rate: float = parameter("1", 0.0, 1.0, "1 where it is times rate/speed, 0 where it is not")
+    low: float = parameter("1", -1e6, 1e6, "least u [rad or rad/s]")
+    width: float = parameter("1", 1e-9, 1e6, "greatest u less that [rad or rad/s]")
+    speed: float = parameter("rad/s", 1e-9, 1e6, "by which the rate is divided")
+    force_scale: float = parameter("N·m", 0.0, 1e9, "size of the force that a coefficient of 1 stands for")
+
+    @classmethod
+    def force(cls, x: ca.SX, rate: ca.SX, z: Sequence[ca.SX], p: Parameters) -> ca.SX:
+        u = x + p["over_rate"] * (rate - x)
+        total = sum(
+            (p[key] * spline for key, spline in zip(cls.neutral, splines(u, p["low"], p["width"]), strict=True))
+        )
+        return -p["force_scale"] * total * (1 + p["times_rate"] * (rate / p["speed"] - 1))
+
+
+def splines(u: ca.SX, low: ca.SX, width: ca.SX) -> list[ca.SX]:
+    """The uniform cubic B-splines that do not vanish from ``low`` on ``width`` wide, at u, each an expression."""
+    count = len(SmoothForce.neutral)
+    inside = ca.fmin(ca.fmax((u - low) / width, 0), 1) * (count - 3)
+    found = []
+    for k in range(count):
+        s, value = inside - (k - 3), ca.SX(0)
+        for i, piece in enumerate(PIECES):
+            value = ca.if_else(ca.logic_and(s >= i, s <= i + 1), piece(s), value)
+        found.append(value)
+    return found
