@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -10,7 +10,7 @@ import casadi as ca
 from equimus_ctrl.effects.base import parameter
 from equimus_ctrl.effects.force import ForceEffect, Parameters
 
-PIECES = (
+PIECES: tuple[Callable[[ca.SX], ca.SX], ...] = (
     lambda s: s**3 / 6,
     lambda s: (-3 * s**3 + 12 * s**2 - 12 * s + 4) / 6,
     lambda s: (3 * s**3 - 24 * s**2 + 60 * s - 44) / 6,

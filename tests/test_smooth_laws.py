@@ -1,0 +1,120 @@
+"""Smooth forces beside a hypothesis: a law that is not the right one leaves what they explain, the right one nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pytest
+from pendulum_runs import MOTOR, PENDULUM, recorded
+from scipy.interpolate import BSpline
+
+from equimus_ctrl.diagnosis.candidates import candidates
+from equimus_ctrl.diagnosis.fitting import Data
+from equimus_ctrl.diagnosis.holdout import Split, split
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters, parameters_of
+from equimus_ctrl.diagnosis.policy import SearchSettings
+from equimus_ctrl.diagnosis.results import ResidualForce
+from equimus_ctrl.diagnosis.search import Search
+from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.smooth_laws import SHAPES, analysed, beside, redundant
+from equimus_ctrl.diagnosis.unexplained import GENERALISED
+from equimus_ctrl.effects import CoulombFriction, Effect, ViscousFriction
+from equimus_ctrl.effects.smooth import SmoothForce, splines
+from equimus_ctrl.identification.simulators import reduced_simulator
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.proof.outside import AngleDamping
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+
+ROBOT = MjcfRobot("arm", PENDULUM.format(drive=MOTOR))
+
+
+@dataclass(frozen=True)
+class DampingOverAngle(AngleDamping):
+    """As no law of the catalogue of MJCF robots."""
+
+    robots = ("mjcf",)
+
+
+TRUE = ViscousFriction("hinge", 0.08)
+OUTSIDE = DampingOverAngle("hinge", 0.15, -0.6, 0.6)
+
+
+def fitted_law(truth: Effect) -> tuple[Search, SearchState, Split]:
+    """A search that has come to viscous friction at the hinge, whatever there truly is."""
+    free = default_free_parameters(Model(ROBOT))
+    parts = split(free.model, recorded(Model(ROBOT, (truth,)), count=4, dt=1e-3))
+    data = Data(free, parts.train, reduced_simulator(threads=1))
+    search = Search(data, candidates(free.model, parts.train), SearchSettings(many_minima=True))
+    base = data.base()
+    viscous = Part(next(c for c in search.pool if c.label == "viscous_friction:hinge"), {"damping": 0.05})
+    begin = (np.append(base.fit.theta, 0.05), base.fit.starts)
+    best = data.converge(data.coarse_fit((viscous,), [begin], base.noise, 15))
+    return search, SearchState(base, best, (base,), ((),)), parts
+
+
+def test_splines_are_those_of_scipy_and_sum_to_one_within_their_range() -> None:
+    u, low, width = ca.SX.sym("u"), -0.7, 2.1
+    own = ca.Function("own", [u], [ca.horzcat(*splines(u, ca.SX(low), ca.SX(width)))])
+    step = width / 3
+    knots = low + step * np.arange(-3, 7)
+    x = np.linspace(low, low + width - 1e-9, 50)
+    found = np.vstack([np.array(own(value)) for value in x])
+    assert np.allclose(found, BSpline.design_matrix(x, knots, 3).toarray(), atol=1e-12)
+    assert np.allclose(np.array(own(low + width + 1)), np.array(own(low + width)))
+
+
+def test_it_does_nothing_without_coefficients_and_pushes_against_the_speed_with_them() -> None:
+    x, rate = ca.SX(0.3), ca.SX(2.0)
+    given = {"over_rate": 0.0, "times_rate": 1.0, "low": -1.0, "width": 2.0, "speed": 4.0, "force_scale": 3.0}
+
+    def force(size: float) -> float:
+        p = {key: ca.SX(v) for key, v in (dict.fromkeys(SmoothForce.neutral, size) | given).items()}
+        return float(SmoothForce.force(x, rate, (), p))
+
+    assert force(0.0) == 0.0
+    assert force(0.5) == pytest.approx(-3.0 * 0.5 * 2.0 / 4.0)
+
+
+def test_given_parameters_are_not_estimated_and_keep_their_places() -> None:
+    given = {"over_rate": 0.0, "times_rate": 0.0, "low": -1.0, "width": 2.0, "speed": 1.0, "force_scale": 1.0}
+    candidate = Candidate(SmoothForce, ("hinge",), (dict(SmoothForce.neutral),), given=given)
+    assert [own.name for own in candidate.parameters] == list(SmoothForce.neutral)
+    (effect,) = candidate.attached({**dict(SmoothForce.neutral), "c2": 0.5})
+    assert effect.parameters() == {**SmoothForce.neutral, "c2": 0.5, **given}
+    assert list(candidate.at(SmoothForce.neutral, "hinge")) == list(SmoothForce.parameter_info())
+    assert candidate.alone("hinge").given == given
+    part = Part(candidate, dict(SmoothForce.neutral))
+    free = default_free_parameters(Model(ROBOT))
+    assert len(parameters_of(free, (part,)).free) == len(free.free) + 6
+
+
+def test_a_law_that_depends_on_more_than_it_says_is_redundant_beside_a_smooth_force() -> None:
+    search, state, parts = fitted_law(OUTSIDE)
+    (law,) = beside(search, state, parts)
+    assert (law.joint, law.shape) == ("hinge", SHAPES[2])
+    assert redundant(search, state, [law]) == (0,)
+    analysis = analysed(search, state, parts)
+    assert analysis.redundant == {0: GENERALISED}
+    (force,) = analysis.unexplained
+    assert isinstance(force, ResidualForce)
+    assert force.depends_on == "pos.hinge·vel.hinge"
+    true = -OUTSIDE.damping * ((force.x - OUTSIDE.centre) / OUTSIDE.width) ** 2
+    damping = dict(state.best.hypothesis[0].values)["damping"]
+    seen = np.abs(force.x - np.median(force.x)) < 0.3 * np.ptp(force.x)
+    assert np.abs(force.force - damping - true)[seen].max() < 0.1 * np.abs(true).max()
+    assert np.all(force.band[seen] > 0)
+
+
+def test_the_right_law_leaves_nothing_that_a_smooth_force_explains() -> None:
+    search, state, parts = fitted_law(TRUE)
+    assert beside(search, state, parts) == ()
+    assert analysed(search, state, parts).redundant == {}
+
+
+def test_dry_friction_in_the_place_of_viscous_friction_is_seen_over_the_speed() -> None:
+    search, state, parts = fitted_law(CoulombFriction("hinge", 0.3))
+    (law,) = beside(search, state, parts)
+    assert law.shape == SHAPES[1]
+    assert law.gain > 1000
