@@ -11,6 +11,7 @@ Where there is a torque domain, only what it asks for is simulated.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,6 +33,7 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
+from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.smooth import SmoothForce, splines
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.parameters import place_unit
@@ -110,15 +112,14 @@ def beside(search: Search, state: SearchState, split: Split) -> tuple[SmoothLaw,
     best = state.best
     whole = state.base.deviance - best.deviance
     found: dict[str, SmoothLaw] = {}
-    for joint in _joints(search, best):
-        for shape, candidate in _asked_for(search, best, joint):
-            law = _fitted(search, best, joint, shape, candidate)
-            if law is None or not search.accepts(best, law.fitted):
-                continue
-            if search.data.thresholds.decides(partial(_but_a_trace, law.gain, whole)):
-                continue
-            if joint not in found or law.gain > found[joint].gain:
-                found[joint] = law
+    for joint, shape, candidate in _asked_for(search, best):
+        law = _fitted(search, best, joint, shape, candidate)
+        if law is None or not search.accepts(best, law.fitted):
+            continue
+        if search.data.thresholds.decides(partial(_but_a_trace, law.gain, whole)):
+            continue
+        if joint not in found or law.gain > found[joint].gain:
+            found[joint] = law
     holdout = HoldoutResiduals(search.data, split, state)
     return tuple(
         law
@@ -179,34 +180,37 @@ def _joints_of(search: Search, part: Part) -> set[str]:
     return places.intersection(robot.joint_names).union(*driven)
 
 
-def _asked_for(search: Search, best: Fitted, joint: str) -> Iterator[tuple[Shape, Candidate]]:
-    """Smooth forces at a joint that the torque domain asks for; all where there is none."""
+def _asked_for(search: Search, best: Fitted) -> Iterator[tuple[str, Shape, Candidate]]:
+    """Smooth forces that the torque domain asks for at a hypothesis' joints; all there where there is none."""
     data, domain = search.data, search.torque_domain
-    excitation = excitation_of(data.free.model, data.segments)[joint]
-    ranges = {"pos": (excitation.low, excitation.high), "vel": (-excitation.speed, excitation.speed)}
-    candidates = []
-    for shape in SHAPES:
-        low, high = ranges[shape.over]
-        given = {
-            "over_rate": float(shape.over == "vel"),
-            "times_rate": float(shape.times_rate),
-            "low": low,
-            "width": max(high - low, 1e-9),
-            "speed": max(excitation.speed, 1e-9),
-            "force_scale": max(excitation.force, 1e-9),
-        }
-        candidates.append(Candidate(SmoothForce, (joint,), (dict(SmoothForce.neutral),), given=given))
+    excitation = excitation_of(data.free.model, data.segments)
+    every = [
+        (joint, shape, _candidate(joint, shape, excitation[joint]))
+        for joint in _joints(search, best)
+        for shape in SHAPES
+    ]
     gains: dict[Candidate, float] = {}
-    for width in WIDER if domain is not None else ():
-        assert domain is not None
-        for candidate in candidates:
-            screen = torque_screen(data, replace(domain, width=width * domain.width), best, [candidate])
-            for own, fit in screen.alone().items():
+    if domain is not None:
+        for times in WIDER:
+            wider = replace(domain, width=times * domain.width)
+            for own, fit in torque_screen(data, wider, best, [candidate for *_, candidate in every]).alone().items():
                 gains[own] = max(gains.get(own, 0.0), fit.gain / CORRELATED)
     least = float(chdtri(len(SmoothForce.neutral), ASKED))
-    for shape, candidate in zip(SHAPES, candidates, strict=True):
-        if gains.get(candidate, np.inf) > least:
-            yield shape, candidate
+    yield from (one for one in every if gains.get(one[-1], math.inf) > least)
+
+
+def _candidate(joint: str, shape: Shape, excitation: Excitation) -> Candidate:
+    """A smooth force at a joint, within what recordings show of it."""
+    low, width = (-excitation.speed, 2 * excitation.speed) if shape.over == "vel" else (excitation.low, excitation.span)
+    given = {
+        "over_rate": float(shape.over == "vel"),
+        "times_rate": float(shape.times_rate),
+        "low": low,
+        "width": max(width, 1e-9),
+        "speed": max(excitation.speed, 1e-9),
+        "force_scale": max(excitation.force, 1e-9),
+    }
+    return Candidate(SmoothForce, (joint,), (dict(SmoothForce.neutral),), given=given)
 
 
 def _fitted(search: Search, best: Fitted, joint: str, shape: Shape, candidate: Candidate) -> SmoothLaw | None:
