@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 
 from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis_moves import extra_parameters
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, residual_analysis
+from equimus_ctrl.diagnosis.smooth_laws import analysed
+from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.engines.base import Discretisation
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.noise import Noise
@@ -36,7 +38,9 @@ class WithoutStepError:
     sentence: str
 
 
-def without_step_error(search: Search, end: SearchState, analysis: ResidualAnalysis) -> WithoutStepError | None:
+def without_step_error(
+    search: Search, end: SearchState, analysis: ResidualAnalysis, split: Split
+) -> WithoutStepError | None:
     """The search's end without the discretisation error, where less physics is missing then.
 
     A robot's own step belongs to the simulation that the model is compared with, but residuals of its error are no
@@ -46,6 +50,7 @@ def without_step_error(search: Search, end: SearchState, analysis: ResidualAnaly
         search: with the engine's own step.
         end: of the search.
         analysis: of the residuals.
+        split: with the validation trials.
     """
     engine, best = search.data.simulator.engine, end.best
     if (step := engine.discretisation) is None or not (best.hypothesis or analysis.unexplained):
@@ -69,7 +74,7 @@ def without_step_error(search: Search, end: SearchState, analysis: ResidualAnaly
     exact = without_parts(exact_search, exact, needless[:1])
     if exact.best.deviance - best.deviance > search.threshold(extra_parameters(exact.best, best)):
         return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
-    after = residual_analysis(data, base, exact.best, exact.without)
+    after = analysed(exact_search, exact, split)
     if not needless and after.unexplained:
         return None
     return WithoutStepError(exact_search, exact, after, _sentence(step))

@@ -289,7 +289,7 @@ def _size(residual: Unexplained) -> float:
 
 def take_off_step_error(state: State) -> State:
     """The same without the discretisation error, where that changes findings or unexplained residuals."""
-    exact = without_step_error(state.search, state.end, state.analysis)
+    exact = without_step_error(state.search, state.end, state.analysis, state.inputs.split)
     if exact is None:
         return state
     after = replace(
