@@ -10,6 +10,7 @@ import pytest
 from test_search_ends import RUB, Known, OnPaper, ended
 
 from equimus_ctrl.diagnosis import discretization
+from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.engines.base import Discretisation
 
@@ -55,8 +56,8 @@ def test_a_step_is_to_blame_where_less_is_missing_without_its_error(
     monkeypatch.setattr(discretization, "replace", changed)
     monkeypatch.setattr(discretization, "Search", lambda *given, **more: OnPaper(fine))
     monkeypatch.setattr(discretization, "_parts_of_the_step", lambda *given: [0])
-    monkeypatch.setattr(discretization, "residual_analysis", lambda *given: after)
-    found = discretization.without_step_error(search, ended(known, RUB), before)
+    monkeypatch.setattr(discretization, "analysed", lambda *given: after)
+    found = discretization.without_step_error(search, ended(known, RUB), before, Split((), ()))
     if effects is None:
         assert found is None
     else:
