@@ -170,14 +170,15 @@ def _best_beside_same(search: HypothesisMoves, fits: Sequence[Fitted]) -> dict[t
 def listed(search: HypothesisMoves, state: SearchState) -> SearchState:
     """The end, with alternatives of those parts that have none after others were rejected.
 
-    Where fits have many local minima they are found among all hypotheses fitted, see ``in_place``.
+    None is listed that fits far worse than the end, so what stays far behind it is not fitted whole. Where fits have
+    many local minima they are found among all hypotheses fitted, see ``in_place``.
     """
     if search.settings.many_minima:
         return state
     tried, alternatives = state.tried, list(state.alternatives)
     for k, (part, without) in enumerate(zip(state.best.hypothesis, state.without, strict=True)):
         if not alternatives[k]:
-            others, tried = search.challenge(tried, without, part.candidate.label)
+            others, tried = search.challenge(tried, without, part.candidate.label, state.best)
             alternatives[k] = tuple(others)
     return replace(state, alternatives=tuple(alternatives), tried=tried)
 
