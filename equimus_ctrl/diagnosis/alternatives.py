@@ -54,6 +54,8 @@ def contested(search: HypothesisMoves, state: SearchState) -> SearchState:
 def _with_contenders(search: HypothesisMoves, to: SearchState, contested: SearchState) -> SearchState:
     """A search's hypothesis with the closest alternatives of each part, refitted beside its other parts.
 
+    They are those close enough to be fitted until converged, see ``SearchSettings.kept_share``.
+
     Args:
         search: that found it.
         to: the search, which gets these alternatives beside its own.
@@ -61,7 +63,10 @@ def _with_contenders(search: HypothesisMoves, to: SearchState, contested: Search
     """
     tried, alternatives = to.tried, []
     for k, fits in enumerate(contested.alternatives):
-        closest = [replacement(a, contested.without[k]) for a in sorted(fits, key=search.score)]
+        gain = contested.without[k].deviance - contested.best.deviance
+        most = contested.best.deviance + search.settings.kept_share * gain + search.settings.kept_gain
+        close = sorted((a for a in fits if a.deviance <= most), key=search.score)
+        closest = [replacement(a, contested.without[k]) for a in close]
         more, tried = _beside_others(search, replace(to, tried=tried), k, closest)
         alternatives.append((*to.alternatives[k], *more))
     return replace(to, alternatives=tuple(alternatives), tried=tried)

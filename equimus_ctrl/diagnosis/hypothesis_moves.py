@@ -95,7 +95,8 @@ class HypothesisMoves:
     ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part, the most promising ones fitted until converged.
 
-        They are those of the history where the same hypothesis was extended before, from a fit at least as good.
+        They are those of the history where the same hypothesis was extended before, from a fit at least as good, see
+        ``_serves``.
 
         Args:
             tried: the history so far.
@@ -106,11 +107,32 @@ class HypothesisMoves:
         least = math.inf if rival is None or self.settings.many_minima else rival.deviance
         for replaced in ("", replacing):
             known = tried.extended.get((fitted.labels, replaced))
-            if known and known.base.deviance <= fitted.deviance + CONVERGED_GAIN and known.rival >= least:
-                return [o for o in known.options if replacing not in o.labels and tried.allows(o.labels)], tried
+            if known is None or known.rival < least:
+                continue
+            options = [o for o in known.options if replacing not in o.labels and tried.allows(o.labels)]
+            if self._serves(known, options, fitted, least):
+                return options, tried
         options, tried = self.extensions(tried, fitted, replacing, rival=least)
         entry = {(fitted.labels, replacing): Extended(fitted, tuple(options), least)}
         return options, replace(tried, extended={**tried.extended, **entry})
+
+    def _serves(self, known: Extended, options: Sequence[Fitted], fitted: Fitted, rival: float) -> bool:
+        """Whether extensions of an earlier fit do for one of the same hypothesis that ended lower.
+
+        Extensions of the lower one may end lower too, by ``SearchSettings.optimism`` times as much. Where even then none
+        reaches the rival, they decide nothing.
+
+        Args:
+            known: what was extended.
+            options: of its extensions, those asked for.
+            fitted: the fit that is to be extended.
+            rival: deviance that extensions have to come near to; inf where they need not.
+        """
+        lower = known.base.deviance - fitted.deviance
+        if lower <= CONVERGED_GAIN:
+            return True
+        lack = min((option.deviance for option in options), default=math.inf) - rival
+        return rival < math.inf and self.settings.optimism * lower < lack
 
     def extensions(
         self,

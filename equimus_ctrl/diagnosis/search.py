@@ -259,7 +259,9 @@ class Search(HypothesisMoves):
     def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:
         """Two parts of which the first is not the best one alone, but gains about as much.
 
-        Of two missing effects the one that matters less may fit better alone, and hide the other.
+        Of two missing effects the one that matters less may fit better alone, and hide the other. Not where the first
+        leaves the same residuals as the best one, such as a law that holds it as a special case: the second would be
+        the same.
         """
         tried, base = state.tried, self.score(state.base)
 
@@ -270,10 +272,23 @@ class Search(HypothesisMoves):
         close = [option for option in sorted(state.alternatives[0], key=self.score) if near_the_best(option)]
         options: list[Fitted] = []
         for alternative in close[: self.settings.runners_up]:
+            if self._leaves_the_same(state.best, alternative):
+                continue
             self.notify("a second effect beside another", alternative.label)
             more, tried = self.challenge(tried, alternative)
             options += self._small(more)
         return options, tried
+
+    def _leaves_the_same(self, best: Fitted, other: Fitted) -> bool:
+        """Whether the predictions of two fits differ by less than what makes hypotheses distinguishable.
+
+        Never where fits have many minima: what each is extended to depends on where it ended.
+        """
+        if self.settings.many_minima:
+            return False
+        apart = [a - b for a, b in zip(best.fit.residuals, other.fit.residuals, strict=True)]
+        distance = chi_squared(best.noise, self.data.times, apart)
+        return self.data.thresholds.decides(lambda t: distance < t.indistinguishable)
 
     def _outdone(self, best: Fitted, top: Fitted, force: Callable[[], float | None]) -> bool:
         """Whether a residual force explains far more than what a larger hypothesis adds: then that is not missing.
