@@ -32,6 +32,7 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.errors import SimulationDiverged
+from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.models.model import nominal_model
 
 VALUES: dict[str, dict[str, float]] = {
@@ -60,6 +61,7 @@ class Known:
     of: Mapping[tuple[str, ...], float]
     outdone: Sequence[frozenset[str]] = ()
     aliased: Sequence[str] = ()
+    same: Sequence[frozenset[str]] = ()
 
     def __call__(self, *labels: str) -> Fitted:
         return self.fits[frozenset(labels)]
@@ -99,6 +101,9 @@ class OnPaper(Search):
     def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:
         return [], state.tried
 
+    def _leaves_the_same(self, best: Fitted, other: Fitted) -> bool:
+        return best.labels | other.labels in self.known.same
+
     def _outdone(self, best: Fitted, top: Fitted, force: Callable[[], float | None]) -> bool:
         return top.labels in self.known.outdone
 
@@ -137,6 +142,64 @@ def test_of_two_missing_effects_the_first_need_not_be_the_best_alone(alone: floa
 
     assert Both(known).run(known()).best.labels == best
     assert OnPaper(known).run(known()).best.labels == {DEAD, RUB}
+    # Beside what leaves the same residuals nothing else is missing.
+    assert Both(replace(known, same=[frozenset({DEAD, FULL})])).run(known()).best.labels == {DEAD, RUB}
+
+
+@pytest.mark.parametrize(
+    ("apart", "many_minima", "same"),
+    [(0.9, False, True), (1.1, False, False), (0.0, True, False)],
+    ids=["indistinguishable", "distinguishable", "where fits have many minima"],
+)
+def test_fits_leave_the_same_where_their_predictions_differ_by_less_than_is_distinguishable(
+    apart: float, many_minima: bool, same: bool
+) -> None:
+    """Ten numbers, each so many standard deviations apart: χ² is ten times the square, to be less than 10."""
+    search = OnPaper(Known({(): 5000.0}), SearchSettings(many_minima=many_minima))
+    vars(search.data).update(times=[np.arange(5.0)])
+    sigma = np.array([0.01, 0.2])
+    best, other = (replace(fitted(1000.0, label), noise=tuple(JointNoise(s) for s in sigma)) for label in (DEAD, FULL))
+    best.fit.residuals[0][:], other.fit.residuals[0][:] = 0.5, 0.5 + np.sqrt(apart) * sigma
+    assert Search._leaves_the_same(search, best, other) is same
+
+
+class Extending(OnPaper):
+    """It tells what it extends."""
+
+    extended: list[tuple[float, float]]
+    challenge = Search.challenge
+
+    def extensions(
+        self, tried: SearchHistory, fitted: Fitted, replaced: str = "", known: Any = None, rival: float = np.inf
+    ) -> tuple[list[Fitted], SearchHistory]:
+        self.extended.append((fitted.deviance, rival))
+        return [self.known(*fitted.labels, OFF)], tried
+
+
+@pytest.mark.parametrize(
+    ("lower", "rival", "again"),
+    [(0.4, None, False), (0.6, None, True), (60.0, 1000.0, False), (170.0, 1000.0, True)],
+    ids=["as low", "lower", "none reaches the rival", "one may reach the rival"],
+)
+def test_a_hypothesis_is_extended_again_where_its_fit_ended_lower_and_that_may_decide(
+    lower: float, rival: float | None, again: bool
+) -> None:
+    """The extension known lacks 500: three times the fall of what is extended has to be more for it to matter."""
+    search = Extending(Known({(): 5000.0, (RUB,): 4000.0, (RUB, OFF): 1500.0}))
+    object.__setattr__(search, "extended", [])
+    _, tried = search.challenge(SearchHistory(), search.known(RUB))
+    beside = None if rival is None else fitted(rival, RUB, DEAD)
+    found, _ = search.challenge(tried, fitted(4000.0 - lower, RUB), DEAD, beside)
+    assert [own.labels for own in found] == [{RUB, OFF}]
+    assert search.extended[1:] == ([(4000.0 - lower, np.inf if rival is None else rival)] if again else [])
+
+
+def test_what_is_listed_has_to_come_near_the_end() -> None:
+    known = Known({(): 5000.0, (RUB,): 1000.0, (OFF,): 1500.0})
+    search = Extending(known)
+    object.__setattr__(search, "extended", [])
+    end = listed(search, SearchState(known(), known(RUB), (known(),), ((),)))
+    assert search.extended == [(5000.0, 1000.0)] and end.alternatives == ((known(OFF),),)
 
 
 def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none() -> None:
@@ -253,6 +316,17 @@ def test_alternatives_are_fitted_again_beside_the_other_parts_as_they_are_now(be
         assert end.best is known(RUB, DEAD)
         assert far in end.alternatives[1] and known(RUB, FULL) in end.alternatives[1]
         assert known(RUB, FULL) in end.tried.fitted
+
+
+@pytest.mark.parametrize(("far", "contends"), [(2100.0, True), (2200.0, False)])
+def test_only_what_is_close_is_fitted_again_beside_the_other_parts(far: float, contends: bool) -> None:
+    """The dead zone gains 2200: half of that and 50 more is close."""
+    known = Known(
+        {(): 5000.0, (RUB,): 3200.0, (DEAD,): 3000.0, (FULL,): 3100.0, (RUB, DEAD): 1000.0, (RUB, FULL): 900.0}
+    )
+    alternatives = ((), (fitted(far, RUB, FULL),))
+    end = contested(OnPaper(known), SearchState(known(), known(RUB, DEAD), (known(DEAD), known(RUB)), alternatives))
+    assert end.best is known(RUB, *([FULL] if contends else [DEAD]))
 
 
 def test_the_search_that_moves_to_fewer_places_keeps_its_rivals() -> None:

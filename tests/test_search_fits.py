@@ -72,6 +72,28 @@ def test_what_cannot_come_near_its_rival_is_not_fitted_further(deviance: float, 
 
 
 @pytest.mark.parametrize(
+    ("gain", "converged", "further"), [(8.0, True, False), (9.0, True, True), (8.0, False, True)],
+    ids=["too little", "perhaps enough", "still gaining"],
+)  # fmt: skip
+def test_what_has_come_to_its_end_and_gains_too_little_is_not_fitted_further(
+    gain: float, converged: bool, further: bool
+) -> None:
+    """Three times what a few steps gain has to exceed the threshold, 25.7 with one parameter and five candidates."""
+    search = OnPaper(Known({(): 5000.0}))
+    threshold = search.threshold(1)
+    asked: list[float] = []
+
+    def longer(hypothesis: tuple[Part, ...], *given: object, settled: object) -> Fitted:
+        asked.append(gain)
+        return coarse(5000.0 - gain, OFF, True)
+
+    vars(search.data).update(threads=1, coarse_fit=longer, converge=lambda f, settled: f, discontinuous=lambda *a: [])
+    share = gain / 25.7
+    search._best_converged(search.known(), [coarse(5000.0 - share * threshold, OFF, converged)], np.inf)
+    assert asked == ([gain] if further else [])
+
+
+@pytest.mark.parametrize(
     ("left", "by_force", "asked", "outdone"),
     [(0.6, 70.0, True, False), (0.6, 90.0, True, True), (0.6, None, True, False), (0.4, 100.0, False, False)],
     ids=["force explains less", "more", "motion not followed", "no force can"],

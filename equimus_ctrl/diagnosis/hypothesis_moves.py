@@ -119,8 +119,8 @@ class HypothesisMoves:
     def _serves(self, known: Extended, options: Sequence[Fitted], fitted: Fitted, rival: float) -> bool:
         """Whether extensions of an earlier fit do for one of the same hypothesis that ended lower.
 
-        Extensions of the lower one may end lower too, by ``SearchSettings.optimism`` times as much. Where even then none
-        reaches the rival, they decide nothing.
+        Extensions of the lower one may end lower too, by ``SearchSettings.optimism`` times as much. Where even then
+        none reaches the rival, they decide nothing.
 
         Args:
             known: what was extended.
@@ -335,7 +335,10 @@ class HypothesisMoves:
         needed = (1 - settings.rival_share) * (fitted.deviance - rival) - settings.kept_gain
 
         def out_of_reach(option: Fitted) -> bool:
-            return not settings.many_minima and settings.optimism * (fitted.deviance - option.deviance) < needed
+            gain = fitted.deviance - option.deviance
+            if option.fit.converged and self._cannot_be_accepted(fitted, option.hypothesis, gain):
+                return True
+            return not settings.many_minima and settings.optimism * gain < needed
 
         def converged(place: int) -> Fitted:
             option, best = options[place], options[0].deviance

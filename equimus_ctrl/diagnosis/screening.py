@@ -23,6 +23,7 @@ import numpy as np
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, model_of, with_part
+from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.projection import Nuisance
@@ -89,6 +90,7 @@ class _Responses:
     Attributes:
         data: what was measured.
         fitted: the hypothesis.
+        reference: for each segment what it predicts, by the engine that the guesses are simulated with.
         guesses: it with one more part each, at an initial guess.
         whitened_fits: its residual and Jacobian, for each whitening.
         columns: for each whitening (N, k) changes of predictions by the guesses.
@@ -96,6 +98,7 @@ class _Responses:
 
     data: Data
     fitted: Fitted
+    reference: Sequence[Predicted]
     guesses: Sequence[Hypothesis]
     whitened_fits: Sequence[WhitenedFit]
     columns: Sequence[Array]
@@ -184,12 +187,15 @@ def _responses(data: Data, fitted: Fitted, guesses: Sequence[Hypothesis]) -> _Re
     whitened_fits = [
         whiten_fit(data.times, fitted.fit, noise) for noise in (white_noise(fitted.fit.residuals), fitted.noise)
     ]
-    changes = _changes(data, fitted, guesses)
+    plain = [start[None, :] for start in fitted.fit.starts]
+    reference = data.screening_simulator([fitted.fit.model], data.segments, plain)
+    changes = _changes(data, fitted, reference, guesses)
     if data.policy.rescaled_guesses and (smaller := _smaller(data, whitened_fits[WHITE], guesses, changes)):
-        more = _changes(data, fitted, smaller)
+        more = _changes(data, fitted, reference, smaller)
         guesses = [*guesses, *smaller]
         changes = [np.concatenate(pair, axis=2) for pair in zip(changes, more, strict=True)]
-    return _Responses(data, fitted, guesses, whitened_fits, [w.columns(data.times, changes) for w in whitened_fits])
+    columns = [w.columns(data.times, changes) for w in whitened_fits]
+    return _Responses(data, fitted, reference, guesses, whitened_fits, columns)
 
 
 def _evaluated(responses: _Responses) -> dict[Candidate, list[_Guess]]:
@@ -319,7 +325,8 @@ def _rescreened_at_changed_parameters(
     replacements: dict[int, _Guess] = {}
     for _ in range(LOOKS):
         moved = [thetas[guess.index] for guess in chosen]
-        changes = _changes(data, fitted, [responses.guesses[guess.index] for guess in chosen], moved)
+        hypotheses = [responses.guesses[guess.index] for guess in chosen]
+        changes = _changes(data, fitted, responses.reference, hypotheses, moved)
         changed = [w.columns(data.times, changes) for w in responses.whitened_fits]
         again = []
         for k, guess in enumerate(chosen):
@@ -364,13 +371,18 @@ class _Squares:
 
 
 def _changes(
-    data: Data, fitted: Fitted, guesses: Sequence[Hypothesis], thetas: Sequence[Array] | None = None
+    data: Data,
+    fitted: Fitted,
+    reference: Sequence[Predicted],
+    guesses: Sequence[Hypothesis],
+    thetas: Sequence[Array] | None = None,
 ) -> list[Array]:
     """For each segment (m, nj, k) by how much each guess changes predictions [rad or m]; 0 where it diverges.
 
     Args:
         data: what was measured.
         fitted: what is changed.
+        reference: for each segment what that predicts.
         guesses: what to.
         thetas: for each guess the model parameters, those of ``fitted`` by default.
     """
@@ -380,8 +392,6 @@ def _changes(
     # Dry friction anywhere makes the engine look for it everywhere.
     rubs = [any(e.rubs for e in model.effects) for model in models]
     changes = [np.zeros((*s.outputs.shape, len(guesses))) for s in data.segments]
-    plain = [start[None, :] for start in fitted.fit.starts]
-    reference = data.screening_simulator([fitted.fit.model], data.segments, plain)
     for group in (True, False):
         rows = [k for k, rub in enumerate(rubs) if rub == group]
         if not rows:
