@@ -95,7 +95,7 @@ def leg_dir(recordings_dir: Path) -> Path:
 @pytest.fixture(autouse=True)
 def catalogue() -> Iterator[None]:
     """Effects, controllers, plants and scenarios that a test makes known are gone after it."""
-    registries: list[dict[Any, Any]] = [*plugins.KNOWN, plugins._loaded]
+    registries: list[dict[Any, Any]] = [*plugins.known(), plugins._loaded]
     before = [dict(known) for known in registries]
     yield
     for known, held in zip(registries, before, strict=True):

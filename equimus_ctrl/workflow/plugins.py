@@ -8,20 +8,25 @@ from pathlib import Path
 from typing import Any
 
 from equimus_ctrl import presets
-from equimus_ctrl.controllers.registry import CONTROLLERS
 from equimus_ctrl.effects.base import REGISTRY
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.plants.registry import PLANTS
-from equimus_ctrl.scenarios.registry import SCENARIOS
 
-KNOWN: tuple[dict[str, Any], ...] = (REGISTRY, CONTROLLERS, PLANTS, SCENARIOS)
-"""All that can be added to."""
 NOTHING = (
     "registers nothing; put @register above an effect's class, or call register_controller, register_plant or "
     "register_scenario"
 )
 
 _loaded: dict[Path, tuple[tuple[str, ...], ...]] = {}
+
+
+def known() -> tuple[dict[str, Any], ...]:
+    """All that can be added to."""
+    # Imported where there is a file to load: a diagnosis needs no controllers.
+    from equimus_ctrl.controllers.registry import CONTROLLERS
+    from equimus_ctrl.plants.registry import PLANTS
+    from equimus_ctrl.scenarios.registry import SCENARIOS
+
+    return REGISTRY, CONTROLLERS, PLANTS, SCENARIOS
 
 
 def load_plugins(files: Iterable[Path | str]) -> tuple[str, ...]:
@@ -39,20 +44,22 @@ def load_plugins(files: Iterable[Path | str]) -> tuple[str, ...]:
     names: list[str] = []
     for file in files:
         path = Path(file)
-        before = [dict(known) for known in KNOWN]
-        for known, old in zip(KNOWN, _loaded.get(path.resolve(), ()), strict=False):
+        registries = known()
+        before = [dict(registry) for registry in registries]
+        for registry, old in zip(registries, _loaded.get(path.resolve(), ()), strict=False):
             for name in old:
-                known.pop(name, None)
-        others = [set(known) for known in KNOWN]
+                registry.pop(name, None)
+        others = [set(registry) for registry in registries]
         try:
             presets.load_script(path)
-            own = tuple(tuple(name for name in known if name not in o) for known, o in zip(KNOWN, others, strict=True))
+            pairs = zip(registries, others, strict=True)
+            own = tuple(tuple(name for name in registry if name not in other) for registry, other in pairs)
             if not any(own):
                 raise ConfigError(f"{path}: {NOTHING}")
         except BaseException:
-            for known, held in zip(KNOWN, before, strict=True):
-                known.clear()
-                known.update(held)
+            for registry, held in zip(registries, before, strict=True):
+                registry.clear()
+                registry.update(held)
             raise
         _loaded[path.resolve()] = own
         names += [name for kind in own for name in kind]
