@@ -178,28 +178,35 @@ class Extending(OnPaper):
 
 @pytest.mark.parametrize(
     ("lower", "rival", "again"),
-    [(0.4, None, False), (0.6, None, True), (60.0, 1000.0, False), (170.0, 1000.0, True)],
+    [(0.4, None, False), (0.6, None, True), (60.0, 930.0, False), (170.0, 930.0, True)],
     ids=["as low", "lower", "none reaches the rival", "one may reach the rival"],
 )
 def test_a_hypothesis_is_extended_again_where_its_fit_ended_lower_and_that_may_decide(
     lower: float, rival: float | None, again: bool
 ) -> None:
-    """The extension known lacks 500: three times the fall of what is extended has to be more for it to matter."""
+    """The extension known lacks 500 of what is listed, which is up to 10 + 60 more than the rival's deviance.
+
+    Three times the fall of what is extended has to be more for it to matter.
+    """
     search = Extending(Known({(): 5000.0, (RUB,): 4000.0, (RUB, OFF): 1500.0}))
     object.__setattr__(search, "extended", [])
     _, tried = search.challenge(SearchHistory(), search.known(RUB))
     beside = None if rival is None else fitted(rival, RUB, DEAD)
     found, _ = search.challenge(tried, fitted(4000.0 - lower, RUB), DEAD, beside)
     assert [own.labels for own in found] == [{RUB, OFF}]
-    assert search.extended[1:] == ([(4000.0 - lower, np.inf if rival is None else rival)] if again else [])
+    assert search.extended[1:] == ([(4000.0 - lower, np.inf if rival is None else rival + 70)] if again else [])
 
 
 def test_what_is_listed_has_to_come_near_the_end() -> None:
+    """Within 10 and 60 for the step's error, and a parameter's ln 1000 less than a law with one more has to."""
     known = Known({(): 5000.0, (RUB,): 1000.0, (OFF,): 1500.0})
     search = Extending(known)
     object.__setattr__(search, "extended", [])
     end = listed(search, SearchState(known(), known(RUB), (known(),), ((),)))
-    assert search.extended == [(5000.0, 1000.0)] and end.alternatives == ((known(OFF),),)
+    assert search.extended == [(5000.0, 1070.0)] and end.alternatives == ((known(OFF),),)
+    search.extended.clear()
+    listed(search, SearchState(known(), fitted(1000.0, STICK), (known(),), ((),)))
+    assert search.extended == [(5000.0, pytest.approx(1070.0 + 2 * np.log(1000)))]
 
 
 def test_a_part_that_takes_the_place_of_one_it_excludes_is_measured_against_none() -> None:

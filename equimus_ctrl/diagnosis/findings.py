@@ -225,10 +225,7 @@ def _equivalent(
     thresholds, gain = search.data.thresholds, end.without[k].deviance - end.best.deviance
 
     def margin(t: Thresholds) -> float:
-        equally_good = (
-            max(t.indistinguishable, t.indistinguishable_share * gain) if unexplained else t.indistinguishable
-        )
-        return max(equally_good + search.scatter(t), t.simulation_error * search.data.n)
+        return search.equally_good(t, t.indistinguishable_share * gain if unexplained else 0.0)
 
     def within_scatter(t: Thresholds) -> float:
         return margin(t) + t.step_scatter

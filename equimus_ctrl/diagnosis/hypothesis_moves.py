@@ -90,6 +90,10 @@ class HypothesisMoves:
         """By how much deviances scatter with the local minimum that a fit ends in; 0 where there is one minimum."""
         return thresholds.minima_scatter if self.settings.many_minima else 0.0
 
+    def equally_good(self, t: Thresholds, share: float = 0.0) -> float:
+        """Largest difference of score of two hypotheses that fit as well, or a share of a gain where that is more."""
+        return max(max(t.indistinguishable, share) + self.scatter(t), t.simulation_error * self.data.n)
+
     def challenge(
         self, tried: SearchHistory, fitted: Fitted, replacing: str = "", rival: Fitted | None = None
     ) -> tuple[list[Fitted], SearchHistory]:
@@ -104,7 +108,7 @@ class HypothesisMoves:
             replacing: label of a candidate that is not tried, to find others in its place.
             rival: the hypothesis with that candidate: what stays far behind it need not be fitted whole.
         """
-        least = math.inf if rival is None or self.settings.many_minima else rival.deviance
+        least = math.inf if rival is None or self.settings.many_minima else self._listed_from(fitted, rival)
         for replaced in ("", replacing):
             known = tried.extended.get((fitted.labels, replaced))
             if known is None or known.rival < least:
@@ -116,17 +120,16 @@ class HypothesisMoves:
         entry = {(fitted.labels, replacing): Extended(fitted, tuple(options), least)}
         return options, replace(tried, extended={**tried.extended, **entry})
 
+    def _listed_from(self, fitted: Fitted, rival: Fitted) -> float:
+        """Deviance up to which another part, of one parameter at least, may fit as well with finer steps as a rival's."""
+        fewer, t = extra_parameters(fitted, rival) - 1, self.data.thresholds
+        return rival.deviance + fewer * float(np.log(self.data.n)) + self.equally_good(t) + t.step_scatter
+
     def _serves(self, known: Extended, options: Sequence[Fitted], fitted: Fitted, rival: float) -> bool:
         """Whether extensions of an earlier fit do for one of the same hypothesis that ended lower.
 
         Extensions of the lower one may end lower too, by ``SearchSettings.optimism`` times as much. Where even then
-        none reaches the rival, they decide nothing.
-
-        Args:
-            known: what was extended.
-            options: of its extensions, those asked for.
-            fitted: the fit that is to be extended.
-            rival: deviance that extensions have to come near to; inf where they need not.
+        none reaches the rival, a deviance to come near to, they decide nothing.
         """
         lower = known.base.deviance - fitted.deviance
         if lower <= CONVERGED_GAIN:
