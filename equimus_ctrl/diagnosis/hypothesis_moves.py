@@ -121,7 +121,7 @@ class HypothesisMoves:
         return options, replace(tried, extended={**tried.extended, **entry})
 
     def _listed_from(self, fitted: Fitted, rival: Fitted) -> float:
-        """Deviance up to which another part, of one parameter at least, may fit as well with finer steps as a rival's."""
+        """Deviance up to which another part of one parameter may fit as well as the rival's and is listed."""
         fewer, t = extra_parameters(fitted, rival) - 1, self.data.thresholds
         return rival.deviance + fewer * float(np.log(self.data.n)) + self.equally_good(t) + t.step_scatter
 
