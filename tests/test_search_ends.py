@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.special import gammaincc
 
-from equimus_ctrl.diagnosis import confirmation, stages
+from equimus_ctrl.diagnosis import confirmation, refit
 from equimus_ctrl.diagnosis.alternatives import (
     contested,
     exchanged_beside_fewer,
@@ -387,10 +387,10 @@ def test_what_diverges_over_whole_trials_is_not_what_short_intervals_tell(monkey
     def diverged(*a: object) -> Fitted:
         raise SimulationDiverged("diverges")
 
-    monkeypatch.setattr(stages, "replace", lambda data, **changed: data)
-    monkeypatch.setattr(stages, "Search", lambda *a: OnPaper(known))
+    monkeypatch.setattr(refit, "replace", lambda data, **changed: data)
+    monkeypatch.setattr(refit, "Search", lambda *a: OnPaper(known))
     search.data.coarse_fit, search.data.segments = diverged, ()  # type: ignore[attr-defined, method-assign, misc]
-    assert stages._from_short(search, found, held_out_rejects(monkeypatch, []), found.base) == (search, found)
+    assert refit.searched_from_short(search, found, held_out_rejects(monkeypatch, []), found.base) == (search, found)
 
 
 def test_what_diverges_from_where_a_larger_set_ended_begins_at_the_nominal_parameters() -> None:
