@@ -10,7 +10,8 @@ from pendulum_runs import recorded
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
-from equimus_ctrl.diagnosis.results import STATES, Diagnosis, Estimate, Evidence, Finding, Named, Ranked, Residuals
+from equimus_ctrl.diagnosis.residuals import Residuals
+from equimus_ctrl.diagnosis.results import STATES, Diagnosis, Estimate, Evidence, Finding, Named, Ranked
 from equimus_ctrl.effects import CoulombFriction, ParallelSpring
 from equimus_ctrl.engines.choice import MujocoEngine
 from equimus_ctrl.identification.noise import white_noise

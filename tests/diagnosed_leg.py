@@ -13,19 +13,8 @@ from equimus_ctrl.diagnosis.coordinates import Coordinate, read
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.localization import excess_variances
-from equimus_ctrl.diagnosis.results import (
-    Detectable,
-    Diagnosis,
-    Estimate,
-    Evidence,
-    Experiment,
-    Finding,
-    Named,
-    Ranked,
-    ResidualForce,
-    ResidualLocation,
-    Residuals,
-)
+from equimus_ctrl.diagnosis.residuals import ResidualForce, ResidualLocation, Residuals
+from equimus_ctrl.diagnosis.results import Detectable, Diagnosis, Estimate, Evidence, Experiment, Finding, Named, Ranked
 from equimus_ctrl.effects import REGISTRY
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.trials import Trial

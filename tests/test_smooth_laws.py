@@ -15,7 +15,7 @@ from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters, parameters_of
 from equimus_ctrl.diagnosis.policy import SearchSettings
-from equimus_ctrl.diagnosis.results import ResidualForce
+from equimus_ctrl.diagnosis.residuals import ResidualForce
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.smooth_laws import SHAPES, analysed, beside, redundant

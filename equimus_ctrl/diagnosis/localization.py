@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import ResidualLocation
+from equimus_ctrl.diagnosis.residuals import ResidualLocation
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit

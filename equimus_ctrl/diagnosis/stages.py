@@ -37,13 +37,8 @@ from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
-from equimus_ctrl.diagnosis.results import (
-    STATES,
-    Diagnosis,
-    ResidualAboveNoise,
-    Residuals,
-    Unexplained,
-)
+from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Residuals, Unexplained
+from equimus_ctrl.diagnosis.results import STATES, Diagnosis
 from equimus_ctrl.diagnosis.smooth_laws import analysed
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, State
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test

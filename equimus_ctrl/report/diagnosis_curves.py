@@ -11,7 +11,8 @@ import numpy as np
 
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.coordinates import Coordinate
-from equimus_ctrl.diagnosis.results import Finding, ResidualForce, Unexplained
+from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
+from equimus_ctrl.diagnosis.results import Finding
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.description import CURVE_MARGIN

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from equimus_ctrl.diagnosis.results import Diagnosis, Named, Ranked, ResidualForce, Unexplained
+from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
+from equimus_ctrl.diagnosis.results import Diagnosis, Named, Ranked
 from equimus_ctrl.report import style
 from equimus_ctrl.report.diagnosis_curves import panels, unexplained_panel
 from equimus_ctrl.report.diagnosis_panels import Band, Panel, Scene

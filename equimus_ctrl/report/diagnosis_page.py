@@ -13,7 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from equimus_ctrl.diagnosis import units
-from equimus_ctrl.diagnosis.results import SETS, Diagnosis, ResidualForce
+from equimus_ctrl.diagnosis.residuals import ResidualForce
+from equimus_ctrl.diagnosis.results import SETS, Diagnosis
 from equimus_ctrl.identification.results import together
 from equimus_ctrl.report import diagnosis_text
 from equimus_ctrl.report.diagnosis_figures import WORDS, diagnosis_figures

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from equimus_ctrl.diagnosis import units
+from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Unexplained
 from equimus_ctrl.diagnosis.results import (
     SETS,
     STATES,
@@ -18,9 +19,7 @@ from equimus_ctrl.diagnosis.results import (
     Experiment,
     Finding,
     Named,
-    ResidualAboveNoise,
     Set,
-    Unexplained,
 )
 from equimus_ctrl.diagnosis.units import Reading
 from equimus_ctrl.effects.base import REGISTRY
