@@ -1,95 +1,31 @@
-"""Identification: what was put into simulated recordings is found again, with intervals that hold what they promise."""
+"""Identification: what was put into simulated recordings is found again."""
 
 from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from identified_leg import FEW, NOMINAL, STEPS, TRUE, small_problem, trial, trials, values
 from morphologies import pendulum
 
 from equimus_ctrl.effects import TransportDelay
-from equimus_ctrl.engines.base import EngineName
-from equimus_ctrl.engines.predict import predict
-from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
-from equimus_ctrl.identification import statics
 from equimus_ctrl.identification.crosscheck import cross_check
-from equimus_ctrl.identification.fit import Fit, FitSettings, fit
+from equimus_ctrl.identification.fit import FitSettings, fit
 from equimus_ctrl.identification.parameters import default_names, free_parameters, unit_of
 from equimus_ctrl.identification.problem import Point, Problem
 from equimus_ctrl.identification.residuals import joint_rmse
-from equimus_ctrl.identification.segments import Segment, cut
+from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import simulator_for
-from equimus_ctrl.identification.statics import rest_poses, static_names
-from equimus_ctrl.identification.step_error import with_step_error
-from equimus_ctrl.identification.uncertainty import correlation_time, uncertainty
-from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.model import Model, nominal_model
-from equimus_ctrl.recordings import StaticPoses, read_set
-from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow import identify_poses, identify_recordings, simulator_of
-
-NOMINAL = nominal_model()
-TRUE = NOMINAL.with_parameters(
-    {
-        "maa.stiffness": 300.0,
-        "baa.stiffness": 95.0,
-        "maa.area": 3.7e-4,
-        "baa.area": 4.7e-4,
-        "maa.rest_length": 0.185,
-        "baa.rest_length": 0.25,
-        "maa.damping": 15.0,
-        "baa.damping": 20.0,
-        "hip.damping": 0.4,
-        "knee.damping": 0.08,
-    }
-)
-STEPS = (
-    ((10e3, 5e3), (25e3, 5e3), (5e3, 12e3)),
-    ((20e3, 3e3), (8e3, 10e3), (30e3, 2e3)),
-    ((5e3, 15e3), (18e3, 8e3), (28e3, 4e3)),
-)
-FEW = ("knee.damping", "maa.stiffness", "baa.area")
-
-
-def trial(
-    steps: Sequence[tuple[float, float]],
-    model: Model = TRUE,
-    noise: float = 0.0,
-    seed: int = 0,
-    engine: EngineName = "reduced",
-    duration: float = 2.0,
-    **more: Any,
-) -> Recording:
-    """What a model does under commands of equal length, from rest under the first of them."""
-    time = np.arange(round(60 * duration)) / 60
-    command = np.array(steps, dtype=float)[np.minimum((time / duration * len(steps)).astype(int), len(steps) - 1)]
-    start = Kinematics(model.morphology).equilibrium(steps[0])
-    m = model.morphology
-    name = f"trial_{round(steps[0][0])}_{round(steps[0][1])}"
-    bare = Recording(name, time, command, np.tile(start, (len(time), 1)), m.actuator_names, m.joint_names, **more)
-    angles = predict(model, bare, engine=engine)
-    return replace(bare, position=angles + np.random.default_rng(seed).normal(0, 1, angles.shape) * noise)
-
-
-@lru_cache
-def trials(noise: float = 0.0, engine: EngineName = "reduced") -> tuple[Recording, ...]:
-    return tuple(trial(steps, noise=noise, seed=k, engine=engine) for k, steps in enumerate(STEPS))
-
-
-def values(model: Model, names: Sequence[str]) -> Array:
-    return np.array([model.parameters()[name] for name in names])
-
-
-# Recovery.
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.recordings import read_set
+from equimus_ctrl.workflow import identify_recordings, simulator_of
 
 
 @pytest.fixture(scope="module")
@@ -157,149 +93,6 @@ def test_the_real_leg(leg_dir: Path) -> None:
     )
     assert len(done.recordings) == 13
     assert np.sqrt((done.fit.rmse**2).mean()) <= 0.0305
-
-
-# Intervals.
-
-
-@lru_cache
-def small_problem() -> tuple[Model, tuple[Segment, ...]]:
-    start = TRUE.with_parameters(dict(zip(FEW, 1.03 * values(TRUE, FEW), strict=True)))
-    return start, tuple(cut(start, [trial(steps[:2], duration=1.5) for steps in STEPS[:2]]))
-
-
-def refit(noise: list[Array]) -> Fit:
-    start, segments = small_problem()
-    noisy = [replace(s, measured=s.measured + n) for s, n in zip(segments, noise, strict=True)]
-    return fit(free_parameters(start, FEW), noisy)
-
-
-def coloured(rng: np.random.Generator, shape: tuple[int, int], memory: float) -> Array:
-    """Noise of 2 mrad whose neighbours correlate by ``memory``."""
-    white = rng.normal(0, 1, shape)
-    out = white.copy()
-    for k in range(1, len(out)):
-        out[k] = memory * out[k - 1] + np.sqrt(1 - memory**2) * white[k]
-    return 0.002 * out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("memory", "each", "all_together"), [(0.0, 34, 107), (0.8, 30, 96)])
-def test_intervals_hold_what_they_promise(memory: float, each: int, all_together: int) -> None:
-    """Of 40 draws Binomial(40, 0.95) covers fewer than 34 in less than 1 % of cases; colour costs a little."""
-    rng = np.random.default_rng(17)
-    _, segments = small_problem()
-    inside, widths = [], []
-    for _ in range(40):
-        done = refit([coloured(rng, s.measured.shape, memory) for s in segments])
-        inside.append(np.abs(done.theta - values(TRUE, FEW)) <= done.uncertainty.half_width)
-        widths.append(done.uncertainty.half_width / np.std(done.residuals[0]))
-        samples = sum(r.size for r in done.residuals)
-        share = done.uncertainty.effective_samples / samples
-        assert share > 0.6 if memory == 0 else share < 0.4
-    count = np.sum(inside, axis=0)
-    assert count.min() >= each and count.sum() >= all_together, count
-    assert np.all(np.array(widths) < np.inf)
-
-
-def test_correlation_time_of_an_autoregression() -> None:
-    rng = np.random.default_rng(3)
-    for memory in (0.0, 0.5, 0.8):
-        series = [coloured(rng, (4000, 2), memory) for _ in range(3)]
-        assert correlation_time(series) == pytest.approx((1 + memory) / (1 - memory), rel=0.15)
-
-
-def test_the_interval_of_a_mean_is_students() -> None:
-    """One parameter that shifts everything: the textbook's interval of a mean."""
-    rng = np.random.default_rng(1)
-    x = rng.normal(0, 1, (400, 1))
-    known = uncertainty([np.ones((400, 1, 1))], [x - x.mean()], [np.zeros((400, 1, 0))], ["a"], np.ones(1), np.ones(1))
-    assert known.half_width[0] == pytest.approx(1.966 * x.std(ddof=1) / 20, rel=0.02)
-
-
-def test_the_interval_of_a_common_slope_beside_an_intercept_for_each_run_is_students() -> None:
-    """Two runs of five and four samples, a line through each: 9 − 1 − 2 degrees of freedom (Draper & Smith, 1998)."""
-    size, runs = 0.01, [np.array([0.0, 1.0, 2.0, 4.0, 7.0]), np.array([0.0, 3.0, 4.0, 5.0])]
-    found = uncertainty(
-        [x[:, None, None] for x in runs],
-        # Of one size and alternating: the sandwich is the textbook's s²(XᵀX)⁻¹, and each residual counts as one.
-        [size * (-1.0) ** np.arange(len(x))[:, None] for x in runs],
-        [np.ones((len(x), 1, 1)) for x in runs],
-        ["slope"], np.ones(1), np.ones(1),
-    )  # fmt: skip
-    spread = sum(((x - x.mean()) ** 2).sum() for x in runs)
-    error = np.sqrt(9 * size**2 / 6 / spread)
-    assert found.effective_samples == 9
-    assert found.standard_error[0] == pytest.approx(error, rel=1e-9)
-    assert found.half_width[0] == pytest.approx(2.446912 * error, rel=1e-6), "Student's t at 0.975 for 6"
-
-
-def test_the_steps_error_widens_intervals_by_what_parameters_would_make_good_of_it() -> None:
-    """An engine whose coarser step does what another stiffness does, and one whose coarser step diverges."""
-    start, segments = small_problem()
-    found = fit(free_parameters(start, FEW), segments)
-    own, change, ratio = simulator_for(start), 0.02, 3.0
-
-    def coarser(models: Sequence[Model], given: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
-        stiffness = models[0].parameters()["maa.stiffness"] + change
-        return own([models[0].with_parameters({"maa.stiffness": stiffness})], given, starts)
-
-    def diverging(models: Sequence[Model], given: Sequence[Segment], starts: Sequence[Array]) -> list[Predicted]:
-        found = own(models, given, starts)  # numbers after a divergence mean nothing
-        return [replace(p, position=p.position + 1.0, reached=np.full_like(p.reached, 3)) for p in found]
-
-    more = {
-        name: with_step_error(found, segments, own, other, ratio).uncertainty.half_width - found.uncertainty.half_width  # type: ignore[arg-type]
-        for name, other in (("coarser", coarser), ("diverging", diverging))
-    }
-    # By C·h of its own step, half of C·h·(3 − 1), it may be wrong.
-    assert more["coarser"] / found.parameters.scale == pytest.approx(
-        np.array([0.0, change / 2, 0.0]) / found.parameters.scale, abs=0.02 * change / found.parameters.scale[1]
-    )
-    assert not more["diverging"].any()
-
-
-def test_without_pressure_the_areas_cannot_be_seen() -> None:
-    recorded = trial(((0, 0),), notes={"settled": "no"})
-    moved = replace(recorded, position=recorded.position + np.array([0.1, -0.1]))
-    moving = replace(moved, position=predict(TRUE, moved))
-    done = identify_recordings([moving], TRUE, free=["maa.area", "maa.stiffness", "baa.area"], folds=0)
-    width = dict(zip(done.fit.parameters.names, done.fit.uncertainty.half_width, strict=True))
-    assert np.isinf(width["maa.area"]) and np.isinf(width["baa.area"]) and np.isfinite(width["maa.stiffness"])
-    blind = [t for t in done.fit.uncertainty.trade_offs if t.correlation is None]
-    assert sorted(name for t in blind for name in t.weights) == ["baa.area", "maa.area"] and len(blind) == 2
-    assert str(blind[0]).endswith("is not identifiable from these data")
-    assert done.fit.theta == pytest.approx(values(TRUE, done.fit.parameters.names), rel=1e-6), "they stay"
-    rows = {row["name"]: row for row in done.to_dict()["parameters"]}
-    assert rows["maa.area"]["low"] is None and rows["maa.stiffness"]["low"] is not None
-    nan = np.isnan(done.fit.uncertainty.correlation)
-    assert nan.sum() == 8, "all but the stiffness with itself"
-
-
-def test_forces_are_known_up_to_a_common_factor_only() -> None:
-    """Poses at rest do not change when every stiffness, area and weight is doubled."""
-    names = ["maa.stiffness", "baa.stiffness", "maa.area", "baa.area", "gravity"]
-    done = identify_poses(poses_of(TRUE), TRUE, free=names)
-    assert np.all(np.isinf(done.fit.uncertainty.half_width))
-    (blind,) = [t for t in done.fit.uncertainty.trade_offs if t.correlation is None]
-    assert set(blind.weights) == set(names)
-    assert list(blind.weights.values()) == pytest.approx([1.0] * 5, rel=1e-3)
-    assert "at once makes no difference at all" in str(blind) and "+10 %" in str(blind)
-
-
-def test_a_strong_trade_off_is_told_with_its_direction() -> None:
-    """Stiffness and rest length of a spring whose length hardly changes: k·(l − l0) is what is seen."""
-    small = [trial(((10e3, 5e3), (10.5e3, 5.2e3)), noise=1e-4)]
-    done = identify_recordings(small, TRUE, free=["maa.stiffness", "maa.rest_length"], folds=0)
-    (trade,) = done.fit.uncertainty.trade_offs
-    assert trade.correlation is not None and abs(trade.correlation) > 0.9
-    kinematics = Kinematics(TRUE.morphology)
-    length = kinematics.lengths(small[0].position.mean(axis=0))[0]
-    spring = TRUE.parameters()["maa.rest_length"]
-    expected = (length - spring) / spring  # d l0 / l0 for d k / k = 1 at a constant k·(l − l0)
-    ratio = trade.weights["maa.rest_length"] / trade.weights["maa.stiffness"]
-    assert ratio == pytest.approx(expected, rel=0.1)
-    assert "makes hardly any difference (correlation" in str(trade)
 
 
 # Bounds, windows, starts.
@@ -423,92 +216,6 @@ def test_fewer_than_two_recordings_or_folds_are_not_cross_checked() -> None:
     assert cross_check(done, segments, simulator, 4) is None
 
 
-# Poses at rest.
-
-
-def poses_of(model: Model, noise: float = 0.0) -> StaticPoses:
-    grid = np.array([(a, b) for a in (0, 8e3, 16e3, 24e3) for b in (0, 5e3, 10e3)])
-    kinematics = Kinematics(model.morphology)
-    angles = np.array([kinematics.equilibrium(p) for p in grid])
-    low, high = model.morphology.joint_range
-    clear = np.all((angles > low + 0.1) & (angles < high - 0.1), axis=1)
-    assert clear.sum() >= 9
-    spread = np.random.default_rng(2).normal(0, noise, angles.shape) if noise else 0.0
-    return StaticPoses("made_up", grid[clear], (angles + spread)[clear])
-
-
-def test_poses_at_rest_give_stiffness_area_and_rest_length() -> None:
-    done = identify_poses(poses_of(TRUE))
-    assert done.fit.parameters.names and set(done.fit.parameters.names) == set(static_names(NOMINAL))
-    assert done.fit.theta == pytest.approx(values(TRUE, done.fit.parameters.names), rel=1e-4)
-    assert np.abs(done.fit.residuals).max() < 1e-6 and np.abs(done.fit.heldout).max() < 1e-4
-    assert np.abs(done.fit.pressure_error).max() < 1.0
-    data = done.to_dict()
-    assert data["rmse_rad"]["after_together"] < 1e-6 < data["rmse_rad"]["before_together"]
-
-
-@pytest.mark.parametrize(("bounds", "end", "side"), [((320.0, 400.0), 320.0, -1), ((200.0, 280.0), 280.0, 1)])
-def test_a_bound_that_holds_poses_back_is_marked(bounds: tuple[float, float], end: float, side: int) -> None:
-    """The truth is 300 N/m; of 280 to 320 it is inside."""
-    start = TRUE.with_parameters({"maa.stiffness": sum(bounds) / 2})
-    done = identify_poses(poses_of(TRUE), start, free=["maa.stiffness"], bounds={"maa.stiffness": bounds}, folds=0)
-    assert done.fit.theta[0] == pytest.approx(end, rel=1e-6) and done.fit.at_bound.tolist() == [side]
-    free = identify_poses(poses_of(TRUE), TRUE, free=["maa.stiffness"], bounds={"maa.stiffness": (280, 320)}, folds=0)
-    assert free.fit.at_bound.tolist() == [0]
-
-
-@pytest.mark.slow
-def test_noisy_poses_are_explained_to_the_noise_and_the_truth_is_inside() -> None:
-    done = identify_poses(poses_of(TRUE, 0.002), heldout=[poses_of(TRUE)])
-    assert np.all(done.fit.rmse < 0.003)
-    assert np.all(
-        np.abs(done.fit.theta - values(TRUE, done.fit.parameters.names)) <= 1.5 * done.fit.uncertainty.half_width
-    )
-    assert joint_rmse([done.fit.heldout]).max() > joint_rmse([done.fit.residuals]).max()
-    assert np.all(joint_rmse([done.heldout[0].after]) < 0.004)
-
-
-@pytest.mark.slow
-def test_the_real_poses(leg_dir: Path) -> None:
-    """Published: 0.0203 and 0.0416 rad over 36 poses, 0.0170 and 0.0566 over 13."""
-    for count, limits in ((36, (0.0203, 0.0416)), (13, (0.0170, 0.0566))):
-        done = identify_poses(leg_dir / f"static_poses_{count}.csv")
-        assert len(done.poses.pressure) == count and np.all(done.fit.rmse < limits)
-        assert np.isnan(done.fit.pressure_error).any() == (count == 36), "some of the 36 lean on the knee's stop"
-
-
-def test_rest_poses_are_those_of_the_kinematics() -> None:
-    pressure = np.array([[0, 0], [12e3, 6e3], [30e3, 2e3], [50e3, 50e3]])
-    found = rest_poses(TRUE, pressure, np.tile([1.4, 0.5], (4, 1)))
-    kinematics = Kinematics(TRUE.morphology)
-    assert found.found.all() and not found.unstable.any()
-    assert found.angles == pytest.approx(np.array([kinematics.equilibrium(p) for p in pressure]), abs=1e-8)
-
-
-def test_the_slope_of_rest_poses_by_parameters() -> None:
-    pressure = np.array([[12e3, 6e3], [30e3, 2e3]])
-    guess = rest_poses(TRUE, pressure, np.tile([1.4, 0.5], (2, 1)))
-    free = free_parameters(TRUE, ["maa.stiffness", "baa.rest_length"])
-    slopes = statics._by_theta(free, free.start, guess)
-    for k, step in enumerate((1e-2, 1e-6)):
-        ends = [
-            rest_poses(free.model_at(free.start + sign * step * np.eye(2)[k]), pressure, guess.angles).position
-            for sign in (-1, 1)
-        ]
-        assert slopes[:, :, k] == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-4, abs=1e-9)
-
-
-def test_an_equilibrium_that_does_not_last_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pendulum standing upright rests until it is touched; one on its way rests nowhere yet."""
-    model = Model(pendulum())
-    found = rest_poses(model, np.zeros((2, 1)), np.array([[-np.pi / 2], [1.3]]))
-    assert found.found.tolist() == [False, True] and found.unstable.tolist() == [True, False]
-    assert found.angles[1] == pytest.approx(np.pi / 2) and np.all(found.by_parameter[0] == 0)
-    monkeypatch.setattr(statics, "NEWTON_STEPS", 1)
-    stopped = rest_poses(model, np.zeros((1, 1)), np.array([[0.3]]))
-    assert not stopped.found.any() and not stopped.unstable.any()
-
-
 # What cannot be.
 
 
@@ -542,12 +249,6 @@ def test_more_unknowns_than_angles() -> None:
     short = cut(TRUE, trials()[:1], window=(0.0, 0.16))
     with pytest.raises(ConfigError, match="20 measured angles are too few for 21 unknowns"):
         fit(free_parameters(TRUE, list(TRUE.parameters())[:21]), short)
-
-
-def test_too_few_poses() -> None:
-    few = poses_of(TRUE)
-    with pytest.raises(ConfigError, match="3 poses are too few to identify 6 parameters from; expected more than 3"):
-        identify_poses(StaticPoses("few", few.pressure[:3], few.position[:3]))
 
 
 def test_a_model_that_diverges_everywhere() -> None:
