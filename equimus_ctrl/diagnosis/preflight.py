@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -85,6 +85,23 @@ def coarse_steps(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
         if step >= COARSE * noise[j].sigma:
             found.setdefault(_in_words(step, robot.slides(name)), []).append(f"pos.{name}")
     return [f"{', '.join(names)}: {words}" for words, names in found.items()]
+
+
+def prescribed_motions(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
+    """A sentence on joints whose motion is an input, and by how much measurements scatter about what it was made.
+
+    Args:
+        robot: whose joints they are.
+        recordings: of it.
+    """
+    found = [r.prescribed.noise for r in recordings if r.prescribed is not None]
+    if not found:
+        return []
+    noise = 1e3 * np.sqrt(np.mean(np.square(found), axis=0))
+    units = ["mm" if robot.slides(name) else "mrad" for name in robot.prescribed_names]
+    named = zip(robot.prescribed_names, noise, units, strict=True)
+    each = ", ".join(f"{name} ({size:.2g} {unit})" for name, size, unit in named)
+    return [f"taken as measured, and smoothed by as much as their noise: the motion of {each}"]
 
 
 def _in_words(step: float, slides: bool) -> str:
@@ -289,12 +306,9 @@ def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array
 def measured_motions(model: Model, recordings: Sequence[Recording]) -> list[MeasuredMotion]:
     """What was measured, for inverse dynamics of whole recordings."""
     trials = [
-        Trial(
-            r.name, np.array(r.time), np.array(r.command), np.array(r.command_before), float(r.time[0]),
-            np.array(r.position[0]), np.array(r.time), settings=noted(model, r, SET), factors=noted(model, r, TIMES),
-        )
+        replace(Trial.of(r, r.position[0]), settings=noted(model, r, SET), factors=noted(model, r, TIMES))
         for r in recordings
-    ]  # fmt: skip
+    ]
     measured = [np.array(r.position) for r in recordings]
     noise = np.array([own.sigma for own in noise_of_differences(measured)])
     return motions_of(trials, measured, noise)

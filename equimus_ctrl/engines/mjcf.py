@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import DELAY, FILL, VENT, arrived, pressure_history
+from equimus_ctrl.effects.command import DELAY, FILL, VENT, arrived, mixed_history, pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_effects, laws_with
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample, sensor_settings
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
@@ -69,6 +69,7 @@ class Realised:
         mujoco: its ``MjModel``; what the kernel changes of it is set anew before each run.
         effects: all of the model's.
         places: (nj, 3) of the joints in qpos and qvel, and in qvel of what drives them.
+        moved: (np, 2) of joints whose motion is prescribed, in qpos and qvel.
         rotors: (n, 3) of drives that turn by themselves: in qpos, in qvel, and which joint they drive.
         stepped: laws that are stepped beside MuJoCo.
         laws: (nj, nc) prepared constants of these.
@@ -81,6 +82,7 @@ class Realised:
     mujoco: Any
     effects: tuple[Effect, ...]
     places: NDArray[np.int64]
+    moved: NDArray[np.int64]
     rotors: NDArray[np.int64]
     stepped: Laws
     laws: Array
@@ -126,6 +128,7 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         own,
         model.effects,
         np.array(places, dtype=np.int64),
+        moved_places(own, robot),
         np.array(rotors, dtype=np.int64).reshape(-1, 3),
         stepped,
         _laws(stepped, laws, names),
@@ -133,6 +136,12 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         valve,
         sensor_settings(model.effects, names),
     )
+
+
+def moved_places(model: Any, robot: MjcfRobot) -> NDArray[np.int64]:
+    """(np, 2) where joints whose motion is prescribed are in qpos and qvel of an ``MjModel``."""
+    own = [model.joint(name) for name in robot.prescribed_names]
+    return np.array([(int(j.qposadr[0]), int(j.dofadr[0])) for j in own], dtype=np.int64).reshape(-1, 2)
 
 
 def _stepped(effects: Sequence[Effect]) -> Laws:
@@ -189,7 +198,7 @@ class Course:
         dt: [s].
         q: (steps + 1, nj) [rad or m].
         v: (steps + 1, nj) [rad/s or m/s].
-        ctrl: (steps, na) commands that act over each step.
+        ctrl: (steps, na) commands that act over each step, with accelerations that are prescribed behind them.
         sound: number of entries that mean something.
         whole: (steps + 1, nq + nv + na) all of MuJoCo's state; None where it is not wanted.
     """
@@ -216,11 +225,12 @@ def _shaped(own: Realised, trial: Trial) -> Array:
 
 
 def commands_on(own: Realised, trial: Trial) -> Array:
-    """(steps, na) means over physics steps of the commands as they arrive at the actuators."""
-    dt = float(own.mujoco.opt.timestep)
-    out = np.empty((steps_of(trial, dt), 2, trial.commands.shape[1]))
-    whole = _shaped(own, trial)
-    pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out, trial.linear)
+    """(steps, na) means over physics steps of the commands as they arrive at the actuators, see ``Course.ctrl``."""
+    dt, robot = float(own.mujoco.opt.timestep), own.robot
+    whole = trial.with_accelerations(robot, _shaped(own, trial))
+    valve = np.vstack([own.valve, valve_settings((), robot.prescribed_names)])
+    out = np.empty((steps_of(trial, dt), 2, whole.shape[1]))
+    mixed_history(trial.times, whole[1:].copy(), whole[0].copy(), valve, trial.start, dt, out, trial.lines(robot))
     return np.ascontiguousarray(out[:, 0])
 
 
@@ -239,6 +249,7 @@ def filled(own: Realised, trial: Trial) -> Array:
     early, dt = replace(trial, start=trial.start - lead, sample_times=np.array([trial.start])), model.opt.timestep
     first = commands_on(own, replace(early, start=early.start - dt, sample_times=np.array([early.start])))
     rows = np.concatenate([first, commands_on(own, early)]) if lead > 0 else first
+    rows = rows[:, : len(own.robot.actuators)].copy()
     for drive in drives:
         k = drive.control
         if model.actuator_ctrllimited[k]:
@@ -293,17 +304,28 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     for q, v, joint in own.rotors:
         data.qpos[q], data.qvel[v] = start[joint], start[nj + joint]
     data.act[:] = filled(own, trial)
-    _integrate_from_here(model, data)
     dt = float(model.opt.timestep)
+    grid = np.arange(len(ctrl) + 1, dtype=np.float64)
+    given = moved_along(own, trial, trial.start + dt * grid)
+    data.qpos[own.moved[:, 0]], data.qvel[own.moved[:, 1]] = given[0][0], given[1][0]
+    _integrate_from_here(model, data)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     whole = np.empty((len(ctrl) + 1 if trial.forces else 0, model.nq + model.nv + model.na))
     sound = kernel.run_mjcf(
         function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
         np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force, _law_starts(own, trial, start),
         data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
-        out_q, out_v, data.act, whole,
+        own.moved, *given, out_q, out_v, data.act, whole,
     )  # fmt: skip
     return Course(trial.start, dt, out_q, out_v, ctrl, int(sound), whole if trial.forces else None)
+
+
+def moved_along(own: Realised, trial: Trial, times: Array) -> tuple[Array, Array]:
+    """(n, np) positions and rates of the joints whose motion is prescribed."""
+    if not len(own.moved):
+        return np.empty((len(times), 0)), np.empty((len(times), 0))
+    position, rate, _ = trial.motion_of(own.robot.prescribed_names).at(times)
+    return position, rate
 
 
 def _integrate_from_here(model: Any, data: Any) -> None:
@@ -364,7 +386,7 @@ def forces_of(own: Realised, path: Course, trial: Trial) -> Array:
     ctrl, at_once = np.empty((len(times), given.shape[1])), np.zeros((given.shape[1], 6))
     arrived(
         trial.times, given[1:].copy(), given[0].copy(), own.valve, at_once, given[0], trial.start, path.dt, times, ctrl,
-        trial.linear,
+        trial.lines(own.robot)[: given.shape[1]],
     )  # fmt: skip
     place = np.maximum((times - path.start) / path.dt, 0.0)
     step = np.minimum(place.astype(np.int64), len(path.whole) - 2)
@@ -471,7 +493,9 @@ def command_at(trial: Trial, times: Array) -> Array:
     return trial.command_at(times)
 
 
-def joint_forces(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:
+def joint_forces(
+    own: Realised, position: Array, velocity: Array, command: Array, moved: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
     """Forces of the drives (n, na) and of gravity and motion on the joints (n, nj), without accelerations [N·m or N].
 
     Args:
@@ -479,15 +503,18 @@ def joint_forces(own: Realised, position: Array, velocity: Array, command: Array
         position: (n, nj) of the joints.
         velocity: (n, nj) their rates.
         command: (n, na) in force.
+        moved: (n, np) positions and rates of the joints whose motion is prescribed; at rest at 0 by default.
     """
     model, data = own.mujoco, scratch.data(own.mujoco)
-    drives, weights = np.empty((len(position), model.nu)), np.empty(position.shape)
     which = [drive.index for drive in own.robot.actuators]
+    drives, weights = np.empty((len(position), len(which))), np.empty(position.shape)
+    moved = moved or (np.zeros((len(position), len(own.moved))),) * 2
     for k in range(len(position)):
         data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = position[k], velocity[k]
         for q, v, joint in own.rotors:
             data.qpos[q], data.qvel[v] = position[k, joint], velocity[k, joint]
-        data.ctrl[:] = command[k]
+        data.qpos[own.moved[:, 0]], data.qvel[own.moved[:, 1]] = moved[0][k], moved[1][k]
+        data.ctrl[: command.shape[1]] = command[k]
         for drive in own.robot.actuators:
             if drive.state is not None:
                 settled = command[k, drive.control]
@@ -498,13 +525,20 @@ def joint_forces(own: Realised, position: Array, velocity: Array, command: Array
     return drives, weights
 
 
-def places_in_room(own: Realised, position: Array, places: Sequence[str]) -> Array:
-    """(n, k, 3) where k sites or bodies' centres of mass are in the room, with the joints at (n, nj) [m]."""
+def places_in_room(own: Realised, position: Array, places: Sequence[str], moved: Array) -> Array:
+    """(n, k, 3) where k sites or bodies' centres of mass are in the room [m].
+
+    Args:
+        own: the robot.
+        position: (n, nj) of the joints.
+        places: names of the sites and bodies.
+        moved: (n, np) of those whose motion is prescribed.
+    """
     model, data = own.mujoco, scratch.data(own.mujoco)
     hooks = [hook_of(model, place) for place in places]
     found = np.empty((len(position), len(hooks), 3))
     for k in range(len(position)):
-        data.qpos[own.places[:, 0]] = position[k]
+        data.qpos[own.places[:, 0]], data.qpos[own.moved[:, 0]] = position[k], moved[k]
         mujoco.mj_kinematics(model, data)
         found[k] = [data.xpos[body] + data.xmat[body].reshape(3, 3) @ point for body, point in hooks]
     return found

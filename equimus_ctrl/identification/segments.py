@@ -84,6 +84,12 @@ class Segment:
         """(m, nj + ne) all that is compared with predictions: positions of the joints, and what was measured beside."""
         return self.measured if self.also is None else np.column_stack([self.measured, self.also])
 
+    @property
+    def poses(self) -> Array:
+        """(m, nj + np) ``measured``, and behind it where joints are whose motion is prescribed."""
+        moved = self.trial.moved
+        return self.measured if moved is None else np.column_stack([self.measured, moved])
+
     @cached_property
     def scales(self) -> Array:
         """(nj + ne,) how large residuals of each are beside those of joints [1, 1/s or m]."""
@@ -211,6 +217,7 @@ def _shooting_intervals(
             linear=recording.linear,
             inner=bool(channels),
             forces=bool(channels.forces),
+            prescribed=recording.prescribed,
         )
         measured = np.array(recording.position[chosen])
         whole = np.append(start, np.zeros(len(zeros)))

@@ -57,7 +57,7 @@ class Simulator:
             for segment, own, offset in zip(segments, found, offsets, strict=True)
         ]
         return [
-            segment.channels.added(models[0].robot, own) if segment.channels else own
+            segment.channels.added(models[0].robot, own, segment.trial.moved) if segment.channels else own
             for segment, own in zip(segments, shifted, strict=True)
         ]
 

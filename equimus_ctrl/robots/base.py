@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
@@ -112,6 +112,33 @@ class Robot(ABC):
     def actuator_names(self) -> tuple[str, ...]:
         """Actuator names in the order of every vector of commands."""
         return tuple(actuator.name for actuator in self.actuators)
+
+    @property
+    def prescribed_names(self) -> tuple[str, ...]:
+        """Joints beside these whose motion is an input: measured, and taken as it is."""
+        return ()
+
+    @property
+    def prescribed_columns(self) -> tuple[str, ...]:
+        """The positions that were recorded of them, by the columns' names."""
+        return ()
+
+    def prescribed_positions(self, where: str, recorded: Array) -> Array:
+        """(n, np) positions of these joints [rad or m], of (n, nc) what was recorded.
+
+        Args:
+            where: it was recorded, for messages.
+            recorded: ``prescribed_columns``.
+        """
+        return recorded
+
+    def suited(self, read: Callable[[], Sequence[tuple[str, Array]]]) -> Self:
+        """A copy whose prescribed joints suit some recordings, where there is a choice.
+
+        Args:
+            read: gives the name of each, and (n, nc) ``prescribed_columns``.
+        """
+        return self
 
     @property
     @abstractmethod

@@ -37,22 +37,23 @@ TAKEN = (
 )
 
 
-def drives_of(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
+def drives_of(base: Any, name: str, joints: Sequence[Axis], but: Sequence[str] = ()) -> tuple[Drive, ...]:
     """All commands of all actuators.
 
     Args:
         base: MuJoCo's model.
         name: of the robot, for messages.
         joints: all of it.
+        but: actuators that are left out; where there are any, a robot needs no others to be moved.
 
     Raises:
         ModelError: for an actuator without a name, or of a kind that neither engine takes.
     """
     moments = _moments(base, mujoco.MjData(base))
     found: list[Drive] = []
-    for i in range(base.nactuator):
+    for i in (k for k in range(base.nactuator) if base.actuator(k).name not in but):
         found += _commands(base, i, name, joints, moments[int(base.actuator_outadr[i])])
-    if not found:
+    if not found and not but:
         raise ModelError(f"{name}: has no actuator with a command; --motors gives each joint a motor")
     return tuple(found)
 

@@ -40,7 +40,11 @@ def exported(
         body.iquat, body.explicitinertial, body.fullinertia = model.body_iquat[b], True, [math.nan] * 6
         for geom in body.geoms:
             geom.mass = 0.0
+    given = {own.name for own in spec.joints} & set(robot.edits.prescribe)
+    driven = {model.actuator(k).name for k in range(model.nactuator)}
     for joint in spec.joints:
+        if joint.name in given:
+            continue  # what moves it was not looked for
         j, d = model.joint(joint.name).id, model.joint(joint.name).dofadr[0]
         joint.damping = [model.dof_damping[d], *model.dof_dampingpoly[d]]
         joint.armature, joint.frictionloss = model.dof_armature[d], model.dof_frictionloss[d]
@@ -49,6 +53,8 @@ def exported(
         joint.springref = model.qpos_spring[model.joint(joint.name).qposadr[0]] * (1.0 if slides else turn)
         joint.solref_friction, joint.solimp_friction = model.dof_solref[d], model.dof_solimp[d]
     for actuator in spec.actuators:
+        if actuator.name not in driven:
+            continue
         a = model.actuator(actuator.name).id
         actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
         actuator.biastype, actuator.dynprm = model.actuator_biastype[a], model.actuator_dynprm[a]

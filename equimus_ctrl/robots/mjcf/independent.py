@@ -29,13 +29,17 @@ class Numbered(Protocol):
 
     def mujoco_model(self) -> Any: ...
 
+    @property
+    def joint_names(self) -> tuple[str, ...]: ...
+
 
 def independent(robot: Numbered, names: Sequence[str]) -> list[str]:
     """The first parameters of a list that are linearly independent: no combination of earlier ones replaces them.
 
     Inverse dynamics are linear in the inertial parameters of all bodies, and only some combinations of these matter:
     the base parameters (Gautier & Khalil, "Direct calculation of minimum set of inertial parameters of serial robots",
-    1990). Which numbers are enough to move all of these is seen at random states.
+    1990). Which numbers are enough to move all of these is seen at random states. What drives joints whose motion is
+    prescribed is not known, so their forces tell nothing.
 
     Args:
         robot: whose.
@@ -43,6 +47,7 @@ def independent(robot: Numbered, names: Sequence[str]) -> list[str]:
     """
     model = robot.mujoco_model()
     data = mujoco.MjData(model)
+    rows_of = [int(model.joint(name).dofadr[0]) for name in robot.joint_names]
     states = np.random.default_rng(0).normal(size=(TRIES, 3, model.nv))
 
     def forces(changed: Numbered) -> Array:
@@ -50,11 +55,11 @@ def independent(robot: Numbered, names: Sequence[str]) -> list[str]:
         for q, v, a in states:
             data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
             mujoco.mj_inverse(m, data)
-            rows.append(data.qfrc_inverse.copy())
+            rows.append(data.qfrc_inverse[rows_of].copy())
         return np.concatenate(rows)
 
     values, size = robot.parameters(), float(np.linalg.norm(forces(robot)))
-    basis = np.empty((TRIES * model.nv, 0))
+    basis = np.empty((TRIES * len(rows_of), 0))
     kept: list[str] = []
     for name in names:
         low, high = robot.bounds(name)

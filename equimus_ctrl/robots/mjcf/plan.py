@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from dataclasses import field as made
 from functools import lru_cache
 from typing import Any
 
@@ -15,18 +16,28 @@ from equimus_ctrl.errors import ModelError
 from equimus_ctrl.robots.mjcf.actuators import drive_parameters, drives_of
 from equimus_ctrl.robots.mjcf.editing import name_actuators
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, ModelParameter, setter
+from equimus_ctrl.robots.mjcf.free_base import columns_of
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
+from equimus_ctrl.robots.mjcf.prescribing import motor_of, prescribe
 from equimus_ctrl.types import Array
 
 
 @dataclass(frozen=True)
 class Assets:
-    """Files by name, compared by what they are, so that plans can be kept."""
+    """What a model is made of beside its XML, compared by what it is, so that plans can be kept.
+
+    Attributes:
+        files: that the XML names.
+        prescribed: joints whose motion is an input.
+        turns: free joint among them → axes of the hinges that take its place.
+    """
 
     files: Mapping[str, bytes]
+    prescribed: tuple[str, ...] = ()
+    turns: Mapping[str, str] = made(default_factory=dict)
 
     def __hash__(self) -> int:
-        return hash(tuple(sorted(self.files)))
+        return hash((tuple(sorted(self.files)), self.prescribed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +46,9 @@ class Plan:
 
     Attributes:
         base: MuJoCo's model of it, not to be changed.
-        joints: all of them.
-        drives: all actuators.
+        joints: all of them, but for those that are prescribed.
+        prescribed: joints whose motion is an input.
+        drives: all actuators, but for those by which prescribed joints are moved.
         bodies: names of those that move.
         sites: names of those that move.
         parameters: by dotted name.
@@ -46,6 +58,7 @@ class Plan:
 
     base: Any
     joints: tuple[Axis, ...]
+    prescribed: tuple[Axis, ...]
     drives: tuple[Drive, ...]
     bodies: tuple[str, ...]
     sites: tuple[str, ...]
@@ -68,6 +81,8 @@ def spec_of(xml: str, assets: Assets) -> Any:
     name_actuators(spec)
     for body in spec.bodies:
         body.simple = False  # what is balanced now may be unbalanced by a payload
+    if assets.prescribed:
+        prescribe(spec, assets.prescribed, assets.turns)
     return spec
 
 
@@ -80,9 +95,16 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
     """
     base = _compiled(xml, assets, name)
     _check(base, name, xml)
-    joints = _joints(base, name)
-    drives = drives_of(base, name, joints)
-    moves = [b for b in range(1, base.nbody) if base.body_dofnum[b] or base.body_weldid[b]]
+    every = _joints(base, name)
+    motors = [base.actuator(k).name for k in range(base.nactuator)] if assets.prescribed else []
+    prescribed = tuple(
+        sorted((j for j in every if motor_of(j.name) in motors), key=lambda j: motors.index(motor_of(j.name)))
+    )
+    joints = tuple(joint for joint in every if joint not in prescribed)
+    if not joints:
+        raise ModelError(f"{name}: the motion of all joints is prescribed, expected one at least that moves by itself")
+    drives = drives_of(base, name, joints, [motor_of(joint.name) for joint in prescribed])
+    moves = _moving(base, joints)
     bodies = tuple(n for b in moves if (n := base.body(b).name) and base.body_mass[b] > 0)
     sites = tuple(
         s.name for s in (base.site(i) for i in range(base.nsite)) if s.name and base.site_bodyid[s.id] in moves
@@ -103,7 +125,8 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
     if size > 0:
         parameters += [ModelParameter("gravity", size, "m/s²", heavy)]
     parameters += [ModelParameter("tilt", 0.0, "rad", turned)]
-    return Plan(base, joints, drives, bodies, sites, {n.name: n for n in parameters}, axis, _weights(base, joints))
+    named, weights = {n.name: n for n in parameters}, _weights(base, joints)
+    return Plan(base, joints, prescribed, drives, bodies, sites, named, axis, weights)
 
 
 SHORTEST, LONGEST = 1e-6, 0.1
@@ -152,11 +175,9 @@ def _joints(base: Any, name: str) -> tuple[Axis, ...]:
     for i in range(base.njnt):
         joint, kind = base.joint(i), int(base.jnt_type[i])
         if kind not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
-            what = "free" if kind == int(kinds.mjJNT_FREE) else "ball"
-            raise ModelError(
-                f"{name}: joint {joint.name or i!r} is a {what} joint, expected hinges and slides alone: the base has "
-                f"to be fixed{_way_out(base, i)}"
-            )
+            if kind == int(kinds.mjJNT_FREE):
+                raise ModelError(_free(base, name, i))
+            raise ModelError(f"{name}: joint {joint.name or i!r} is a ball joint, expected hinges and slides alone")
         if not joint.name:
             raise ModelError(f"{name}: joint {i} has no name, by which a recording's columns could be identified")
         limited = bool(base.jnt_limited[i])
@@ -168,17 +189,31 @@ def _joints(base: Any, name: str) -> tuple[Axis, ...]:
     return tuple(found)
 
 
-def _way_out(base: Any, joint: int) -> str:
-    """What to do about a free joint where there is a robot without its body and what hangs on it."""
-    body = int(base.jnt_bodyid[joint])
-    if int(base.jnt_type[joint]) != int(mujoco.mjtJoint.mjJNT_FREE):
-        return ""
-    if all(int(base.body_rootid[other]) == int(base.body_rootid[body]) for other in base.jnt_bodyid):
-        return ""
-    own = base.body(body).name
-    if not own:
-        return "; a loose object in the scene is left out by --ignore BODY, for which its body needs a name"
-    return f"; a loose object in the scene is left out by --ignore {own}"
+def _free(base: Any, name: str, index: int) -> str:
+    """What to do about a free joint: of a base, and where there is a robot without its body of a loose object."""
+    joint, body = base.joint(index).name, int(base.jnt_bodyid[index])
+    measured = "it gets a name, by which --prescribe takes its measured pose"
+    if joint:
+        columns = ", ".join(f"pos.{own}" for own in columns_of(joint))
+        measured = f"its pose measured ({columns}) and taken as it is by --prescribe {joint}"
+    loose = ""
+    if any(int(base.body_rootid[other]) != int(base.body_rootid[body]) for other in base.jnt_bodyid):
+        own = base.body(body).name or "BODY, for which its body needs a name"
+        loose = f"; a loose object in the scene is left out by --ignore {own}"
+    return (
+        f"{name}: joint {joint or index!r} is a free joint, expected hinges and slides alone: the base has to be "
+        f"fixed, or {measured}{loose}"
+    )
+
+
+def _moving(base: Any, joints: Sequence[Axis]) -> list[int]:
+    """The bodies that joints move; what prescribed ones move alone does so whatever its mass."""
+    moved, own = [], {joint.dof for joint in joints}
+    for b in range(1, base.nbody):
+        dofs = range(int(base.body_dofadr[b]), int(base.body_dofadr[b]) + int(base.body_dofnum[b]))
+        if any(d in own for d in dofs) or int(base.body_parentid[b]) in moved:
+            moved.append(b)
+    return moved
 
 
 def _weights(base: Any, joints: Sequence[Axis]) -> dict[str, float]:

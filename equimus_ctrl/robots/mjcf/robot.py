@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar
@@ -25,6 +25,7 @@ from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.robots.mjcf.actuators import OWN, exerts_its_command, hold_peak_forces, limit_force, scale_force
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
+from equimus_ctrl.robots.mjcf.free_base import columns_of, positions, sequence_for
 from equimus_ctrl.robots.mjcf.independent import independent
 from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
@@ -44,6 +45,7 @@ from equimus_ctrl.robots.mjcf.parts import (
     with_parts,
 )
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
+from equimus_ctrl.robots.mjcf.prescribing import ease_solver
 from equimus_ctrl.robots.mjcf.reading import next_hinges
 from equimus_ctrl.robots.mjcf.scratch import Scratch
 from equimus_ctrl.types import Array, frozen_array
@@ -133,13 +135,53 @@ class MjcfRobot(Robot):
         """SHA-256 of all that it is but its name and the file's."""
         files = [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(self.assets.items())]
         parts = (self.xml, files, sorted(self.values.items()), self.payloads, self.compliances, self.gains, self.limits)
-        whole = (*parts, *(own for own in (self.tethers, self.surfaces, self.couplings) if own))
+        given = self.edits.prescribe, sorted(self.edits.turns.items())
+        whole = (*parts, *(own for own in (self.tethers, self.surfaces, self.couplings, *given) if own))
         return hashlib.sha256(repr(whole).encode()).hexdigest()
 
     @cached_property
     def plan(self) -> Plan:
         """What the file says."""
-        return plan_of(self.name, self.xml, Assets(self.assets))
+        return plan_of(self.name, self.xml, self.beside_xml)
+
+    @cached_property
+    def beside_xml(self) -> Assets:
+        """What its model is made of beside the XML."""
+        return Assets(self.assets, self.edits.prescribe, self.edits.turns)
+
+    @property
+    def prescribed_names(self) -> tuple[str, ...]:
+        """Joints whose motion is an input, see ``robots.mjcf.prescribing``."""
+        return tuple(joint.name for joint in self.plan.prescribed)
+
+    @property
+    def prescribed_columns(self) -> tuple[str, ...]:
+        """As of any robot; the pose of a free base, see ``free_base.POSE``."""
+        turns = self.edits.turns
+        return tuple(n for own in self.edits.prescribe for n in (columns_of(own) if own in turns else (own,)))
+
+    def prescribed_positions(self, where: str, recorded: Array) -> Array:
+        """As of any robot.
+
+        Raises:
+            ConfigError: for what is no pose of a free base, or one that its hinges cannot follow.
+        """
+        columns, parts, turns = list(self.prescribed_columns), [], self.edits.turns
+        for own in self.edits.prescribe:
+            names = columns_of(own) if own in turns else (own,)
+            given = recorded[:, [columns.index(name) for name in names]]
+            parts.append(positions(where, own, turns[own], given) if own in turns else given)
+        return np.column_stack(parts)
+
+    def suited(self, read: Callable[[], Sequence[tuple[str, Array]]]) -> MjcfRobot:
+        """As of any robot: with the hinges in the place of free joints that suit, see ``free_base.sequence_for``."""
+        if not self.edits.turns:
+            return self
+        recorded, columns, turns = read(), list(self.prescribed_columns), {}
+        for base in self.edits.turns:
+            places = [columns.index(name) for name in columns_of(base)]
+            turns[base] = sequence_for(base, [(name, values[:, places]) for name, values in recorded])
+        return replace(self, edits=replace(self.edits, turns=turns))
 
     @cached_property
     def joints(self) -> tuple[Axis, ...]:
@@ -229,7 +271,7 @@ class MjcfRobot(Robot):
 
     def slides(self, joint: str) -> bool:
         """Whether a joint is a slide."""
-        return next(axis.slides for axis in self.joints if axis.name == joint)
+        return next(axis.slides for axis in (*self.joints, *self.plan.prescribed) if axis.name == joint)
 
     def place_unit(self, unit: str, place: str) -> str:
         """The unit of something at a joint or actuator, see ``Robot.place_unit``."""
@@ -408,7 +450,7 @@ class MjcfRobot(Robot):
         return replace(self, limits=(*self.limits, (actuator, size)))
 
     def mechanics(self) -> Mechanics:
-        assets = Assets(self.assets)
+        assets = self.beside_xml
         model, data = _scratch.blank(self.xml, assets, self.plan.base)
         self._write_parameters(model)
         drives = {}
@@ -418,12 +460,12 @@ class MjcfRobot(Robot):
             model.dof_armature[dof] = 0.0
         mujoco.mj_setConst(model, data)
         parts = self.tethers, self.surfaces, self.couplings
-        return mechanics_of(model, self.xml, assets, self.joint_names, drives, *parts)
+        return mechanics_of(model, self.xml, assets, self.joint_names, self.prescribed_names, drives, *parts)
 
     @property
     def obstacles(self) -> tuple[str, ...]:
         """What compiled equations of motion cannot hold of it, a phrase each; contacts are another matter."""
-        return _obstacles(self.xml, Assets(self.assets))
+        return _obstacles(self.xml, self.beside_xml)
 
     def mujoco_model(self, timestep: float | None = None) -> Any:
         """An ``mujoco.MjModel`` of one's own with all of this in it.
@@ -435,11 +477,13 @@ class MjcfRobot(Robot):
         model.opt.timestep = timestep or model.opt.timestep
         self._write(model)
         mujoco.mj_setConst(model, mujoco.MjData(model))
+        if self.prescribed_names:
+            ease_solver(model, self.prescribed_names)
         return model
 
     def _base(self) -> Any:
         """MuJoCo's model of the file, with what ``with_parts`` adds to it; not to be changed."""
-        return with_parts(self.xml, Assets(self.assets), self.parts) if self.parts else self.plan.base
+        return with_parts(self.xml, self.beside_xml, self.parts) if self.parts else self.plan.base
 
     @property
     def parts(self) -> Parts:
