@@ -13,6 +13,7 @@ from mjcf_models import refusal
 from equimus_ctrl import workflow
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.diagnosis.linear_response import linearise
+from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.preflight import check, measured_motions
 from equimus_ctrl.engines.base import EngineName
@@ -184,6 +185,71 @@ def test_the_torque_domain_knows_the_motion_and_asks_nothing_of_the_joint() -> N
     still = replace(motions[0].trial, prescribed=PrescribedMotion.at_rest(("shoulder",)))
     (without,) = inverse_dynamics(model, [replace(motions[0], trial=still)], 3)
     assert np.std(found.missing) < 0.01 * np.std(without.missing)
+
+
+BELT = ARM.replace(
+    '<actuator><position name="drive" joint="shoulder" kp="100"/><motor name="motor" joint="elbow"/>',
+    """<tendon><fixed name="belt"><joint joint="shoulder" coef="0.6"/><joint joint="elbow" coef="1"/></fixed></tendon>
+    <actuator><position name="drive" joint="shoulder" kp="100"/><position name="servo" tendon="belt" kp="4" kv="0.2"/>""",
+)
+"""The elbow's servo sits on a belt that the shoulder winds too."""
+
+
+def belted(size: float = 0.3) -> tuple[Model, Trial]:
+    robot = MjcfRobot("arm", BELT, source="arm.xml", edits=Edits(prescribe=("shoulder",)))
+    return Model(robot), replace(trial(size), inner=True, forces=True)
+
+
+@pytest.mark.parametrize(("engine", "dt"), [("reduced", 5e-4), ("mujoco", 1e-4)])
+def test_a_drives_force_hangs_on_the_prescribed_motion_too(engine: EngineName, dt: float) -> None:
+    """Its command is held from row to row while the acceleration of the shoulder goes along a line."""
+    model, own = belted()
+    assert model.robot.actuator_names == ("servo",)
+    (found,) = engine_for(model, engine, dt).simulate([model], [own], [np.array([START])], 1)
+    assert found.forces is not None and found.motion is not None and found.forces.shape == (1, len(TIMES), 1)
+    q, v = found.motion[0].T
+    along, rate = 0.6 * shaken(TIMES)[0] + q, 0.6 * shaken(TIMES)[1] + v
+    wanted = 4 * (own.commands[:, 0] - along) - 0.2 * rate
+    assert np.abs(found.forces[0, :, 0] - wanted).max() < 1e-3 * np.ptp(wanted)
+
+
+def test_both_engines_agree_on_what_small_forces_change_of_a_drives_force_along_a_prescribed_motion() -> None:
+    model, own = belted()
+    recorded = Recording(
+        "shaken", TIMES, own.commands, 0.2 * np.cos(8 * TIMES)[:, None], ("servo",), ("elbow",), prescribed=MOTION,
+        measured=np.cos(5 * TIMES)[:, None],
+    )  # fmt: skip
+    (segment,) = cut(model, with_channels([recorded], ["meas.servo"]))
+    start, pushed = np.array(START), segment.trial
+    pushes = [np.random.default_rng(1).normal(0, 1, (len(pushed.sample_times) - 1, 1, 2)).cumsum(axis=0) / 100]
+    inside = linearise(model, [motion(model, pushed, start, 1e-3)])
+    exact = observed(inside, model.robot, [segment]).response(pushes)[0]
+    assert inside.drive_response(pushes)[0].shape[1] == 1
+    stepped = simulated_response(model, [pushed], [start], np.ones(1), 1)
+    by_steps = observed(stepped, model.robot, [segment]).response(pushes)[0]
+    size = np.abs(exact[:, 1]).max()
+    assert size > 0.01 and np.abs(exact[:, 1] - by_steps[:, 1]).max() < 0.04 * size
+
+
+def test_a_measured_force_of_the_other_sign_is_told_along_a_prescribed_motion() -> None:
+    own, model = with_prescribed(recording(), ROBOT), Model(ROBOT)
+    (right,) = with_channels([replace(own, measured=own.command)], ["meas.*"])
+    check(model, [right])
+    told = refusal(lambda: check(model, [replace(right, measured=-own.command)]))
+    assert "meas.motor looks negated" in told and "pos.elbow" in told
+
+
+def test_a_muscle_over_a_prescribed_joint_is_as_strong_as_in_the_file() -> None:
+    """MuJoCo takes the force of one without its own, and the range of its lengths, from all joints that it pulls."""
+    muscled = BELT.replace(
+        '<position name="servo" tendon="belt" kp="4" kv="0.2"/>', '<muscle name="muscle" tendon="belt" scale="50"/>'
+    ).replace('name="elbow"', 'name="elbow" range="-2 2"')
+    robot = MjcfRobot("arm", muscled, source="arm.xml", edits=Edits(prescribe=("shoulder",)))
+    alone, held = MjcfRobot("arm", muscled), robot.plan.base
+    assert robot.actuator_names == ("muscle",)
+    assert robot.parameters()["muscle.force"] == alone.parameters()["muscle.force"]
+    lengths = (own.actuator_lengthrange[own.actuator("muscle").id] for own in (held, alone.plan.base))
+    np.testing.assert_array_equal(*lengths)
 
 
 @pytest.mark.parametrize("engine", ["reduced", "mujoco"])

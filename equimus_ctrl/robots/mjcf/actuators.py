@@ -188,10 +188,10 @@ def drive_parameters(base: Any, drives: Sequence[Drive]) -> list[ModelParameter]
 
 def _law_of(base: Any, i: int) -> Callable[[Any, Drive, str, str], Iterator[ModelParameter]]:
     gain = int(base.actuator_gaintype[i])
-    return _own_law if gain in OWN else _peak_force if _is_muscle(base, i) else _gain_and_bias
+    return _own_law if gain in OWN else _peak_force if is_muscle(base, i) else _gain_and_bias
 
 
-def _is_muscle(model: Any, i: int) -> bool:
+def is_muscle(model: Any, i: int) -> bool:
     """Whether an actuator's force is MuJoCo's force of a muscle, by its length and how fast that changes."""
     return int(model.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_MUSCLE)
 
@@ -210,7 +210,7 @@ def hold_peak_forces(model: Any, base: Any) -> None:
         base: of the file.
     """
     for i in range(base.nactuator):
-        if _is_muscle(base, i):
+        if is_muscle(base, i):
             k = model.actuator(base.actuator(i).name).id
             model.actuator_gainprm[k, 2] = model.actuator_biasprm[k, 2] = peak_force(base, i)
 
@@ -289,7 +289,7 @@ def exerts_its_command(base: Any, drive: Drive) -> bool:
 def scale_force(model: Any, actuator: str, factor: float) -> None:
     """Make an actuator's force, a gain and a bias, so many times as large."""
     i = model.actuator(actuator).id
-    entries = slice(2, 3) if _is_muscle(model, i) else slice(0, 3)
+    entries = slice(2, 3) if is_muscle(model, i) else slice(0, 3)
     model.actuator_gainprm[i, entries] *= factor
     model.actuator_biasprm[i, entries] *= factor
 

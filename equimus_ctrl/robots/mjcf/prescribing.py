@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ModelError, unknown_name
+from equimus_ctrl.robots.mjcf.actuators import is_muscle, peak_force
 from equimus_ctrl.robots.mjcf.free_base import part
 from equimus_ctrl.types import Array
 
@@ -66,6 +67,7 @@ def prescribe(spec: Any, names: Sequence[str], turns: Mapping[str, str]) -> None
         names: of the joints.
         turns: free joint → axes of the hinges that take its place, see ``free_base``.
     """
+    _hold_muscles(spec)
     for own in (*spec.keys, *spec.sensors):
         spec.delete(own)
     joints: list[str] = []
@@ -89,6 +91,17 @@ def prescribe(spec: Any, names: Sequence[str], turns: Mapping[str, str]) -> None
         motor.ctrllimited = motor.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
         motor.gear[:] = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         motor.gainprm[0] = heavy[name]
+
+
+def _hold_muscles(spec: Any) -> None:
+    """Write down how far muscles go and how strong they are, which MuJoCo works out of all joints of a robot."""
+    if not any(own.gaintype == mujoco.mjtGain.mjGAIN_MUSCLE for own in spec.actuators):
+        return
+    model = spec.compile()
+    for own in spec.actuators:
+        if is_muscle(model, own.id):
+            own.lengthrange = model.actuator_lengthrange[own.id]
+            own.gainprm[2] = own.biasprm[2] = peak_force(model, own.id)
 
 
 def _idle(spec: Any, joints: Sequence[str]) -> list[Any]:
