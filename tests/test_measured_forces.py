@@ -261,7 +261,19 @@ def test_a_filter_of_commands_follows_them_within_a_sample_interval() -> None:
     )
     follow, out = np.array([[0.0, 0.0, -9.0, 9.0, -9.0, 9.0]]), np.empty((3, 1))
     follow[0, [FOLLOW_KIND, FOLLOW_NUMBER]] = FILTERED, lag
-    arrived(times, given, np.zeros(1), valve_settings((), ["drive"]), follow, np.zeros(1), 0.0, 1e-3, at, out, np.zeros(1, dtype=bool))
+    arrived(
+        times,
+        given,
+        np.zeros(1),
+        valve_settings((), ["drive"]),
+        follow,
+        np.zeros(1),
+        0.0,
+        1e-3,
+        at,
+        out,
+        np.zeros(1, dtype=bool),
+    )
     expected = 2.0 * (1 - math.exp(-0.02 / lag)) * np.exp(-(at[1:] - 0.05) / lag)
     np.testing.assert_allclose(out[:, 0], [0.0, *expected], rtol=2e-3)
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.effects.excitation import Excitation
-from equimus_ctrl.engines.mjcf import command_at, joint_forces, moved_along, places_in_room, realise
+from equimus_ctrl.engines.mjcf import command_at, joint_forces, moved_along, places_in_room
+from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model

@@ -24,8 +24,9 @@ from equimus_ctrl.effects.command import DELAY, FILL, VENT, pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_effects
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind
 from equimus_ctrl.effects.valves import valve_settings
-from equimus_ctrl.engines.mjcf import Realised, commands_on, function_address, moved_along, realise, scratch
+from equimus_ctrl.engines.mjcf import commands_on, moved_along
 from equimus_ctrl.engines.mjcf_kernel import called
+from equimus_ctrl.engines.mjcf_realised import Realised, function_address, realise, scratch
 from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.models.augmented import state_change
 from equimus_ctrl.models.model import Model

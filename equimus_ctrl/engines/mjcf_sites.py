@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.engines.mjcf import function_address, scratch
 from equimus_ctrl.engines.mjcf_kernel import called
+from equimus_ctrl.engines.mjcf_realised import function_address, scratch
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 

@@ -11,7 +11,7 @@ from equimus_ctrl import presets
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, SensorDelay
 from equimus_ctrl.effects.valves import TransportDelay
-from equimus_ctrl.engines.mjcf import realise
+from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.model import Model
