@@ -26,6 +26,7 @@ from equimus_ctrl.identification.channels import with_channels
 from equimus_ctrl.identification.segments import cut
 from equimus_ctrl.identification.simulators import Simulator
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.recordings import RecordingWarning
 from equimus_ctrl.recordings.csvfile import write
 from equimus_ctrl.recordings.smoothing import smoothed
 from equimus_ctrl.robots.mjcf.editing import Edits
@@ -239,6 +240,30 @@ def test_a_measured_force_of_the_other_sign_is_told_along_a_prescribed_motion() 
     assert "meas.motor looks negated" in told and "pos.elbow" in told
 
 
+def test_a_rope_that_pulls_at_the_elbow_where_the_shoulder_is_bent_is_a_drive_of_it() -> None:
+    """What another drive does there is not measured, so the motor's force is not judged by the elbow's motion."""
+    roped = ARM.replace("<worldbody>", '<worldbody><site name="hook" pos="0 0 1"/>').replace(
+        '<actuator><position name="drive" joint="shoulder" kp="100"/>',
+        '<tendon><spatial name="rope"><site site="hook"/><site site="tip"/></spatial></tendon>'
+        '<actuator><motor name="reel" tendon="rope"/>',
+    )
+    robot = MjcfRobot("arm", roped, source="arm.xml", edits=Edits(prescribe=("shoulder",)))
+    assert robot.actuator_names == ("reel", "motor")
+    whole = mujoco.MjModel.from_xml_string(ARM)
+    data, needed = mujoco.MjData(whole), []
+    for angle, rate, acceleration in zip(*shaken(TIMES), strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = (angle, 0), (rate, 0), (acceleration, 0)
+        mujoco.mj_inverse(whole, data)
+        needed.append((0.0, data.qfrc_inverse[1]))
+    command = np.array(needed)
+    own = Recording(
+        "it", TIMES, command, np.zeros((len(TIMES), 1)), robot.actuator_names, ("elbow",), prescribed=MOTION,
+        measured=np.column_stack([np.full(len(TIMES), np.nan), -command[:, 1]]),
+    )  # fmt: skip
+    (negated,) = with_channels([own], ["meas.motor"])
+    check(Model(robot), [negated])
+
+
 def test_a_muscle_over_a_prescribed_joint_is_as_strong_as_in_the_file() -> None:
     """MuJoCo takes the force of one without its own, and the range of its lengths, from all joints that it pulls."""
     muscled = BELT.replace(
@@ -302,6 +327,9 @@ def test_what_cannot_be_prescribed_is_told(tmp_path: Path) -> None:
     engine = engine_for(Model(ROBOT), "mujoco")
     told = refusal(lambda: engine.simulate([Model(ROBOT)], [own], [np.array([START])], 1))
     assert "has the motion of none, expected that of shoulder" in told
+    path.write_text(ARM.replace('timestep="0.001"/>', 'timestep="0.001"><flag actuation="disable"/></option>'))
+    told = refusal(lambda: workflow.load_model(path, prescribe=["shoulder"]))
+    assert "the XML switches actuators off" in told
 
 
 def test_velocities_of_the_other_joints_alone_are_asked_for(tmp_path: Path) -> None:
@@ -313,6 +341,9 @@ def test_velocities_of_the_other_joints_alone_are_asked_for(tmp_path: Path) -> N
     assert found.velocity is not None and found.velocity[:, 0].tolist() == list(range(20))
     assert found.prescribed is not None
     np.testing.assert_allclose(found.prescribed.velocity, 1.0, rtol=1e-9)
+    (tmp_path / "its.csv").write_text(f"time,cmd.motor,pos.shoulder,pos.elbow,vel.shoulder\n{rows}\n")
+    (found,) = workflow.gather([tmp_path / "its.csv"], model)
+    assert found.velocity is None
     whole = workflow.load_model(tmp_path / "arm.xml", ignore=["drive"])
     assert "column 'vel.shoulder' is missing" in refusal(lambda: workflow.gather([tmp_path / "it.csv"], whole))
 
@@ -337,13 +368,81 @@ def test_a_shaken_robot_needs_no_drive_of_its_own(tmp_path: Path) -> None:
     assert "no column 'cmd.<actuator>'" in refusal(lambda: workflow.gather([tmp_path / "it.csv"], driven))
 
 
-def test_what_holds_a_prescribed_joint_alone_does_not_fight_its_motion() -> None:
-    held = '<equality><joint joint1="shoulder"/><joint joint1="elbow" joint2="shoulder" active="false"/></equality>'
-    xml = ARM.replace("</worldbody>", f"</worldbody>{held}")
+FLOOR = '<worldbody><geom name="floor" type="plane" size="1 1 0.1" pos="0 0 -0.2"/>'
+BONE = '<geom name="bone" type="capsule" fromto="0 0 0 0 0 -0.28" size="0.02" mass="0"/><body name="lower"'
+TOUCHING = ARM.replace("<worldbody>", FLOOR).replace('<body name="lower"', BONE)
+"""Its upper link goes through the floor wherever the shoulder is."""
+OFF = ARM.replace('timestep="0.001"/>', 'timestep="0.001" actuatorgroupdisable="0"/>')
+
+
+def held(text: str) -> str:
+    return ARM.replace("</worldbody>", f"</worldbody>{text}")
+
+
+ROPE = """<tendon><fixed name="rope" limited="true" range="-0.1 0.1"><joint joint="shoulder" coef="1"/></fixed></tendon>
+  <equality><tendon tendon1="rope"/></equality>"""
+
+
+@pytest.mark.parametrize(
+    ("xml", "left"),
+    [
+        (held('<equality><joint joint1="shoulder"/></equality>'), 0),
+        (held('<equality><joint joint1="elbow" joint2="shoulder" active="false"/></equality>'), 1),
+        (held('<equality><weld body1="upper"/><connect body1="upper" anchor="0 0 -0.3"/></equality>'), 0),
+        (held('<equality><connect body1="lower" body2="upper" anchor="0 0 0" active="false"/></equality>'), 1),
+        (held(ROPE), 0),
+        (TOUCHING, 0),
+        (TOUCHING.replace("<actuator>", '<contact><pair geom1="floor" geom2="bone"/></contact><actuator>'), 0),
+        (OFF.replace('<motor name="motor"', '<motor name="motor" group="1"'), 0),
+    ],
+)
+def test_what_holds_a_prescribed_joint_alone_does_not_fight_its_motion(xml: str, left: int) -> None:
     robot = MjcfRobot("arm", xml, source="arm.xml", edits=Edits(prescribe=("shoulder",)))
-    assert robot.plan.base.neq == 1
+    assert robot.plan.base.neq == left
     found, wanted = (
         engine_for(Model(own), "mujoco").simulate([Model(own)], [trial()], [np.array([START])], 1)[0].position
         for own in (robot, ROBOT)
     )
     np.testing.assert_array_equal(found, wanted)
+
+
+def test_what_a_prescribed_joint_touches_is_no_reason_for_another_engine() -> None:
+    robot = MjcfRobot("arm", TOUCHING, source="arm.xml", edits=Edits(prescribe=("shoulder",)))
+    poses = np.zeros((9, 2))
+    assert "compiled equations of motion hold" in engine_for(Model(robot), positions=[poses]).reason
+    alone = MjcfRobot("arm", TOUCHING)
+    assert "'floor' touches 'bone'" in engine_for(Model(alone), positions=[poses]).reason
+    assert mujoco.MjModel.from_xml_string(corrected_xml(Model(robot))[0]).nexclude == 0
+
+
+def test_a_tendon_over_a_prescribed_joint_alone_is_written_as_it_was() -> None:
+    text = """<tendon><fixed name="rope" limited="true" range="-2 2" frictionloss="0.2"><joint joint="shoulder" coef="1"/>
+      </fixed><fixed name="belt" limited="true" range="-3 3"><joint joint="elbow" coef="1"/></fixed></tendon>"""
+    robot = MjcfRobot("arm", held(text), source="arm.xml", edits=Edits(prescribe=("shoulder",)))
+    assert robot.plan.base.tendon_limited.tolist() == [0, 1]
+    whole = mujoco.MjModel.from_xml_string(corrected_xml(Model(robot))[0])
+    assert whole.tendon_limited.tolist() == [1, 1] and whole.tendon_frictionloss.tolist() == [0.2, 0.0]
+    assert whole.tendon_range.tolist() == [[-2, 2], [-3, 3]]
+
+
+def test_a_prescribed_joint_in_degrees_is_told(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    model, own = workflow.load_model(tmp_path / "arm.xml", prescribe=["shoulder"]), recording(1e-3)
+
+    def as_recorded(factor: float, shift: float) -> Recording:
+        shown = np.array(own.position)
+        shown[:, 0] = factor * (shown[:, 0] + shift)
+        return replace(own, position=shown)
+
+    wrong = as_recorded(np.degrees(1.0), -1.0)
+    told = refusal(lambda: check(model, workflow.gather([wrong], model)))
+    assert "shoulder goes from" in told and "the model's range is -3 to 3 rad; are the recorded angles in deg" in told
+    write(tmp_path / "far.csv", as_recorded(500.0, 0.0))
+    with pytest.warns(RecordingWarning, match=r"pos.shoulder goes to .* are these degrees"):
+        workflow.gather([tmp_path / "far.csv"], model)
+
+
+def test_gravity_turns_where_a_joint_that_moves_by_itself_feels_it() -> None:
+    xml = ARM.replace('name="shoulder" axis="0 1 0"', 'name="shoulder" axis="1 0 0"')
+    robot = MjcfRobot("arm", xml, edits=Edits(prescribe=("shoulder",)))
+    np.testing.assert_allclose(np.abs(robot.plan.tilt_axis), [0, 1, 0], atol=1e-12)

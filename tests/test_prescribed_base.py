@@ -15,7 +15,10 @@ from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings.csvfile import write
+from equimus_ctrl.recordings.smoothing import smoothed
+from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.free_base import POSE, joints_of, part, positions, sequence_for
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
 from equimus_ctrl.workflow.mjcf import corrected_xml
 
@@ -93,6 +96,58 @@ def test_a_free_joint_is_measured_or_left_out_and_a_sentence_names_both(tmp_path
     assert found.robot.joint_names == ("swing",) and found.robot.prescribed_columns == COLUMNS
     both = workflow.load_model(xml, prescribe=["base", "slack"])
     assert both.robot.joint_names == ("swing",) and len(both.robot.prescribed_columns) == 14
+
+
+def test_a_body_in_a_frame_of_the_file_is_where_its_pose_says() -> None:
+    framed = FLYER.replace("<worldbody>", '<worldbody><frame pos="0.1 0.2 0.3" euler="0 0 1">').replace(
+        "</worldbody>", "</frame></worldbody>"
+    )
+    robot = MjcfRobot("flyer", framed, edits=Edits(prescribe=("base",), turns={"base": "zyx"}))
+    data = mujoco.MjData(robot.plan.base)
+    data.qpos[:6] = robot.prescribed_positions("it", POSES[:1])[0]
+    mujoco.mj_kinematics(robot.plan.base, data)
+    np.testing.assert_allclose(data.body("hull").xpos, POSES[0, :3], atol=1e-12)
+    np.testing.assert_allclose(np.abs(data.body("hull").xquat @ POSES[0, 3:]), 1.0, atol=1e-12)
+
+
+WALKER = """<mujoco model="walker"><compiler angle="radian"/><option timestep="0.0005"/><worldbody>
+  <geom name="floor" type="plane" size="2 2 0.1"/><body name="trunk" pos="0 0 0.45"><freejoint name="base"/>
+    <geom type="box" size="0.1 0.1 0.05" mass="5" contype="0" conaffinity="0"/>
+    <body name="thigh"><joint name="hip" axis="0 1 0" damping="0.1" armature="0.01"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.02" mass="0.5" contype="0" conaffinity="0"/>
+      <body name="shank" pos="0 0 -0.25"><joint name="knee" axis="0 1 0" damping="0.1" frictionloss="0.3"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.02" mass="0.3" contype="0" conaffinity="0"/>
+        <geom name="foot" type="sphere" size="0.03" pos="0 0 -0.25" mass="0.05"/></body></body></body></worldbody>
+  <actuator><position name="hip" joint="hip" kp="60"/><position name="knee" joint="knee" kp="60"/></actuator></mujoco>"""
+
+
+def test_feet_stand_on_the_floor_as_under_a_heavy_base() -> None:
+    """By hand: two heavy slides, put where they belong in each step, and a solver that goes on to the end."""
+    times, heavy = np.arange(81) / 200, 1e6
+    still = np.zeros_like(times)
+    pose = np.column_stack([0.05 * np.sin(4 * times), still, 0.45 + 0.03 * np.sin(6 * times), still + 1, *[still] * 3])
+    robot = MjcfRobot("walker", WALKER, edits=Edits(prescribe=("base",), turns={"base": "zyx"}))
+    moved = smoothed("it", robot.prescribed_names, times, robot.prescribed_positions("it", pose))
+    start, command = np.array([-0.5, 1.0]), np.tile([-0.5, 1.0], (len(times), 1))
+    own = Trial("it", times, command, command[0], 0.0, start, times, prescribed=moved)
+    engine = engine_for(Model(robot), positions=[np.column_stack([command, moved.position])])
+    assert "'floor' touches 'foot'" in engine.reason
+    found = engine.simulate([Model(robot)], [own], [np.array([[*start, 0.0, 0.0]])], 1)[0].position[0]
+    slides = "".join(f'<joint type="slide" axis="{axis}" armature="{heavy}"/>' for axis in ("1 0 0", "0 0 1"))
+    xml = WALKER.replace('<freejoint name="base"/>', slides).replace("/><worldbody>", ' tolerance="0"/><worldbody>')
+    model = mujoco.MjModel.from_xml_string(xml)
+    data, dt, rows, touched = mujoco.MjData(model), model.opt.timestep, [], []
+    data.qpos[2:], data.ctrl[:] = start, start
+    for time in dt * np.arange(round(times[-1] / dt) + 1):
+        rows.append(data.qpos[2:].copy())
+        touched.append(data.ncon)
+        place, rate, _ = moved.at(time)
+        data.qpos[:2], data.qvel[:2] = place[[0, 2]] - [0.0, 0.45], rate[[0, 2]]
+        data.qfrc_applied[:2] = heavy * (moved.at(time + dt)[1] - rate)[[0, 2]] / dt
+        mujoco.mj_step(model, data)
+    by_hand = np.array(rows)[:: round(times[1] / dt)]
+    assert 0.2 < np.mean(touched) < 0.9
+    assert np.abs(found - by_hand).max() < 1e-4 * np.ptp(by_hand)
 
 
 @pytest.mark.parametrize("sequence", ["zyx", "xzy"])

@@ -128,9 +128,9 @@ def _step(values: Array) -> float:
 
 def _check_angles(robot: Robot, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError where angles are in degrees, or lie where a joint cannot be."""
-    positions = np.concatenate([r.position for r in recordings])
-    low, high = robot.joint_range
-    for j, name in enumerate(robot.joint_names):
+    positions = np.concatenate([r.poses for r in recordings])
+    low, high = (np.concatenate(ends) for ends in zip(robot.joint_range, robot.prescribed_range, strict=True))
+    for j, name in enumerate((*robot.joint_names, *robot.prescribed_names)):
         span = float(high[j] - low[j])
         if not math.isfinite(span) or span <= 0:
             continue
@@ -248,7 +248,8 @@ def _measured_joints(robot: MjcfRobot, forces: Sequence[int], recordings: Sequen
     base, found = robot.plan.base, list[_MeasuredJoint]()
     if not forces:
         return found
-    moments = moments_at(base, robot.joint_names, recordings[0].position[:: max(len(recordings[0].time) // FEW, 1)])
+    poses = recordings[0].poses[:: max(len(recordings[0].time) // FEW, 1)]
+    moments = moments_at(base, (*robot.joint_names, *robot.prescribed_names), poses)
     for j, name in enumerate(robot.joint_names):
         drives = [d for d in robot.actuators if moments[base.actuator_outadr[d.index], base.joint(name).dofadr[0]] > 0]
         # An actuator with several commands exerts one force, of which any of their columns tells.

@@ -190,7 +190,7 @@ def fit(
     """
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
-        simulator = simulator or simulator_for(parameters.model, [s.measured for s in segments])
+        simulator = simulator or simulator_for(parameters.model, [s.poses for s in segments])
         problem = Problem(parameters, segments, simulator, noise, coarse)
         return _fit(problem, settings or FitSettings(), begin, earlier, notify)
 

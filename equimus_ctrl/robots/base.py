@@ -8,6 +8,8 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
+import numpy as np
+
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect, Robots
 from equimus_ctrl.robots.mechanics import Mechanics
@@ -122,6 +124,11 @@ class Robot(ABC):
     def prescribed_columns(self) -> tuple[str, ...]:
         """The positions that were recorded of them, by the columns' names."""
         return ()
+
+    @property
+    def prescribed_range(self) -> tuple[Array, Array]:
+        """(low, high), each (np,): between what they can be [rad or m], ±inf where nothing says so."""
+        return np.empty(0), np.empty(0)
 
     def prescribed_positions(self, where: str, recorded: Array) -> Array:
         """(n, np) positions of these joints [rad or m], of (n, nc) what was recorded.

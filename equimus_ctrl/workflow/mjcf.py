@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from equimus_ctrl import presets
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, SensorDelay
@@ -83,7 +85,8 @@ def _read(files: Sequence[Path], robot: Robot) -> tuple[tuple[Path, Recording], 
     if robot.traits.commands_are_pressures:
         return read_with_files(files)
     joints, actuators, given = robot.joint_names, robot.actuator_names, robot.prescribed_columns
-    hinges = [name for name in joints if not robot.slides(name)]
+    columns = [*joints, *(name for name in robot.prescribed_names if name in given)]
+    hinges = [name for name in columns if not robot.slides(name)]
     limits = Limits.of_mjcf(joints, actuators, hinges, UNRECORDED, given)
     return read_with_files(files, joints=(*joints, *given), actuators=actuators, limits=limits)
 
@@ -99,11 +102,14 @@ def with_prescribed(trial: Recording, robot: Robot) -> Recording:
         return trial
     given = trial.position[:, [trial.joints.index(name) for name in columns]]
     kept = [j for j, name in enumerate(trial.joints) if name not in columns]
+    velocity = None if trial.velocity is None else trial.velocity[:, kept]
+    if velocity is not None and np.isnan(velocity).all():
+        velocity = None  # that of prescribed joints alone was measured
     return replace(
         trial,
         position=trial.position[:, kept],
         joints=tuple(trial.joints[j] for j in kept),
-        velocity=None if trial.velocity is None else trial.velocity[:, kept],
+        velocity=velocity,
         prescribed=smoothed(
             trial.name, robot.prescribed_names, trial.time, robot.prescribed_positions(trial.name, given)
         ),

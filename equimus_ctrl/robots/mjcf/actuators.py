@@ -31,6 +31,8 @@ _DYNAMICS = tuple(
 )
 LEAST = 1e-15
 """MuJoCo's least divisor."""
+AWAY = 0.3
+"""From the file's own pose, where moment arms might vanish [rad or m]."""
 TAKEN = (
     "motor, position, velocity, intvelocity, damper, cylinder, muscle, general with fixed or affine gain and bias, pid "
     "and dcmotor, at joints, tendons, sites and sliders with a crank"
@@ -64,6 +66,13 @@ def _moments(base: Any, data: Any) -> Array:
     moments = np.zeros((base.nout, base.nv))
     mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
     return moments
+
+
+def moments_away(base: Any) -> Array:
+    """(nout, nv) moments of actuators ``AWAY`` from the file's own pose, where they might vanish."""
+    data = mujoco.MjData(base)
+    data.qpos[:] += AWAY
+    return _moments(base, data)
 
 
 def moments_at(base: Any, joints: Sequence[str], positions: Array) -> Array:

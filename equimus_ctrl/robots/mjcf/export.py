@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from equimus_ctrl.robots.mjcf.held_bodies import held_tendons
 from equimus_ctrl.robots.mjcf.parts import surface_of, tether_of, with_parts_spec
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -65,8 +66,11 @@ def exported(
             _buffer(actuator, model)
         actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
         actuator.lengthrange = model.actuator_lengthrange[a]  # that of a muscle, which its force depends on
+    held = held_tendons(model, robot.prescribed_names)
     for tendon in spec.tendons:
         t = tendon.id
+        if t in held:
+            continue  # as it is in the file
         tendon.limited, tendon.range = model.tendon_limited[t], model.tendon_range[t]
         tendon.solref_limit, tendon.solimp_limit = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
         tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]

@@ -48,13 +48,21 @@ def part(spec: Any, base: str, sequence: str) -> tuple[str, ...]:
     body = joint.parent
     spec.delete(joint)
     body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    body.pos, body.quat = [0.0] * 3, [1.0, 0.0, 0.0, 0.0]
+    body.pos, body.quat = _turned_back(spec, body)
     names = joints_of(base, sequence)
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     for name, axis, kind in zip(names, "xyz" + sequence, [slide] * 3 + [hinge] * 3, strict=True):
         own = body.add_joint(name=name, type=kind, axis=[float(axis == other) for other in "xyz"], pos=[0.0] * 3)
         own.ref = own.springref = 0.0
     return names
+
+
+def _turned_back(spec: Any, body: Any) -> tuple[Array, Array]:
+    """(position, quaternion) with which a body is at the room's origin, along its axes, whatever frame it is in."""
+    body.pos, body.quat = [0.0] * 3, [1.0, 0.0, 0.0, 0.0]
+    model, place, turn = spec.compile(), np.empty(3), np.empty(4)
+    mujoco.mju_negPose(place, turn, model.body_pos[body.id], model.body_quat[body.id])
+    return place, turn
 
 
 def positions(where: str, base: str, sequence: str, pose: Array) -> Array:

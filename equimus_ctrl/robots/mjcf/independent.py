@@ -8,6 +8,8 @@ from typing import Any, Protocol, Self
 import mujoco
 import numpy as np
 
+from equimus_ctrl.robots.mjcf.entries import ModelParameter
+from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.types import Array
 
 TRIES = 6
@@ -71,3 +73,38 @@ def independent(robot: Numbered, names: Sequence[str]) -> list[str]:
             basis = np.column_stack([basis, left / np.linalg.norm(left)])
             kept.append(name)
     return kept
+
+
+def default_names(robot: Numbered, known: Mapping[str, ModelParameter]) -> list[str]:
+    """Parameters that are free by default: masses, inertias, and those of joints that are not 0 in the file.
+
+    Those that others can replace are not among them. Centres of mass, the orientation of inertias and actuators are
+    taken to be known.
+
+    Args:
+        robot: whose.
+        known: all of its parameters.
+    """
+    values = robot.parameters()
+    kept = independent(robot, [n for n in _of_kinds(known, ("mass", "inertia", "armature")) if values[n] > 0])
+    rubbing = _of_kinds(known, ("damping", "quadratic_damping", "frictionloss", "stiffness"))
+    return kept + [n for n in rubbing if values[n] > 0]
+
+
+def base_names(robot: Numbered, known: Mapping[str, ModelParameter]) -> list[str]:
+    """Of masses, centres, inertias and armatures as many as there are base parameters, see ``independent``.
+
+    Args:
+        robot: whose.
+        known: all of its parameters.
+    """
+    wanted, values = (
+        _of_kinds(known, ("mass", "com_x", "com_y", "com_z", "inertia", *SHAPE, "armature")),
+        robot.parameters(),
+    )
+    return independent(robot, [n for n in wanted if not n.endswith(".armature") or values[n] > 0])
+
+
+def _of_kinds(known: Mapping[str, ModelParameter], kinds: Sequence[str]) -> list[str]:
+    """Names, kind by kind."""
+    return [name for kind in kinds for name, own in known.items() if own.kind == kind]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from dataclasses import field as made
 from functools import lru_cache
 from typing import Any
@@ -17,6 +17,7 @@ from equimus_ctrl.robots.mjcf.actuators import drive_parameters, drives_of
 from equimus_ctrl.robots.mjcf.editing import name_actuators
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, ModelParameter, setter
 from equimus_ctrl.robots.mjcf.free_base import columns_of
+from equimus_ctrl.robots.mjcf.held_bodies import moved_bodies
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.prescribing import motor_of, prescribe
 from equimus_ctrl.types import Array
@@ -97,19 +98,23 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
     _check(base, name, xml)
     every = _joints(base, name)
     motors = [base.actuator(k).name for k in range(base.nactuator)] if assets.prescribed else []
-    prescribed = tuple(
-        sorted((j for j in every if motor_of(j.name) in motors), key=lambda j: motors.index(motor_of(j.name)))
-    )
-    joints = tuple(joint for joint in every if joint not in prescribed)
+    moved = sorted((j for j in every if motor_of(j.name) in motors), key=lambda j: motors.index(motor_of(j.name)))
+    prescribed = tuple(replace(joint, range=_kept_range(base, joint)) for joint in moved)
+    joints = tuple(joint for joint in every if joint not in moved)
+    if moved and base.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
+        raise ModelError(
+            f"{name}: the XML switches actuators off, expected them on where the motion of joints is prescribed; leave "
+            '<flag actuation="disable"/> out'
+        )
     if not joints:
         raise ModelError(f"{name}: the motion of all joints is prescribed, expected one at least that moves by itself")
     drives = drives_of(base, name, joints, [motor_of(joint.name) for joint in prescribed])
-    moves = _moving(base, joints)
+    moves = moved_bodies(base, (joint.dof for joint in joints))
     bodies = tuple(n for b in moves if (n := base.body(b).name) and base.body_mass[b] > 0)
     sites = tuple(
         s.name for s in (base.site(i) for i in range(base.nsite)) if s.name and base.site_bodyid[s.id] in moves
     )
-    axis = _tilt_axis(base)
+    axis = _tilt_axis(base, joints)
     parameters = [*_body_parameters(base, bodies), *_joint_parameters(base, joints), *drive_parameters(base, drives)]
     size = float(np.linalg.norm(base.opt.gravity))
     down = np.array(base.opt.gravity)
@@ -189,6 +194,12 @@ def _joints(base: Any, name: str) -> tuple[Axis, ...]:
     return tuple(found)
 
 
+def _kept_range(base: Any, joint: Axis) -> tuple[float, float]:
+    """Where the file lets a prescribed joint be, which no longer ends its motion, see ``prescribing``."""
+    low, high = (float(end) for end in base.jnt_range[joint.index])
+    return (low, high) if low < high else (-math.inf, math.inf)
+
+
 def _free(base: Any, name: str, index: int) -> str:
     """What to do about a free joint: of a base, and where there is a robot without its body of a loose object."""
     joint, body = base.joint(index).name, int(base.jnt_bodyid[index])
@@ -206,16 +217,6 @@ def _free(base: Any, name: str, index: int) -> str:
     )
 
 
-def _moving(base: Any, joints: Sequence[Axis]) -> list[int]:
-    """The bodies that joints move; what prescribed ones move alone does so whatever its mass."""
-    moved, own = [], {joint.dof for joint in joints}
-    for b in range(1, base.nbody):
-        dofs = range(int(base.body_dofadr[b]), int(base.body_dofadr[b]) + int(base.body_dofnum[b]))
-        if any(d in own for d in dofs) or int(base.body_parentid[b]) in moved:
-            moved.append(b)
-    return moved
-
-
 def _weights(base: Any, joints: Sequence[Axis]) -> dict[str, float]:
     data = mujoco.MjData(base)
     mujoco.mj_forward(base, data)
@@ -224,7 +225,7 @@ def _weights(base: Any, joints: Sequence[Axis]) -> dict[str, float]:
     return {joint.name: float(whole[joint.dof, joint.dof]) for joint in joints}
 
 
-def _tilt_axis(base: Any) -> Array:
+def _tilt_axis(base: Any, joints: Sequence[Axis]) -> Array:
     """A horizontal axis about which turning gravity matters to the first joint for which it does."""
     data = mujoco.MjData(base)
     mujoco.mj_kinematics(base, data)
@@ -232,10 +233,9 @@ def _tilt_axis(base: Any) -> Array:
     size = np.linalg.norm(down)
     if size > 0:
         down /= size
-        for i in range(base.njnt):
-            own = data.xaxis[i]
-            slides = int(base.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
-            axis = np.cross(down, own) if slides else own - down * (down @ own)
+        for joint in joints:
+            own = data.xaxis[joint.index]
+            axis = np.cross(down, own) if joint.slides else own - down * (down @ own)
             if np.linalg.norm(axis) > 0.1:
                 return np.asarray(axis / np.linalg.norm(axis))
     return np.array([0.0, 1.0, 0.0])

@@ -19,18 +19,19 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ModelError, unknown_name
-from equimus_ctrl.robots.mjcf.actuators import is_muscle, peak_force
-from equimus_ctrl.robots.mjcf.free_base import part
+from equimus_ctrl.robots.mjcf.actuators import is_muscle, moments_away, peak_force
+from equimus_ctrl.robots.mjcf.free_base import columns_of, part, positions, sequence_for
+from equimus_ctrl.robots.mjcf.held_bodies import loosen_held
 from equimus_ctrl.types import Array
 
 HEAVY = 1e12
 """Armature of a prescribed joint, in units of the inertia that it moves in the file's own pose: gravity then makes it
 drift by 1e-8 of a turn or metre in a minute at most."""
 AT_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-AWAY = 0.3
-"""From the file's own pose, where moment arms might vanish [rad or m]."""
 LEAST = 1e-9
 """Inertia that a joint moves at least [kg·m² or kg]."""
+GROUPS = 31
+"""MuJoCo's groups of actuators, each of which a file may switch off."""
 
 
 def motor_of(joint: str) -> str:
@@ -56,11 +57,58 @@ def chosen(name: str, spec: Any, patterns: Sequence[str]) -> tuple[str, ...]:
     return tuple(own for own in known if any(fnmatch.fnmatchcase(own, p) for p in patterns))
 
 
+def recorded_columns(joints: Sequence[str], turns: Mapping[str, str]) -> tuple[str, ...]:
+    """The positions that are recorded of prescribed joints; of a free base its pose, see ``free_base.POSE``.
+
+    Args:
+        joints: their names.
+        turns: free joint among these → axes of the hinges that take its place.
+    """
+    return tuple(name for own in joints for name in (columns_of(own) if own in turns else (own,)))
+
+
+def prescribed_positions(where: str, joints: Sequence[str], turns: Mapping[str, str], recorded: Array) -> Array:
+    """(n, np) positions of prescribed joints, of what was recorded of them [rad or m].
+
+    Args:
+        where: it was recorded, for messages.
+        joints: as in ``recorded_columns``.
+        turns: as there.
+        recorded: (n, nc) these columns.
+
+    Raises:
+        ConfigError: for what is no pose of a free base, or one that its hinges cannot follow.
+    """
+    columns, parts = recorded_columns(joints, turns), []
+    for own in joints:
+        names = columns_of(own) if own in turns else (own,)
+        given = recorded[:, [columns.index(name) for name in names]]
+        parts.append(positions(where, own, turns[own], given) if own in turns else given)
+    return np.column_stack(parts)
+
+
+def suited_turns(
+    joints: Sequence[str], turns: Mapping[str, str], recorded: Sequence[tuple[str, Array]]
+) -> dict[str, str]:
+    """Free joint → axes of hinges that stay clear of gimbal lock in some recordings, see ``free_base.sequence_for``.
+
+    Args:
+        joints: as in ``recorded_columns``.
+        turns: as there.
+        recorded: each recording's name, and (n, nc) these columns.
+    """
+    columns, found = recorded_columns(joints, turns), {}
+    for base in turns:
+        places = [columns.index(name) for name in columns_of(base)]
+        found[base] = sequence_for(base, [(name, values[:, places]) for name, values in recorded])
+    return found
+
+
 def prescribe(spec: Any, names: Sequence[str], turns: Mapping[str, str]) -> None:
     """Let some joints of a specification move as motors of theirs say, whatever acts on them.
 
     What drives, brakes, holds or ends them alone goes: it changes nothing, or would fight with the motion that is
-    prescribed. So do keyframes and sensors.
+    prescribed, see ``held_bodies``. So do keyframes and sensors.
 
     Args:
         spec: MuJoCo's, changed.
@@ -73,24 +121,19 @@ def prescribe(spec: Any, names: Sequence[str], turns: Mapping[str, str]) -> None
     joints: list[str] = []
     for name in names:
         joints += part(spec, name, turns[name]) if name in turns else [name]
-    held = [e for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_JOINT]
-    for own in [e for e in held if e.name1 in joints and e.name2 in (*joints, "")]:
-        spec.delete(own)
     for own in _idle(spec, joints):
         spec.delete(own)
-    for name in joints:
-        joint = spec.joint(name)
-        joint.damping, joint.stiffness, joint.frictionloss = [0.0] * 3, [0.0] * 3, 0.0
-        joint.springdamper, joint.armature = [0.0, 0.0], 0.0
-        joint.limited = joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    _free_of_their_own(spec, joints)
+    loosen_held(spec, joints)
     heavy = {name: HEAVY * max(own, LEAST) for name, own in zip(joints, _inertias(spec, joints), strict=True)}
+    group = next(k for k in range(GROUPS) if not spec.option.disableactuator >> k & 1)
     for name in joints:
         spec.joint(name).armature = heavy[name]
         motor = spec.add_actuator(name=motor_of(name), target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.ctrllimited = motor.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
         motor.gear[:] = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        motor.gainprm[0] = heavy[name]
+        motor.gainprm[0], motor.group, motor.delay, motor.nsample = heavy[name], group, 0.0, 0
 
 
 def _hold_muscles(spec: Any) -> None:
@@ -107,40 +150,50 @@ def _hold_muscles(spec: Any) -> None:
 def _idle(spec: Any, joints: Sequence[str]) -> list[Any]:
     """The actuators that act on some joints alone, as thrusters on a base do."""
     model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] += AWAY
-    mujoco.mj_forward(model, data)
-    moments = np.zeros((model.nout, model.nv))
-    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-    own = {int(model.joint(name).dofadr[0]) for name in joints}
-    others = [d for d in range(model.nv) if d not in own]
-    rows = moments[[int(model.actuator_outadr[i]) for i in range(model.nactuator)]]
-    acts_there, acts_elsewhere = (np.abs(rows[:, where]).sum(axis=1) > 0 for where in (sorted(own), others))
-    chosen = np.flatnonzero(acts_there & ~acts_elsewhere)
-    return [actuator for i, actuator in enumerate(spec.actuators) if i in chosen]
+    own = [int(model.joint(name).dofadr[0]) for name in joints]
+    rows = np.abs(moments_away(model))[[int(model.actuator_outadr[i]) for i in range(model.nactuator)]]
+    chosen = (rows[:, own].sum(axis=1) > 0) & (np.delete(rows, own, axis=1).sum(axis=1) == 0)
+    return [actuator for actuator, idle in zip(spec.actuators, chosen, strict=True) if idle]
+
+
+def _free_of_their_own(spec: Any, joints: Sequence[str]) -> None:
+    """Take away what brakes, pulls and ends some joints; of a range that counts in the file the numbers stay."""
+    model = spec.compile()
+    for name in joints:
+        joint = spec.joint(name)
+        if not model.jnt_limited[model.joint(name).id]:
+            joint.range = [0.0, 0.0]
+        joint.damping, joint.stiffness, joint.frictionloss = [0.0] * 3, [0.0] * 3, 0.0
+        joint.springdamper, joint.armature = [0.0, 0.0], 0.0
+        joint.limited = joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
 
 
 def _inertias(spec: Any, joints: Sequence[str]) -> Array:
     """(n,) inertia that each joint moves in the file's own pose [kg·m² or kg]."""
     model = spec.compile()
-    data = mujoco.MjData(model)
+    return _moved_by_each(model)[[int(model.joint(name).dofadr[0]) for name in joints]]
+
+
+def _moved_by_each(model: Any) -> Array:
+    """(nv,) inertia that each degree of freedom moves in the file's own pose [kg·m² or kg]."""
+    data, whole = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     mujoco.mj_forward(model, data)
-    whole = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, whole)
-    return np.array([whole[d, d] for d in (int(model.joint(name).dofadr[0]) for name in joints)])
+    return np.diag(whole).copy()
 
 
 def ease_solver(model: Any, joints: Sequence[str]) -> None:
-    """Let MuJoCo's solver judge forces by the inertia of the other joints: it ends where they are small beside it.
+    """Let MuJoCo's solver judge what is left by the inertia of the other joints.
+
+    It ends where that is small in units of the mean inertia of all, beside which contacts and dry friction of the
+    others would be next to nothing.
 
     Args:
-        model: an ``mujoco.MjModel``, changed in ``stat.meaninertia``.
+        model: an ``mujoco.MjModel``, changed in its solvers' tolerances.
         joints: that are prescribed.
     """
-    own = {int(model.joint(name).dofadr[0]) for name in joints}
-    others = [d for d in range(model.nv) if d not in own]
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    whole = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, whole)
-    model.stat.meaninertia = float(np.mean([whole[d, d] for d in others]))
+    inertia = _moved_by_each(model)
+    others = np.delete(inertia, [int(model.joint(name).dofadr[0]) for name in joints])
+    share = float(others.mean() / inertia.mean())
+    model.opt.tolerance *= share
+    model.opt.noslip_tolerance *= share
