@@ -171,6 +171,8 @@ def test_both_engines_tell_the_same_of_what_moves_inside() -> None:
 def test_a_prescribed_joint_is_no_part_of_what_is_compared_or_estimated() -> None:
     assert (ROBOT.joint_names, ROBOT.prescribed_names, ROBOT.actuator_names) == (("elbow",), ("shoulder",), ("motor",))
     assert not [name for name in ROBOT.parameters() if name.startswith(("shoulder", "upper", "drive"))]
+    loose = ARM.replace('name="drive"', 'name="drive" gear="0"')
+    assert MjcfRobot("arm", loose, edits=Edits(prescribe=("shoulder",))).actuator_names == ("motor",)
     assert ROBOT.base_names() == ["lower.mass", "lower.com_x", "lower.com_z", "elbow.armature"]
     assert ROBOT.places()["joint"] == ("elbow",) and ROBOT.places()["link"] == ("lower",)
     segments = cut(Model(ROBOT), [with_prescribed(recording(1e-3), ROBOT)], shoot=1.0)

@@ -153,7 +153,9 @@ def _idle(spec: Any, joints: Sequence[str]) -> list[Any]:
     own = [int(model.joint(name).dofadr[0]) for name in joints]
     rows = np.abs(moments_away(model))[[int(model.actuator_outadr[i]) for i in range(model.nactuator)]]
     chosen = (rows[:, own].sum(axis=1) > 0) & (np.delete(rows, own, axis=1).sum(axis=1) == 0)
-    return [actuator for actuator, idle in zip(spec.actuators, chosen, strict=True) if idle]
+    # One at a joint may have a gear of 0.
+    at = [int(actuator.trntype) in AT_JOINTS and actuator.target in joints for actuator in spec.actuators]
+    return [actuator for actuator, *idle in zip(spec.actuators, chosen, at, strict=True) if any(idle)]
 
 
 def _free_of_their_own(spec: Any, joints: Sequence[str]) -> None:
