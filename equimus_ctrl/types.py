@@ -93,6 +93,7 @@ class Recording:
             settled [Pa]; the first row's command where the recording does not say.
         notes: provenance and whatever else the file says of itself.
         prescribed: how joints moved whose motion is an input; they are none of ``joints``.
+        supposed: how joints may have moved that were not measured, for where their motion begins.
     """
 
     name: str
@@ -107,6 +108,7 @@ class Recording:
     notes: Mapping[str, str] = field(default_factory=dict)
     sites: Mapping[str, Array] = field(default_factory=dict)
     prescribed: PrescribedMotion | None = None
+    supposed: PrescribedMotion | None = None
 
     def __post_init__(self) -> None:
         for key, ndim in (("time", 1), ("command", 2), ("position", 2)):
@@ -132,10 +134,9 @@ class Recording:
 
     @property
     def poses(self) -> Array:
-        """(n, nj + np) measured positions, and behind them those of joints whose motion is prescribed."""
-        if self.prescribed is None:
-            return self.position
-        return np.column_stack([self.position, self.prescribed.at(self.time)[0]])
+        """(n, nj + np + nu) measured positions, behind them those of prescribed and of unmeasured joints."""
+        beside = [own.at(self.time)[0] for own in (self.prescribed, self.supposed) if own is not None]
+        return np.column_stack([self.position, *beside]) if beside else self.position
 
     @property
     def command_before(self) -> Array:

@@ -25,6 +25,7 @@ class ModelChoice:
         ignore: actuators and loose objects to leave out.
         motors: whether each joint without an actuator gets a motor of its name.
         prescribe: joints whose motion was measured and is taken as it is.
+        unmeasured: joints that no column tells of and that move by themselves.
     """
 
     model: Path | None = option(
@@ -49,6 +50,10 @@ class ModelChoice:
         (), NAMES, "A joint whose measured motion is an input, such as 'base_*'.", metavar="JOINT"
     )
 
+    unmeasured: Sequence[str] = option(
+        (), NAMES, "A joint without a column that moves by itself, such as 'finger_*'.", metavar="JOINT"
+    )
+
     def read(self, recordings: Sequence[Path] = ()) -> Model:
         """The model.
 
@@ -68,5 +73,6 @@ class ModelChoice:
             ignore=self.ignore,
             motors=self.motors,
             prescribe=self.prescribe,
+            unmeasured=self.unmeasured,
             recordings=recordings,
         )

@@ -109,7 +109,7 @@ def check(
     import warnings
 
     from equimus_ctrl import recordings, workflow
-    from equimus_ctrl.diagnosis.preflight import prescribed_motions
+    from equimus_ctrl.diagnosis.preflight import other_joints
     from equimus_ctrl.engines.choice import engine_for
 
     known = chosen.read(paths)
@@ -125,7 +125,7 @@ def check(
     console = people()
     console.print(_table(summaries, known))
     print_engine(console, engine_for(known, positions=[trial.poses for trial in trials]))
-    for text in prescribed_motions(known.robot, trials):
+    for text in other_joints(known.robot, trials):
         console.print(text, markup=False, soft_wrap=True)
     for text in plausibility_warnings:
         console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.effects.excitation import Excitation
-from equimus_ctrl.engines.mjcf import command_at, joint_forces, moved_along, places_in_room
+from equimus_ctrl.engines.mjcf import command_at, joint_forces, others_along, places_in_room
 from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
@@ -115,7 +115,7 @@ def _excitation_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str
     rows = np.concatenate([command_at(s.trial, s.trial.sample_times[inner]) for s in segments])
     middles = np.concatenate([s.measured[inner] for s in segments])
     chosen = slice(None, None, max(len(middles) // FEW, 1))
-    along = [moved_along(own, s.trial, s.trial.sample_times[inner]) for s in segments]
+    along = [others_along(own, s.trial, s.trial.sample_times[inner]) for s in segments]
     q, v = (np.concatenate(parts)[chosen] for parts in zip(*along, strict=True))
     drives, weights = joint_forces(own, middles[chosen], seen.rates[chosen], rows[chosen], (q, v))
     largest = np.maximum(np.abs(seen.commands).max(axis=0), 1e-9)

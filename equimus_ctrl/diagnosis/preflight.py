@@ -87,13 +87,21 @@ def coarse_steps(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
     return [f"{', '.join(names)}: {words}" for words, names in found.items()]
 
 
-def prescribed_motions(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
-    """A sentence on joints whose motion is an input, and by how much measurements scatter about what it was made.
+def other_joints(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
+    """Sentences on joints that are not compared: whose motion is an input, and that were not measured.
 
     Args:
         robot: whose joints they are.
         recordings: of it.
     """
+    loose, tied = (robot.unmeasured_names[part] for part in (slice(robot.loose_count), slice(robot.loose_count, None)))
+    said = [f"not measured, and simulated from a start that is fitted: {', '.join(loose)}"] if loose else []
+    said += [f"not measured, and simulated as equalities tie it to others: {', '.join(tied)}"] if tied else []
+    return [*_prescribed(robot, recordings), *said]
+
+
+def _prescribed(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
+    """A sentence on joints whose motion is an input, and by how much measurements scatter about what it was made."""
     found = [r.prescribed.noise for r in recordings if r.prescribed is not None]
     if not found:
         return []

@@ -203,18 +203,18 @@ class _Block:
 
         Args:
             trials: what is done.
-            starts: for each trial (k, nj) or (k, 2 nj), for all models.
+            starts: for each trial (k, nj), (k, 2 nj) or (k, 2 nj + 2 nl), for all models, see ``Trial.begun``.
             dt: physics step [s].
             results: for each trial, written.
         """
         k, nj, robot = len(self.kinds), results[0].position.shape[2], self.coded.models[0].robot
-        q0, v0 = np.empty((2, len(trials), k, nj + len(robot.prescribed_names)))
+        q0, v0 = np.empty((2, len(trials), k, nj + len(robot.prescribed_names) + len(robot.unmeasured_names)))
         for t, trial in enumerate(trials):
             row = trial.position if starts is None else starts[t][self.models]
-            q, speed = np.broadcast_to(row[..., :nj], (k, nj)), row[..., nj:]
+            q, speed = np.broadcast_to(row[..., :nj], (k, nj)), row[..., nj : 2 * nj]
             if not speed.size:
                 speed = np.zeros(nj) if trial.velocity is None else trial.velocity
-            q0[t], v0[t] = trial.begun(robot, q, np.broadcast_to(speed, (k, nj)))
+            q0[t], v0[t] = trial.begun(robot, q, np.broadcast_to(speed, (k, nj)), row[..., 2 * nj :])
         follow = self.follow[:, :, FOLLOW_KIND]
         first = np.zeros((len(trials), *follow.shape))
         if follow.any():
@@ -332,8 +332,9 @@ def compile_kernel(model: Model) -> None:
     nj, na = len(model.robot.joint_names), len(model.robot.actuator_names)
     rest = np.zeros((1, na))
     moved = PrescribedMotion.at_rest(model.robot.prescribed_names)
+    beside = PrescribedMotion.at_rest(model.robot.unmeasured_names)
     pose, times = np.full(nj, 0.5), np.array([0.0, 1e-3])
-    trial = Trial("first", np.zeros(1), rest, rest[0], 0.0, pose, times, prescribed=moved)
+    trial = Trial("first", np.zeros(1), rest, rest[0], 0.0, pose, times, prescribed=moved, supposed=beside)
     simulate([model], [trial], dt=1e-3, threads=1, check=False)
 
 

@@ -216,8 +216,8 @@ def engine_for(
         model: whose robot decides.
         name: of the one that is asked for; by default the compiled equations of motion where they hold the robot.
         dt: physics step [s]; the engine's own choice by default.
-        positions: (n, nj + np) each, of what is to be simulated, see ``Recording.poses``: where bodies touch MuJoCo
-            simulates.
+        positions: (n, nj + np + nu) each, of what is to be simulated, see ``Recording.poses``: where bodies touch
+            MuJoCo simulates.
 
     Raises:
         ConfigError: for a step that is none, an unknown name, or compiled equations that cannot hold the robot.

@@ -15,9 +15,9 @@ LOOKED_AT = 400
 
 
 def touching(robot: MjcfRobot, positions: Sequence[Array]) -> str | None:
-    """Which geoms touch in one of the poses (n, nj + np), as a phrase; None where none do.
+    """Which geoms touch in one of the poses (n, nj + np + nu), as a phrase; None where none do.
 
-    Nothing is known of poses without the joints whose motion is prescribed.
+    Nothing is known of poses without the joints whose motion is prescribed or not measured.
     """
     model = robot.mujoco_model()
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -25,7 +25,7 @@ def touching(robot: MjcfRobot, positions: Sequence[Array]) -> str | None:
         return None
     poses = np.concatenate(positions)
     data = mujoco.MjData(model)
-    joints = (*robot.joint_names, *robot.prescribed_names)
+    joints = (*robot.joint_names, *robot.prescribed_names, *robot.unmeasured_names)
     if poses.shape[1] != len(joints):
         return None
     places = [int(model.joint(name).qposadr[0]) for name in joints]

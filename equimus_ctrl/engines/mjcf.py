@@ -140,7 +140,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     Args:
         own: the robot.
         trial: what is done with it.
-        start: (2 nj,) coordinates and rates of the joints.
+        start: (2 nj,) coordinates and rates of the joints, or (2 nj + 2 nl,) see ``Trial.begun``.
         ctrl: see ``commands_on``.
         force: (steps, nj) further generalised forces on the joints [N·m or N].
     """
@@ -148,20 +148,22 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     model, nj = own.mujoco, len(own.places)
     data = scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
-    data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj:]
+    data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj : 2 * nj]
     for q, v, joint in own.rotors:
         data.qpos[q], data.qvel[v] = start[joint], start[nj + joint]
     data.act[:] = filled(own, trial)
     dt = float(model.opt.timestep)
     grid = np.arange(len(ctrl) + 1, dtype=np.float64)
     given = moved_along(own, trial, trial.start + dt * grid)
-    data.qpos[own.moved[:, 0]], data.qvel[own.moved[:, 1]] = given[0][0], given[1][0]
+    begun = trial.begun(own.robot, start[:nj], start[nj : 2 * nj], start[2 * nj :])
+    data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = (values[nj:] for values in begun)
     _integrate_from_here(model, data)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     whole = np.empty((len(ctrl) + 1 if trial.forces else 0, model.nq + model.nv + model.na))
     sound = kernel.run_mjcf(
         function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
-        np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force, _law_starts(own, trial, start),
+        np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force,
+        _law_starts(own, trial, start[: 2 * nj]),
         data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
         own.moved, *given, out_q, out_v, data.act, whole,
     )  # fmt: skip
@@ -174,6 +176,15 @@ def moved_along(own: Realised, trial: Trial, times: Array) -> tuple[Array, Array
         return np.empty((len(times), 0)), np.empty((len(times), 0))
     position, rate, _ = trial.motion_of(own.robot.prescribed_names).at(times)
     return position, rate
+
+
+def others_along(own: Realised, trial: Trial, times: Array) -> tuple[Array, Array]:
+    """(n, np + nu) positions and rates of these, and of unmeasured joints as they are supposed to move."""
+    moved = moved_along(own, trial, times)
+    if len(own.others) == len(own.moved) or trial.supposed is None:
+        return moved
+    beside = trial.supposed.at(times)
+    return np.column_stack([moved[0], beside[0]]), np.column_stack([moved[1], beside[1]])
 
 
 def _integrate_from_here(model: Any, data: Any) -> None:
@@ -272,7 +283,8 @@ def simulate_mjcf(
     Args:
         models: of MJCF robots.
         trials: what is predicted.
-        starts: for each trial (k, 2 nj) coordinates and rates at the start, one row a model; the trial's by default.
+        starts: for each trial (k, 2 nj) coordinates and rates at the start, one row a model, or (k, 2 nj + 2 nl), see
+            ``Trial.begun``; the trial's by default.
         threads: to use; all cores by default. The result does not depend on it.
         dt: another physics step [s].
 
@@ -309,7 +321,7 @@ def simulate_mjcf(
             own = made[condition]
             if starts is not None:
                 start = np.asarray(starts[i][which], dtype=np.float64)
-                start = start if len(start) == 2 * nj else np.concatenate([start, np.zeros(nj)])
+                start = start if len(start) >= 2 * nj else np.concatenate([start, np.zeros(nj)])
             else:
                 velocity = np.zeros(nj) if trial.velocity is None else trial.velocity
                 start = np.concatenate([trial.position, velocity])
@@ -351,17 +363,17 @@ def joint_forces(
         position: (n, nj) of the joints.
         velocity: (n, nj) their rates.
         command: (n, na) in force.
-        moved: (n, np) positions and rates of the joints whose motion is prescribed; at rest at 0 by default.
+        moved: (n, np + nu) positions and rates of the other joints, see ``others_along``; at rest at 0 by default.
     """
     model, data = own.mujoco, scratch.data(own.mujoco)
     which = [drive.index for drive in own.robot.actuators]
     drives, weights = np.empty((len(position), len(which))), np.empty(position.shape)
-    moved = moved or (np.zeros((len(position), len(own.moved))),) * 2
+    moved = moved or (np.zeros((len(position), len(own.others))),) * 2
     for k in range(len(position)):
         data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = position[k], velocity[k]
         for q, v, joint in own.rotors:
             data.qpos[q], data.qvel[v] = position[k, joint], velocity[k, joint]
-        data.qpos[own.moved[:, 0]], data.qvel[own.moved[:, 1]] = moved[0][k], moved[1][k]
+        data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = moved[0][k], moved[1][k]
         data.ctrl[: command.shape[1]] = command[k]
         for drive in own.robot.actuators:
             if drive.state is not None:
@@ -380,13 +392,13 @@ def places_in_room(own: Realised, position: Array, places: Sequence[str], moved:
         own: the robot.
         position: (n, nj) of the joints.
         places: names of the sites and bodies.
-        moved: (n, np) of those whose motion is prescribed.
+        moved: (n, np + nu) of the others.
     """
     model, data = own.mujoco, scratch.data(own.mujoco)
     hooks = [hook_of(model, place) for place in places]
     found = np.empty((len(position), len(hooks), 3))
     for k in range(len(position)):
-        data.qpos[own.places[:, 0]], data.qpos[own.moved[:, 0]] = position[k], moved[k]
+        data.qpos[own.places[:, 0]], data.qpos[own.others[:, 0]] = position[k], moved[k]
         mujoco.mj_kinematics(model, data)
         found[k] = [data.xpos[body] + data.xmat[body].reshape(3, 3) @ point for body, point in hooks]
     return found

@@ -55,6 +55,7 @@ class Realised:
         effects: all of the model's.
         places: (nj, 3) of the joints in qpos and qvel, and in qvel of what drives them.
         moved: (np, 2) of joints whose motion is prescribed, in qpos and qvel.
+        others: (np + nu, 2) the same, and of those that were not measured.
         rotors: (n, 3) of drives that turn by themselves: in qpos, in qvel, and which joint they drive.
         stepped: laws that are stepped beside MuJoCo.
         laws: (nj, nc) prepared constants of these.
@@ -68,6 +69,7 @@ class Realised:
     effects: tuple[Effect, ...]
     places: NDArray[np.int64]
     moved: NDArray[np.int64]
+    others: NDArray[np.int64]
     rotors: NDArray[np.int64]
     stepped: Laws
     laws: Array
@@ -113,7 +115,8 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
         own,
         model.effects,
         np.array(places, dtype=np.int64),
-        moved_places(own, robot),
+        places_of(own, robot.prescribed_names),
+        places_of(own, (*robot.prescribed_names, *robot.unmeasured_names)),
         np.array(rotors, dtype=np.int64).reshape(-1, 3),
         stepped,
         _laws(stepped, laws, names),
@@ -123,9 +126,9 @@ def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -
     )
 
 
-def moved_places(model: Any, robot: MjcfRobot) -> NDArray[np.int64]:
-    """(np, 2) where joints whose motion is prescribed are in qpos and qvel of an ``MjModel``."""
-    own = [model.joint(name) for name in robot.prescribed_names]
+def places_of(model: Any, joints: Sequence[str]) -> NDArray[np.int64]:
+    """(n, 2) where some joints are in qpos and qvel of an ``MjModel``."""
+    own = [model.joint(name) for name in joints]
     return np.array([(int(j.qposadr[0]), int(j.dofadr[0])) for j in own], dtype=np.int64).reshape(-1, 2)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.engines.mjcf_kernel import called
 from equimus_ctrl.engines.mjcf_realised import function_address, scratch
+from equimus_ctrl.robots.mjcf.held_bodies import moved_bodies
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array
 
@@ -20,6 +21,13 @@ def site_names(robot: MjcfRobot) -> tuple[str, ...]:
     base = robot.plan.base
     names = (mujoco.mj_id2name(base, mujoco.mjtObj.mjOBJ_SITE, k) for k in range(base.nsite))
     return tuple(name for name in names if name)
+
+
+def unmeasured_sites(robot: MjcfRobot) -> frozenset[str]:
+    """Sites that joints move which were not measured."""
+    base = robot.plan.base
+    moved = moved_bodies(base, (int(base.joint(name).dofadr[0]) for name in robot.unmeasured_names))
+    return frozenset(name for name in site_names(robot) if int(base.site(name).bodyid[0]) in moved)
 
 
 def site_positions(robot: MjcfRobot, position: Array, sites: Sequence[str], moved: Array | None = None) -> Array:

@@ -98,8 +98,8 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     nj, nv, na = len(own.joints), len(own.starts), len(own.channels)
     given = np.asarray(trial.position if start is None else start, dtype=np.float64)
     q0, v0 = given[:nj], np.zeros(nj) if trial.velocity is None else trial.velocity
-    v0 = given[nj:] if len(given) > nj else v0
-    q0, v0 = trial.begun(model.robot, q0, np.asarray(v0))
+    v0 = given[nj : 2 * nj] if len(given) > nj else v0
+    q0, v0 = trial.begun(model.robot, q0, np.asarray(v0), given[2 * nj :])
     steps = max(int(np.ceil((times[-1] - trial.start) / dt - 1e-9)), 1)
     states, pressures = np.empty((steps + 1, kernel.N_STATE)), np.empty((steps, 2, na))
     shaped = np.clip(shaped_for(model, trial), *coded.between[0])

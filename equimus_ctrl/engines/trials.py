@@ -56,6 +56,7 @@ class Trial:
         forces: whether the forces of the drives there are wanted too, see ``Predicted.forces``.
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
         prescribed: how joints move whose motion is an input; they have no part in the vectors of joints above.
+        supposed: how joints may move that were not measured; they begin so where nothing else is said.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Trial:
     inner: bool = False
     forces: bool = False
     prescribed: PrescribedMotion | None = None
+    supposed: PrescribedMotion | None = None
 
     @cached_property
     def condition(self) -> Condition:
@@ -111,16 +113,43 @@ class Trial:
         """(m, np) where joints whose motion is prescribed are at the sample times; None where there are none."""
         return None if self.prescribed is None else self.prescribed.at(self.sample_times)[0]
 
-    def begun(self, robot: Robot, position: Array, velocity: Array) -> tuple[Array, Array]:
-        """Positions and velocities (…, nj) at the start with those of joints whose motion is prescribed behind them."""
-        if not robot.prescribed_names:
+    def begun(self, robot: Robot, position: Array, velocity: Array, beside: Array | None = None) -> tuple[Array, Array]:
+        """Positions and velocities (…, nj) at the start with those of prescribed and unmeasured joints behind them.
+
+        Args:
+            robot: whose.
+            position: of its joints [rad or m].
+            velocity: theirs [rad/s or m/s].
+            beside: (…, 2 nl) those of unmeasured joints that begin anywhere; where it is empty as they are supposed to.
+
+        Raises:
+            ConfigError: where the trial does not say how prescribed joints move, or unmeasured ones begin.
+        """
+        if robot.prescribed_names:
+            q, v, _ = self.motion_of(robot.prescribed_names).at(self.start)
+            shape = (*position.shape[:-1], len(q))
+            position = np.concatenate([position, np.broadcast_to(q, shape)], axis=-1)
+            velocity = np.concatenate([velocity, np.broadcast_to(v, shape)], axis=-1)
+        if not robot.unmeasured_names:
             return position, velocity
-        q, v, _ = self.motion_of(robot.prescribed_names).at(self.start)
-        shape = (*position.shape[:-1], len(q))
-        return (
-            np.concatenate([position, np.broadcast_to(q, shape)], axis=-1),
-            np.concatenate([velocity, np.broadcast_to(v, shape)], axis=-1),
-        )
+        if beside is None or not beside.shape[-1]:
+            beside = self.loose_start(robot)
+        whole = np.broadcast_to(beside, (*position.shape[:-1], 2 * robot.loose_count))
+        return robot.with_unmeasured(position, velocity, whole)
+
+    def loose_start(self, robot: Robot) -> Array:
+        """(2 nl,) where unmeasured joints that begin anywhere are supposed to begin, and their rates.
+
+        Raises:
+            ConfigError: where the trial does not say so.
+        """
+        if self.supposed is None or self.supposed.joints != robot.unmeasured_names:
+            raise ConfigError(
+                f"{self.name}: does not say where {', '.join(robot.unmeasured_names)} may begin, expected a recording "
+                "that workflow.gather has read for the model"
+            )
+        q, v, _ = self.supposed.at(self.start)
+        return np.concatenate([q[: robot.loose_count], v[: robot.loose_count]])
 
     def with_accelerations(self, robot: Robot, rows: Array) -> Array:
         """(1 + n, na + np) rows of commands, the one before first, and accelerations of prescribed joints behind them.
@@ -170,6 +199,7 @@ class Trial:
             np.array(time[inside]),
             linear=recording.linear,
             prescribed=recording.prescribed,
+            supposed=recording.supposed,
         )
 
     def starting_from(self, position: ArrayLike) -> Trial:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.engines.mjcf_sites import site_names, site_positions
+from equimus_ctrl.engines.mjcf_sites import site_names, site_positions, unmeasured_sites
 from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
@@ -140,6 +140,11 @@ def channels_of(model: Model, recording: Recording) -> Channels:
     for name, _, _ in parts:
         if name not in there:
             raise ConfigError(unknown_name("site", name, there, f"{recording.name}: column {SITE}{name}"))
+    if loose := [name for name, _, _ in parts if name in unmeasured_sites(mjcf_of(model.robot))]:
+        raise ConfigError(
+            f"{recording.name}: site {loose[0]} is moved by joints that are not measured, expected one that only "
+            "measured or prescribed joints move"
+        )
     return Channels(tuple(velocities), tuple((name, AXES.index(axis)) for name, _, axis in parts), tuple(forces))
 
 

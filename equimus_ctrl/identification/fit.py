@@ -144,7 +144,8 @@ class Fit:
         """Of all recordings and joints whose sensors' zeros were unknown."""
         values: dict[tuple[str, int], list[float]] = {}
         for segment, start in zip(self.problem.segments, self.starts, strict=True):
-            for j, value in zip(segment.zeros, start[len(start) - len(segment.zeros) :], strict=True):
+            first = 2 * segment.measured.shape[1]
+            for j, value in zip(segment.zeros, start[first : first + len(segment.zeros)], strict=True):
                 values.setdefault((segment.recording_name, j), []).append(float(value))
         joints = self.model.robot.joint_names
         return tuple(

@@ -140,6 +140,11 @@ def require_bare_mjcf(model: Model) -> None:
             f"{model.name}: the motion of {', '.join(model.robot.prescribed_names)} is prescribed, expected a robot "
             "whose joints all move by themselves: its ground truths are simulated"
         )
+    if model.robot.unmeasured_names:
+        raise ConfigError(
+            f"{model.name}: {', '.join(model.robot.unmeasured_names)} is not measured, expected a robot whose joints "
+            "all are"
+        )
     if model.effects:
         raise ConfigError(f"{model.name} has effects already; prove with the robot alone")
 

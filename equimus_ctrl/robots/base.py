@@ -121,6 +121,26 @@ class Robot(ABC):
         return ()
 
     @property
+    def unmeasured_names(self) -> tuple[str, ...]:
+        """Joints beside these that no column tells of and that move by themselves, those that begin anywhere first."""
+        return ()
+
+    @property
+    def loose_count(self) -> int:
+        """How many of these begin anywhere; where the others begin follows, see ``with_unmeasured``."""
+        return 0
+
+    def with_unmeasured(self, position: Array, velocity: Array, beside: Array) -> tuple[Array, Array]:
+        """Positions and rates (…, nj + np) at a start with those of unmeasured joints behind them.
+
+        Args:
+            position: of the joints and of those whose motion is prescribed [rad or m].
+            velocity: theirs [rad/s or m/s].
+            beside: (…, 2 nl) positions and rates of unmeasured joints that begin anywhere.
+        """
+        return position, velocity
+
+    @property
     def prescribed_columns(self) -> tuple[str, ...]:
         """The positions that were recorded of them, by the columns' names."""
         return ()

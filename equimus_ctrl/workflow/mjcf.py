@@ -14,6 +14,7 @@ from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, SensorDelay
 from equimus_ctrl.effects.valves import TransportDelay
 from equimus_ctrl.engines.mjcf_realised import realise
+from equimus_ctrl.engines.supposed import with_supposed
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.model import Model
@@ -27,7 +28,10 @@ from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.types import Array, Recording
 
 FORMAT = "equimus-ctrl/parameters/1"
-UNRECORDED = "a joint that was not measured is held by --lock, an actuator that was not recorded left out by --ignore"
+UNRECORDED = (
+    "a joint that was not measured is held by --lock, or moves by itself with --unmeasured; an actuator that was not "
+    "recorded is left out by --ignore"
+)
 
 
 def load_mjcf(path: Path, source: str | None = None, edits: Edits | None = None) -> MjcfRobot:
@@ -64,7 +68,7 @@ def read_trials_with_files(files: Sequence[Path], robot: Robot) -> tuple[tuple[P
     Raises:
         RecordingError: where a file cannot be read or lacks one of them.
     """
-    return tuple((path, with_prescribed(trial, robot)) for path, trial in _read(files, robot))
+    return tuple((path, as_modelled(trial, robot)) for path, trial in _read(files, robot))
 
 
 def suited(model: Model, files: Sequence[Path]) -> Model:
@@ -89,6 +93,15 @@ def _read(files: Sequence[Path], robot: Robot) -> tuple[tuple[Path, Recording], 
     hinges = [name for name in columns if not robot.slides(name)]
     limits = Limits.of_mjcf(joints, actuators, hinges, UNRECORDED, given)
     return read_with_files(files, joints=(*joints, *given), actuators=actuators, limits=limits)
+
+
+def as_modelled(trial: Recording, robot: Robot) -> Recording:
+    """A trial with how prescribed joints moved, and unmeasured ones may have moved.
+
+    Raises:
+        ConfigError: where that cannot be made of it.
+    """
+    return with_supposed(with_prescribed(trial, robot), robot)
 
 
 def with_prescribed(trial: Recording, robot: Robot) -> Recording:

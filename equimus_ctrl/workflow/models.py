@@ -21,6 +21,7 @@ def load_model(
     ignore: Sequence[str] = (),
     motors: bool = False,
     prescribe: Sequence[str] = (),
+    unmeasured: Sequence[str] = (),
     recordings: Sequence[Path | str] = (),
 ) -> Model:
     """The model in a model file, of MuJoCo's XML or of a URDF; the nominal leg where ``path`` is None.
@@ -31,17 +32,19 @@ def load_model(
         ignore: actuators that are left out, for they were not recorded, and loose objects: bodies with a free joint.
         motors: whether each joint without an actuator gets a motor, see ``robots.mjcf.editing.Edits``.
         prescribe: names or patterns of joints whose motion was measured and is taken as it is.
+        unmeasured: names or patterns of joints that no column tells of and that move by themselves.
         recordings: files or folders that it is to be compared with, by which the axes are chosen about which a free
             base that is prescribed turns.
 
     Raises:
         ConfigError, ModelError: where the file cannot be read or describes no model.
     """
-    edits = Edits(dict(lock or {}), tuple(ignore), motors, tuple(prescribe))
+    edits = Edits(dict(lock or {}), tuple(ignore), motors, tuple(prescribe), unmeasured=tuple(unmeasured))
     if path is None:
         if edits:
             raise ConfigError(
-                "joints are held or prescribed and actuators left out of MJCF robots alone; name one by --model"
+                "joints are held, prescribed or not measured, and actuators left out, of MJCF robots alone; name one "
+                "by --model"
             )
         return nominal_model()
     files = [Path(own) for own in recordings]
@@ -54,7 +57,7 @@ def load_model(
     def read(name: str, own: Edits) -> MjcfRobot:
         both = Edits(
             {**own.lock, **edits.lock}, (*own.ignore, *edits.ignore), own.motors or edits.motors,
-            (*own.prescribe, *edits.prescribe),
+            (*own.prescribe, *edits.prescribe), unmeasured=(*own.unmeasured, *edits.unmeasured),
         )  # fmt: skip
         return load_mjcf(folder / name, name, both)
 

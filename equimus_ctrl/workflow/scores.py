@@ -18,7 +18,7 @@ from equimus_ctrl.options import ScoreOptions, with_changes
 from equimus_ctrl.recordings import read_set
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.mjcf import read_trials, with_prescribed
+from equimus_ctrl.workflow.mjcf import as_modelled, read_trials
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def gather(
     trials = [item for item in given if isinstance(item, Recording)]
     if files or not trials:
         trials += read_set(files) if model is None else read_trials(files, model.robot)
-    return trials if model is None else [with_prescribed(trial, model.robot) for trial in trials]
+    return trials if model is None else [as_modelled(trial, model.robot) for trial in trials]
 
 
 def score_recordings(

@@ -31,6 +31,7 @@ class Edits:
         motors: whether each joint without an actuator gets a motor of its name, whose command is its force [N·m or N].
         prescribe: joints whose motion was measured and is taken as it is, see ``prescribing``; of a robot their names,
             else also patterns.
+        unmeasured: joints that no column tells of and that move by themselves, see ``unmeasured``; named alike.
         turns: free joint among these → axes of the hinges that take its place, as the recordings ask for.
     """
 
@@ -39,15 +40,16 @@ class Edits:
     motors: bool = False
     prescribe: tuple[str, ...] = ()
     turns: Mapping[str, str] = field(default_factory=dict)
+    unmeasured: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.lock or self.ignore or self.motors or self.prescribe)
+        return bool(self.lock or self.ignore or self.motors or self.prescribe or self.unmeasured)
 
     def to_dict(self) -> dict[str, Any]:
         """What a model file says of them."""
         said: dict[str, Any] = {
             "lock": dict(self.lock), "ignore": list(self.ignore), "motors": self.motors,
-            "prescribe": list(self.prescribe),
+            "prescribe": list(self.prescribe), "unmeasured": list(self.unmeasured),
         }  # fmt: skip
         return {key: value for key, value in said.items() if value}
 
@@ -72,13 +74,19 @@ def edited(name: str, xml: str, assets: Mapping[str, bytes], edits: Edits) -> tu
         _ignore(name, spec, edits.ignore)
         for joint, value in edits.lock.items():
             _lock(name, spec, joint, value)
-        prescribed = chosen(name, spec, edits.prescribe)
+        prescribed = chosen(name, spec, edits.prescribe, "prescribe")
+        unmeasured = chosen(name, spec, edits.unmeasured, "unmeasured")
+        if both := [joint for joint in unmeasured if joint in prescribed]:
+            raise ModelError(f"{name}: {both[0]} is prescribed and unmeasured, expected one of both")
         free = [joint for joint in free_joints(spec) if joint in prescribed]
-        edits = replace(edits, prescribe=prescribed, turns=dict.fromkeys(free, SEQUENCES[0]))
-        if edits == Edits(prescribe=prescribed, turns=edits.turns):
+        edits = replace(edits, prescribe=prescribed, turns=dict.fromkeys(free, SEQUENCES[0]), unmeasured=unmeasured)
+        if edits == Edits(prescribe=prescribed, turns=edits.turns, unmeasured=unmeasured):
             return xml, edits
         if edits.motors:
-            driven = {own.target for own in spec.actuators if int(own.trntype) in AT_JOINTS} | set(prescribed)
+            driven = {own.target for own in spec.actuators if int(own.trntype) in AT_JOINTS} | {
+                *prescribed,
+                *unmeasured,
+            }
             for own in spec.joints:
                 if own.name not in driven and own.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
                     motor = spec.add_actuator(name=own.name, target=own.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)

@@ -34,6 +34,9 @@ class Numbered(Protocol):
     @property
     def joint_names(self) -> tuple[str, ...]: ...
 
+    @property
+    def unmeasured_names(self) -> tuple[str, ...]: ...
+
 
 def independent(robot: Numbered, names: Sequence[str]) -> list[str]:
     """The first parameters of a list that are linearly independent: no combination of earlier ones replaces them.
@@ -49,7 +52,7 @@ def independent(robot: Numbered, names: Sequence[str]) -> list[str]:
     """
     model = robot.mujoco_model()
     data = mujoco.MjData(model)
-    rows_of = [int(model.joint(name).dofadr[0]) for name in robot.joint_names]
+    rows_of = [int(model.joint(name).dofadr[0]) for name in (*robot.joint_names, *robot.unmeasured_names)]
     states = np.random.default_rng(0).normal(size=(TRIES, 3, model.nv))
 
     def forces(changed: Numbered) -> Array:

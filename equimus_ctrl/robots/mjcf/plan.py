@@ -15,11 +15,12 @@ import numpy as np
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.robots.mjcf.actuators import drive_parameters, drives_of
 from equimus_ctrl.robots.mjcf.editing import name_actuators
-from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, ModelParameter, setter
+from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, ModelParameter, Tie, setter
 from equimus_ctrl.robots.mjcf.free_base import columns_of
 from equimus_ctrl.robots.mjcf.held_bodies import moved_bodies
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
 from equimus_ctrl.robots.mjcf.prescribing import motor_of, prescribe
+from equimus_ctrl.robots.mjcf.unmeasured import check_drives, ties_of
 from equimus_ctrl.types import Array
 
 
@@ -31,14 +32,16 @@ class Assets:
         files: that the XML names.
         prescribed: joints whose motion is an input.
         turns: free joint among them → axes of the hinges that take its place.
+        unmeasured: joints that no column tells of and that move by themselves.
     """
 
     files: Mapping[str, bytes]
     prescribed: tuple[str, ...] = ()
     turns: Mapping[str, str] = made(default_factory=dict)
+    unmeasured: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
-        return hash((tuple(sorted(self.files)), self.prescribed))
+        return hash((tuple(sorted(self.files)), self.prescribed, self.unmeasured))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +50,9 @@ class Plan:
 
     Attributes:
         base: MuJoCo's model of it, not to be changed.
-        joints: all of them, but for those that are prescribed.
+        joints: all of them, but for those that are prescribed or not measured.
         prescribed: joints whose motion is an input.
+        unmeasured: joints that no column tells of, with what ties them to others, see ``unmeasured.ties_of``.
         drives: all actuators, but for those by which prescribed joints are moved.
         bodies: names of those that move.
         sites: names of those that move.
@@ -60,6 +64,7 @@ class Plan:
     base: Any
     joints: tuple[Axis, ...]
     prescribed: tuple[Axis, ...]
+    unmeasured: tuple[tuple[Axis, Tie | None], ...]
     drives: tuple[Drive, ...]
     bodies: tuple[str, ...]
     sites: tuple[str, ...]
@@ -100,22 +105,30 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
     motors = [base.actuator(k).name for k in range(base.nactuator)] if assets.prescribed else []
     moved = sorted((j for j in every if motor_of(j.name) in motors), key=lambda j: motors.index(motor_of(j.name)))
     prescribed = tuple(replace(joint, range=_kept_range(base, joint)) for joint in moved)
-    joints = tuple(joint for joint in every if joint not in moved)
+    beside = [joint for joint in every if joint.name in assets.unmeasured]
+    joints = tuple(joint for joint in every if joint not in moved and joint not in beside)
     if moved and base.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
         raise ModelError(
             f"{name}: the XML switches actuators off, expected them on where the motion of joints is prescribed; leave "
             '<flag actuation="disable"/> out'
         )
     if not joints:
+        if beside:
+            raise ModelError(f"{name}: no joint is left that is measured and not prescribed, expected one at least")
         raise ModelError(f"{name}: the motion of all joints is prescribed, expected one at least that moves by itself")
-    drives = drives_of(base, name, joints, [motor_of(joint.name) for joint in prescribed])
-    moves = moved_bodies(base, (joint.dof for joint in joints))
+    others = [motor_of(joint.name) for joint in prescribed]
+    if beside:
+        check_drives(base, name, joints, others)
+    drives = drives_of(base, name, joints, others)
+    unmeasured = tuple(ties_of(base, name, [joint.name for joint in (*joints, *prescribed)], beside))
+    free = (*joints, *beside)
+    moves = moved_bodies(base, (joint.dof for joint in free))
     bodies = tuple(n for b in moves if (n := base.body(b).name) and base.body_mass[b] > 0)
     sites = tuple(
         s.name for s in (base.site(i) for i in range(base.nsite)) if s.name and base.site_bodyid[s.id] in moves
     )
     axis = _tilt_axis(base, joints)
-    parameters = [*_body_parameters(base, bodies), *_joint_parameters(base, joints), *drive_parameters(base, drives)]
+    parameters = [*_body_parameters(base, bodies), *_joint_parameters(base, free), *drive_parameters(base, drives)]
     size = float(np.linalg.norm(base.opt.gravity))
     down = np.array(base.opt.gravity)
 
@@ -130,8 +143,8 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
     if size > 0:
         parameters += [ModelParameter("gravity", size, "m/s²", heavy)]
     parameters += [ModelParameter("tilt", 0.0, "rad", turned)]
-    named, weights = {n.name: n for n in parameters}, _weights(base, joints)
-    return Plan(base, joints, prescribed, drives, bodies, sites, named, axis, weights)
+    named, weights = {n.name: n for n in parameters}, _weights(base, free)
+    return Plan(base, joints, prescribed, unmeasured, drives, bodies, sites, named, axis, weights)
 
 
 SHORTEST, LONGEST = 1e-6, 0.1

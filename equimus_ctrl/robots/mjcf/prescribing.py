@@ -39,13 +39,14 @@ def motor_of(joint: str) -> str:
     return f"{joint} prescribed"
 
 
-def chosen(name: str, spec: Any, patterns: Sequence[str]) -> tuple[str, ...]:
+def chosen(name: str, spec: Any, patterns: Sequence[str], what: str) -> tuple[str, ...]:
     """The joints of a specification that some names or patterns fit, in its order.
 
     Args:
         name: of the robot, for messages.
         spec: MuJoCo's.
         patterns: such as ``base_*``.
+        what: is done with them, for messages.
 
     Raises:
         ModelError: for one that fits none.
@@ -53,7 +54,7 @@ def chosen(name: str, spec: Any, patterns: Sequence[str]) -> tuple[str, ...]:
     known = [own.name for own in spec.joints if own.name]
     for pattern in patterns:
         if not fnmatch.filter(known, pattern):
-            raise ModelError(unknown_name("joint", pattern, known, f"{name}: prescribe"))
+            raise ModelError(unknown_name("joint", pattern, known, f"{name}: {what}"))
     return tuple(own for own in known if any(fnmatch.fnmatchcase(own, p) for p in patterns))
 
 

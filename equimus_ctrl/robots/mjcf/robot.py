@@ -43,6 +43,8 @@ from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
 from equimus_ctrl.robots.mjcf.prescribing import ease_solver, prescribed_positions, recorded_columns, suited_turns
 from equimus_ctrl.robots.mjcf.reading import next_hinges
 from equimus_ctrl.robots.mjcf.scratch import Scratch
+from equimus_ctrl.robots.mjcf.traits import TRAITS
+from equimus_ctrl.robots.mjcf.unmeasured import tied
 from equimus_ctrl.robots.mjcf.writing import write, write_parameters
 from equimus_ctrl.types import Array, frozen_array
 
@@ -50,25 +52,6 @@ BASE = "base"
 """The place of what concerns the whole robot."""
 LEAST_PLAY = 2e-9
 """A play that is none [rad or m]."""
-
-TRAITS = RobotTraits(
-    catalogue="mjcf",
-    starts_at_rest=False,
-    held_in_place=False,
-    smooth_motion=False,
-    forces_along_actuators=False,
-    commands_are_pressures=False,
-    same_kind_of_trials=False,
-    notes_set_parameters=True,
-    keeps_states_of_laws=False,
-    has_stance=False,
-    damping_known_within=None,
-    bounds_of_any_size=True,
-    least_command=0.0,
-    least_motion=1e-4,
-    most_angle=math.inf,
-)
-"""Motors drive hinges and slides that nothing need hold in place; recordings are what somebody has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +102,7 @@ class MjcfRobot(Robot):
         """SHA-256 of all that it is but its name and the file's."""
         files = [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(self.assets.items())]
         parts = (self.xml, files, sorted(self.values.items()), self.payloads, self.compliances, self.gains, self.limits)
-        given = self.edits.prescribe, sorted(self.edits.turns.items())
+        given = self.edits.prescribe, sorted(self.edits.turns.items()), self.edits.unmeasured
         whole = (*parts, *(own for own in (self.tethers, self.surfaces, self.couplings, *given) if own))
         return hashlib.sha256(repr(whole).encode()).hexdigest()
 
@@ -131,12 +114,28 @@ class MjcfRobot(Robot):
     @cached_property
     def beside_xml(self) -> Assets:
         """What its model is made of beside the XML."""
-        return Assets(self.assets, self.edits.prescribe, self.edits.turns)
+        return Assets(self.assets, self.edits.prescribe, self.edits.turns, self.edits.unmeasured)
 
     @property
     def prescribed_names(self) -> tuple[str, ...]:
         """Joints whose motion is an input, see ``robots.mjcf.prescribing``."""
         return tuple(joint.name for joint in self.plan.prescribed)
+
+    @property
+    def unmeasured_names(self) -> tuple[str, ...]:
+        """As of any robot, see ``robots.mjcf.unmeasured``."""
+        return tuple(joint.name for joint, _ in self.plan.unmeasured)
+
+    @property
+    def loose_count(self) -> int:
+        """As of any robot: those that are tied to no other."""
+        return sum(tie is None for _, tie in self.plan.unmeasured)
+
+    def with_unmeasured(self, position: Array, velocity: Array, beside: Array) -> tuple[Array, Array]:
+        """As of any robot; tied ones are where their ties put them."""
+        if not self.plan.unmeasured:
+            return position, velocity
+        return tied(self.plan.unmeasured, (*self.joint_names, *self.prescribed_names), position, velocity, beside)
 
     @property
     def prescribed_columns(self) -> tuple[str, ...]:
@@ -236,7 +235,7 @@ class MjcfRobot(Robot):
 
     def slides(self, joint: str) -> bool:
         """Whether a joint is a slide."""
-        return next(axis.slides for axis in (*self.joints, *self.plan.prescribed) if axis.name == joint)
+        return next(axis.slides for axis in self._axes if axis.name == joint)
 
     def place_unit(self, unit: str, place: str) -> str:
         """The unit of something at a joint or actuator, see ``Robot.place_unit``."""
@@ -249,7 +248,12 @@ class MjcfRobot(Robot):
             unit = own.pop() if len(own) == 1 else "1"
             return "1" if unit == "1" else f"1/({unit})" if "·" in unit else f"1/{unit}"
         joint = drive.joint if drive else place
-        return SLIDING.get(hinge, hinge) if joint in self.joint_names and self.slides(joint) else hinge
+        return SLIDING.get(hinge, hinge) if any(own.name == joint and own.slides for own in self._axes) else hinge
+
+    @property
+    def _axes(self) -> tuple[Axis, ...]:
+        """Of all joints, whatever is known of their motion."""
+        return (*self.joints, *self.plan.prescribed, *(joint for joint, _ in self.plan.unmeasured))
 
     def driven_joints(self, actuator: str) -> frozenset[str]:
         """The joint that a drive is at, or drives most."""
@@ -425,7 +429,9 @@ class MjcfRobot(Robot):
             model.dof_armature[dof] = 0.0
         mujoco.mj_setConst(model, data)
         parts = self.tethers, self.surfaces, self.couplings
-        return mechanics_of(model, self.xml, assets, self.joint_names, self.prescribed_names, drives, *parts)
+        return mechanics_of(
+            model, self.xml, assets, self.joint_names, (*self.prescribed_names, *self.unmeasured_names), drives, *parts
+        )
 
     @property
     def obstacles(self) -> tuple[str, ...]:
