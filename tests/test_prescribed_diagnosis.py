@@ -63,7 +63,7 @@ def test_friction_at_the_other_joint_is_found() -> None:
 
 
 def flown(rng: np.random.Generator, name: str) -> Recording:
-    """Four seconds of a body that is flown about, with dry friction at its arm, by MuJoCo's free joint.
+    """Two seconds of a body that is flown about, with dry friction at its arm, by MuJoCo's free joint.
 
     The hull is so heavy that the arm does not move it, and put where it belongs in each step.
     """
@@ -72,7 +72,7 @@ def flown(rng: np.random.Generator, name: str) -> Recording:
     xml = FLYER.replace('<inertial mass="2" pos="0.02 0 0" diaginertia="0.03 0.02 0.04"/>', hull)
     model = mujoco.MjModel.from_xml_string(xml.replace('damping="0.02"', f'damping="0.02" {rubs}'))
     model.opt.timestep, model.opt.tolerance = DT, 0.0
-    data, times, down = mujoco.MjData(model), np.arange(4 * RATE + 1) / RATE, np.array(model.opt.gravity)
+    data, times, down = mujoco.MjData(model), np.arange(2 * RATE + 1) / RATE, np.array(model.opt.gravity)
     w, phase, turn = 2 * np.pi * rng.uniform(0.5, 2.0, 6), rng.uniform(0, 6, 6), rng.uniform(2, 6)
     size, rows = np.array([0.1, 0.1, 0.05, 1.0, 0.3, 0.3]) * rng.uniform(0.5, 1.0, 6), []
 
