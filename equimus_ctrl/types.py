@@ -27,6 +27,51 @@ def frozen_array(values: ArrayLike, ndim: int | None = None, name: str = "array"
 
 
 @dataclass(frozen=True, eq=False)
+class PrescribedMotion:
+    """How joints move whose motion is an input, taken as it was measured: cubic splines with knots at some instants.
+
+    Accelerations are linear between the instants, so positions and rates there say all.
+
+    Attributes:
+        joints: their names.
+        times: (n,) ascending instants [s].
+        position: (n, np) there [rad or m].
+        velocity: (n, np) [rad/s or m/s].
+        acceleration: (n, np) [rad/s² or m/s²].
+        noise: (np,) standard deviation of what was measured about it [rad or m].
+    """
+
+    joints: tuple[str, ...]
+    times: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    noise: Array
+
+    def __post_init__(self) -> None:
+        for key in ("position", "velocity", "acceleration"):
+            array = frozen_array(getattr(self, key), 2, key)
+            object.__setattr__(self, key, array)
+            if array.shape != (len(self.times), len(self.joints)):
+                raise ConfigError(f"{key} has shape {array.shape}, expected {(len(self.times), len(self.joints))}")
+
+    @classmethod
+    def at_rest(cls, joints: tuple[str, ...]) -> PrescribedMotion:
+        """Joints that stay at 0."""
+        still = np.zeros((2, len(joints)))
+        return cls(joints, np.array([0.0, 1.0]), still, still, still, still[0])
+
+    def at(self, times: ArrayLike) -> tuple[Array, Array, Array]:
+        """(…, np) positions, rates and accelerations at some instants (…) [s]; beyond the ends as the last piece."""
+        wanted = np.asarray(times, dtype=np.float64)
+        k = np.clip(np.searchsorted(self.times, wanted, side="right") - 1, 0, len(self.times) - 2)
+        s, h = (wanted - self.times[k])[..., None], (self.times[k + 1] - self.times[k])[..., None]
+        q, v, a = self.position[k], self.velocity[k], self.acceleration[k]
+        jerk = (self.acceleration[k + 1] - a) / h
+        return q + s * (v + s * (a / 2 + s * jerk / 6)), v + s * (a + s * jerk / 2), a + s * jerk
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """One trial: commands in force and angles measured, row by row.
 
@@ -47,6 +92,8 @@ class Recording:
         before: (n_actuators,) command in force before the first row, long enough for the robot to have
             settled [Pa]; the first row's command where the recording does not say.
         notes: provenance and whatever else the file says of itself.
+        prescribed: how joints moved whose motion is an input; they are none of ``joints``.
+        supposed: how joints may have moved that were not measured, for where their motion begins.
     """
 
     name: str
@@ -60,6 +107,8 @@ class Recording:
     before: Array | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
     sites: Mapping[str, Array] = field(default_factory=dict)
+    prescribed: PrescribedMotion | None = None
+    supposed: PrescribedMotion | None = None
 
     def __post_init__(self) -> None:
         for key, ndim in (("time", 1), ("command", 2), ("position", 2)):
@@ -82,6 +131,12 @@ class Recording:
         for key, (array, shape) in shapes.items():
             if array is not None and array.shape != shape:
                 raise ConfigError(f"{self.name}: {key} has shape {array.shape}, expected {shape}")
+
+    @property
+    def poses(self) -> Array:
+        """(n, nj + np + nu) measured positions, behind them those of prescribed and of unmeasured joints."""
+        beside = [own.at(self.time)[0] for own in (self.prescribed, self.supposed) if own is not None]
+        return np.column_stack([self.position, *beside]) if beside else self.position
 
     @property
     def command_before(self) -> Array:

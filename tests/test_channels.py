@@ -20,8 +20,8 @@ from equimus_ctrl.diagnosis.observed import observed
 from equimus_ctrl.effects import SensorDelay, SensorOffset, SensorScale, ViscousFriction
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.mjcf import realise
 from equimus_ctrl.engines.mjcf_motion import simulated_response
+from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.engines.mjcf_sites import site_positions
 from equimus_ctrl.engines.motion import motion
 from equimus_ctrl.identification.channels import Channels, channels_of, unused, with_channels

@@ -26,8 +26,8 @@ from equimus_ctrl.effects import (
     register,
 )
 from equimus_ctrl.effects.base import REGISTRY
-from equimus_ctrl.effects.command import shape_command
 from equimus_ctrl.effects.sensors import recall, sample
+from equimus_ctrl.effects.shaping import shape_command
 from equimus_ctrl.effects.valves import shaped_commands, shaping_laws
 from equimus_ctrl.robots.elastic.morphology import Phase
 from equimus_ctrl.simulate import run

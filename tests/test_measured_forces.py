@@ -230,10 +230,11 @@ def test_what_has_arrived_of_commands_is_that_of_the_instant(linear: bool, delay
         np.array([[1.0], [3.0], [2.0]]),
         np.array([0.0, 0.05, 0.1, 0.155, 0.3]),
     )
-    valve = valve_settings((), ["drive"])
+    valve = valve_settings((), ["drive", "other"])
     valve[:, DELAY], valve[:, [FILL, VENT]] = delay, lag
-    out = np.empty((len(at), 1))
-    arrived(times, given, np.zeros(1), valve, np.zeros((1, 6)), np.zeros(1), 0.0, 1e-3, at, out, linear)
+    both, own, out = given.repeat(2, axis=1), np.array([linear, not linear]), np.empty((len(at), 2))
+    arrived(times, both, np.zeros(2), valve, np.zeros((2, 6)), np.zeros(2), 0.0, 1e-3, at, out, own)
+    assert np.abs(out[:, 0] - out[:, 1]).max() > 0.1  # each as it goes by itself
     fine = np.arange(0.0, 0.3 + 1e-9, 1e-5)
 
     def target(t: Array) -> Array:
@@ -260,7 +261,19 @@ def test_a_filter_of_commands_follows_them_within_a_sample_interval() -> None:
     )
     follow, out = np.array([[0.0, 0.0, -9.0, 9.0, -9.0, 9.0]]), np.empty((3, 1))
     follow[0, [FOLLOW_KIND, FOLLOW_NUMBER]] = FILTERED, lag
-    arrived(times, given, np.zeros(1), valve_settings((), ["drive"]), follow, np.zeros(1), 0.0, 1e-3, at, out)
+    arrived(
+        times,
+        given,
+        np.zeros(1),
+        valve_settings((), ["drive"]),
+        follow,
+        np.zeros(1),
+        0.0,
+        1e-3,
+        at,
+        out,
+        np.zeros(1, dtype=bool),
+    )
     expected = 2.0 * (1 - math.exp(-0.02 / lag)) * np.exp(-(at[1:] - 0.05) / lag)
     np.testing.assert_allclose(out[:, 0], [0.0, *expected], rtol=2e-3)
 

@@ -23,7 +23,7 @@ from equimus_ctrl.effects import (
     TorqueSaturation,
     TransportDelay,
 )
-from equimus_ctrl.engines.mjcf import realise
+from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 

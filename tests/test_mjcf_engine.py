@@ -32,8 +32,9 @@ from equimus_ctrl.effects import (
     ViscousFriction,
 )
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.mjcf import joint_forces, realise, simulate_mjcf
+from equimus_ctrl.engines.mjcf import joint_forces, simulate_mjcf
 from equimus_ctrl.engines.mjcf_motion import mjcf_motion, simulated_response
+from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.segments import cut

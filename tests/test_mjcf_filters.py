@@ -10,7 +10,8 @@ import pytest
 
 from equimus_ctrl import workflow
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
-from equimus_ctrl.engines.mjcf import filled, joint_forces, realise, simulate_mjcf
+from equimus_ctrl.engines.mjcf import filled, joint_forces, simulate_mjcf
+from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.models.model import Model

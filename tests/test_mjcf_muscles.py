@@ -13,7 +13,8 @@ from mjcf_models import refusal
 from equimus_ctrl import workflow
 from equimus_ctrl.effects import ActuatorGain
 from equimus_ctrl.engines.choice import engine_for
-from equimus_ctrl.engines.mjcf import realise, simulate_mjcf
+from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.identification.channels import Channels
 from equimus_ctrl.models.model import Model

@@ -49,7 +49,7 @@ class Case:
 
 def leverage(model: Model) -> float:
     """What gravity pulls at a single hinge with, mass times distance [kg·m], as weighed by the motor's gain."""
-    from equimus_ctrl.engines.mjcf import realise
+    from equimus_ctrl.engines.mjcf_realised import realise
 
     own = realise(model).mujoco
     return float(own.body_mass[1] * -own.body_ipos[1, 2] / own.actuator_gainprm[0, 0])

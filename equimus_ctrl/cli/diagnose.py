@@ -73,7 +73,7 @@ def diagnose(
         workflow.load_plugins(plugins or ())
         found = workflow.diagnose_recordings(
             recordings,
-            chosen.read(),
+            chosen.read(recordings),
             options,
             progress=show,
             asked=asked,

@@ -84,7 +84,7 @@ def identify(
 
         found = workflow.identify_files(
             recordings,
-            chosen.read(),
+            chosen.read(recordings),
             options,
             progress=notify,
         )

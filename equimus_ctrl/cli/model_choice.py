@@ -24,6 +24,8 @@ class ModelChoice:
         lock: joints of an MJCF robot to hold, ``JOINT`` or ``JOINT=POSITION``.
         ignore: actuators and loose objects to leave out.
         motors: whether each joint without an actuator gets a motor of its name.
+        prescribe: joints whose motion was measured and is taken as it is.
+        unmeasured: joints that no column tells of and that move by themselves.
     """
 
     model: Path | None = option(
@@ -44,9 +46,19 @@ class ModelChoice:
     motors: bool = option(
         False, bool, "Give each joint without an actuator a motor of its name, as of a URDF.", "--motors"
     )
+    prescribe: Sequence[str] = option(
+        (), NAMES, "A joint whose measured motion is an input, such as 'base_*'.", metavar="JOINT"
+    )
 
-    def read(self) -> Model:
+    unmeasured: Sequence[str] = option(
+        (), NAMES, "A joint without a column that moves by itself, such as 'finger_*'.", metavar="JOINT"
+    )
+
+    def read(self, recordings: Sequence[Path] = ()) -> Model:
         """The model.
+
+        Args:
+            recordings: that it is compared with.
 
         Raises:
             EquimusError: where the file cannot be read, or has no such joint or actuator.
@@ -55,4 +67,12 @@ class ModelChoice:
         from equimus_ctrl.robots.mjcf.editing import lock_of
 
         held = dict(lock_of(text) for text in self.lock)
-        return workflow.load_model(self.model, lock=held, ignore=self.ignore, motors=self.motors)
+        return workflow.load_model(
+            self.model,
+            lock=held,
+            ignore=self.ignore,
+            motors=self.motors,
+            prescribe=self.prescribe,
+            unmeasured=self.unmeasured,
+            recordings=recordings,
+        )

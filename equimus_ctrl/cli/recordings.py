@@ -10,6 +10,8 @@ import typer
 
 from equimus_ctrl.cli.common import Json, ModelFile, people, print_engine, print_json
 from equimus_ctrl.cli.emulate import HardwareFile
+from equimus_ctrl.cli.model_choice import ModelChoice
+from equimus_ctrl.cli.options import with_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,9 +85,10 @@ def import_bag(
 
 
 @app.command()
+@with_options
 def check(
     paths: Annotated[list[Path], typer.Argument(help="Files or folders to read.")],
-    model: ModelFile = None,
+    chosen: ModelChoice,
     command_low: Low = 0.0,
     command_high: High = 50_000.0,
     rotating: Rotating = None,
@@ -106,9 +109,10 @@ def check(
     import warnings
 
     from equimus_ctrl import recordings, workflow
+    from equimus_ctrl.diagnosis.preflight import other_joints
     from equimus_ctrl.engines.choice import engine_for
 
-    known = workflow.load_model(model)
+    known = chosen.read(paths)
     limits = recordings.Limits(command_low=command_low, command_high=command_high, rotating=tuple(rotating or ()))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", recordings.RecordingWarning)
@@ -120,7 +124,9 @@ def check(
     summaries = [recordings.summarise(trial) for trial in trials]
     console = people()
     console.print(_table(summaries, known))
-    print_engine(console, engine_for(known, positions=[trial.position for trial in trials]))
+    print_engine(console, engine_for(known, positions=[trial.poses for trial in trials]))
+    for text in other_joints(known.robot, trials):
+        console.print(text, markup=False, soft_wrap=True)
     for text in plausibility_warnings:
         console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
     if as_json:

@@ -46,7 +46,7 @@ def score(
     with share_bar(console, "score") as show:
         found = workflow.score_recordings(
             recordings,
-            chosen.read(),
+            chosen.read(recordings),
             options,
             progress=show,
         )

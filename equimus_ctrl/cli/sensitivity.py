@@ -66,7 +66,7 @@ def sensitivity(
         workflow.load_plugins(plugins or ())
         found = workflow.sensitivity_of(
             recordings,
-            chosen.read(),
+            chosen.read(recordings),
             options,
             progress=lambda done: show(share=done),
         )

@@ -14,9 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from equimus_ctrl.controllers import pid_kernel
-from equimus_ctrl.effects.command import advance_pressure, shape_command
+from equimus_ctrl.effects.command import advance_pressure
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import follow, recall
+from equimus_ctrl.effects.shaping import shape_command
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
 from equimus_ctrl.robots.elastic.morphology import pack, structure

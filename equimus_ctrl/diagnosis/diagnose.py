@@ -88,7 +88,7 @@ def _check(settings: DiagnosisSettings) -> None:
 
 def _with_default_engine(free: FreeParameters, split: Split, settings: DiagnosisSettings) -> Data:
     """What is fitted, with the engine for the model, and a coarser and a finer one beside it where there are."""
-    positions = [s.measured for s in (*split.train, *split.validation, *split.test)]
+    positions = [s.poses for s in (*split.train, *split.validation, *split.test)]
     engine = engine_for(free.model, settings.engine, positions=positions)
     simulator = Simulator(engine, settings.threads)
     others = (engine.coarser(), engine.finer())

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+import numpy as np
+
 from equimus_ctrl.diagnosis.linear_response import linearise
 from equimus_ctrl.engines.base import Engine, ForceResponse
 from equimus_ctrl.engines.mjcf_motion import simulated_response
@@ -100,7 +102,7 @@ def segment_response(
     parts = []
     for group, of in zip(groups, rows, strict=True):
         own = model.in_group(group)
-        shown = [segments[k].parted(starts[k][None, :])[0] for k in of]
-        true = [behind_sensors([own], start)[0] for start in shown]
+        parted = [segments[k].parted(starts[k][None, :]) for k in of]
+        true = [np.append(behind_sensors([own], shown)[0], beside[0]) for shown, _, beside in parted]
         parts.append(force_response(engine, own, [segments[k].trial for k in of], true, scale, dt, threads))
     return _ByGroup(rows, tuple(parts))

@@ -173,7 +173,7 @@ def _check_motion(model: Model, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError where no command moves, or a joint does not."""
     traits, first = model.robot.traits, recordings[0]
     moved = np.max([np.ptp(np.vstack([r.command, r.command_before]), axis=0) for r in recordings], axis=0)
-    if moved.max() < traits.least_command:
+    if moved.max(initial=0.0) < traits.least_command:
         unit = model.robot.command_unit(first.actuators[int(moved.argmax())])
         raise ConfigError(
             f"the commands never move: they change by at most {moved.max():.3g} {unit} in any trial, expected at least "

@@ -82,7 +82,7 @@ def longest_interval(
     Raises:
         SimulationDiverged: where the model diverges in all intervals, however short.
     """
-    follow, sound = simulator or simulator_for(model, [r.position for r in recordings]), False
+    follow, sound = simulator or simulator_for(model, [r.poses for r in recordings]), False
     spread = np.median([r.position.std(axis=0) for r in recordings], axis=0)
     lengths = (None, *LENGTHS) if whole else LENGTHS
     if forgets(model, recordings, window, follow):

@@ -42,7 +42,7 @@ class ObservedResponse:
         parts = zip(self.segments, self.motions, shown, inner, drives, strict=True)
         for segment, motion, joints, change, forces in parts:
             whole = np.column_stack([motion.position, motion.velocity])
-            more = segment.channels.changes(self.robot, whole, change, forces)
+            more = segment.channels.changes(self.robot, whole, change, forces, segment.trial.moved)
             found.append(np.concatenate([joints, more], axis=1))
         return found
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.effects.excitation import Excitation
-from equimus_ctrl.engines.mjcf import command_at, joint_forces, places_in_room, realise
+from equimus_ctrl.engines.mjcf import command_at, joint_forces, others_along, places_in_room
+from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
@@ -114,8 +115,11 @@ def _excitation_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str
     rows = np.concatenate([command_at(s.trial, s.trial.sample_times[inner]) for s in segments])
     middles = np.concatenate([s.measured[inner] for s in segments])
     chosen = slice(None, None, max(len(middles) // FEW, 1))
-    drives, weights = joint_forces(own, middles[chosen], seen.rates[chosen], rows[chosen])
+    along = [others_along(own, s.trial, s.trial.sample_times[inner]) for s in segments]
+    q, v = (np.concatenate(parts)[chosen] for parts in zip(*along, strict=True))
+    drives, weights = joint_forces(own, middles[chosen], seen.rates[chosen], rows[chosen], (q, v))
     largest = np.maximum(np.abs(seen.commands).max(axis=0), 1e-9)
+    most = float(largest.max(initial=1e-9))
     mass = float(own.mujoco.body_mass[1:].sum())
     speed = np.maximum(seen.speed, 1e-6)
     by_drive = {drive.name: float(np.abs(drives[:, i]).max()) for i, drive in enumerate(robot.actuators)}
@@ -127,7 +131,7 @@ def _excitation_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str
         force = max(float(np.quantile(np.abs(v), SELDOM)) for v in (whole, weights[:, j])) or 1.0
         drive_force = max((by_drive[robot.actuators[i].name] for i in own_drives), default=force)
         found[joint.name] = Excitation(
-            low, high, float(speed[j]), force, float(largest.max()), seen.interval, seen.duration, mass, drive_force,
+            low, high, float(speed[j]), force, most, seen.interval, seen.duration, mass, drive_force,
             recorded=seen.recorded,
         )  # fmt: skip
     ends = {
@@ -137,7 +141,7 @@ def _excitation_at_joints(model: Model, segments: Sequence[Segment]) -> dict[str
     first = found[robot.joint_names[0]]
     links = {name: replace(first, reach=_reach(own.mujoco, name)) for name in robot.places()["link"]}
     carried = links | dict.fromkeys(robot.places()["foot"], first)
-    at = places_in_room(own, middles[chosen], tuple(carried))
+    at = places_in_room(own, middles[chosen], tuple(carried), q)
     moving = {name: _moving(carried[name], at[:, k], robot.up) for k, name in enumerate(carried)}
     # A joint and its drive may have one name; sizes of both are those of the joint then.
     return _elsewhere(robot, first) | moving | ends | found

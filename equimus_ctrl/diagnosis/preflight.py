@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -87,6 +87,31 @@ def coarse_steps(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
     return [f"{', '.join(names)}: {words}" for words, names in found.items()]
 
 
+def other_joints(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
+    """Sentences on joints that are not compared: whose motion is an input, and that were not measured.
+
+    Args:
+        robot: whose joints they are.
+        recordings: of it.
+    """
+    loose, tied = (robot.unmeasured_names[part] for part in (slice(robot.loose_count), slice(robot.loose_count, None)))
+    said = [f"not measured, and simulated from a start that is fitted: {', '.join(loose)}"] if loose else []
+    said += [f"not measured, and simulated as equalities tie it to others: {', '.join(tied)}"] if tied else []
+    return [*_prescribed(robot, recordings), *said]
+
+
+def _prescribed(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
+    """A sentence on joints whose motion is an input, and by how much measurements scatter about what it was made."""
+    found = [r.prescribed.noise for r in recordings if r.prescribed is not None]
+    if not found:
+        return []
+    noise = 1e3 * np.sqrt(np.mean(np.square(found), axis=0))
+    units = ["mm" if robot.slides(name) else "mrad" for name in robot.prescribed_names]
+    named = zip(robot.prescribed_names, noise, units, strict=True)
+    each = ", ".join(f"{name} ({size:.2g} {unit})" for name, size, unit in named)
+    return [f"taken as measured, and smoothed by as much as their noise: the motion of {each}"]
+
+
 def _in_words(step: float, slides: bool) -> str:
     unit, bits = "mm" if slides else "mrad", math.log2(2 * math.pi / step)
     whole = f" ({2 ** round(bits)} a turn)" if not slides and abs(bits - round(bits)) < POWER else ""
@@ -111,9 +136,9 @@ def _step(values: Array) -> float:
 
 def _check_angles(robot: Robot, recordings: Sequence[Recording]) -> None:
     """Raise ConfigError where angles are in degrees, or lie where a joint cannot be."""
-    positions = np.concatenate([r.position for r in recordings])
-    low, high = robot.joint_range
-    for j, name in enumerate(robot.joint_names):
+    positions = np.concatenate([r.poses for r in recordings])
+    low, high = (np.concatenate(ends) for ends in zip(robot.joint_range, robot.prescribed_range, strict=True))
+    for j, name in enumerate((*robot.joint_names, *robot.prescribed_names)):
         span = float(high[j] - low[j])
         if not math.isfinite(span) or span <= 0:
             continue
@@ -231,7 +256,8 @@ def _measured_joints(robot: MjcfRobot, forces: Sequence[int], recordings: Sequen
     base, found = robot.plan.base, list[_MeasuredJoint]()
     if not forces:
         return found
-    moments = moments_at(base, robot.joint_names, recordings[0].position[:: max(len(recordings[0].time) // FEW, 1)])
+    poses = recordings[0].poses[:: max(len(recordings[0].time) // FEW, 1)]
+    moments = moments_at(base, (*robot.joint_names, *robot.prescribed_names), poses)
     for j, name in enumerate(robot.joint_names):
         drives = [d for d in robot.actuators if moments[base.actuator_outadr[d.index], base.joint(name).dofadr[0]] > 0]
         # An actuator with several commands exerts one force, of which any of their columns tells.
@@ -289,12 +315,9 @@ def _forces(model: Model, recordings: Sequence[Recording]) -> tuple[Array, Array
 def measured_motions(model: Model, recordings: Sequence[Recording]) -> list[MeasuredMotion]:
     """What was measured, for inverse dynamics of whole recordings."""
     trials = [
-        Trial(
-            r.name, np.array(r.time), np.array(r.command), np.array(r.command_before), float(r.time[0]),
-            np.array(r.position[0]), np.array(r.time), settings=noted(model, r, SET), factors=noted(model, r, TIMES),
-        )
+        replace(Trial.of(r, r.position[0]), settings=noted(model, r, SET), factors=noted(model, r, TIMES))
         for r in recordings
-    ]  # fmt: skip
+    ]
     measured = [np.array(r.position) for r in recordings]
     noise = np.array([own.sigma for own in noise_of_differences(measured)])
     return motions_of(trials, measured, noise)

@@ -14,12 +14,10 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from equimus_ctrl.effects.relaxation import decay_moments, relax, relax_along
 from equimus_ctrl.types import Array
-
-DEAD_ZONE, COUPLING, SATURATION, CUTOFF = 0, 1, 2, 3
-"""The laws that act on a command's value at once, in the order in which they do."""
 
 DELAY, FILL, VENT, RATE, FLOW, POWER = range(6)
 """A valve (6,): transport delay [s], time constants of filling and venting [s], greatest rate [Pa/s], greatest rate of
@@ -37,58 +35,6 @@ counts, between what the follower stays."""
 
 REFERENCE = 1e4
 """The command at which a filling flow is named [Pa]."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def shaped(law: int, own: float, others: float, number: float) -> float:
-    """An actuator's command after shaping [Pa].
-
-    Args:
-        law: DEAD_ZONE: max(u − number, 0); COUPLING: max(u − number·others, 0); SATURATION: min(u, number);
-            CUTOFF: u where it is at least number, else 0.
-        own: u [Pa].
-        others: sum of the other actuators' commands [Pa].
-        number: threshold [Pa], share, level or least command [Pa].
-    """
-    if law == DEAD_ZONE:
-        return max(own - number, 0.0)
-    if law == COUPLING:
-        return max(own - number * others, 0.0)
-    if law == SATURATION:
-        return min(own, number)
-    return own if own >= number else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def shape_column(law: int, commands: Array, own: int, number: float, out: Array) -> None:
-    """Write ``shaped`` of column ``own`` of commands (n, na) into out (n,) [Pa]."""
-    for k in range(len(commands)):
-        total = 0.0
-        for i in range(commands.shape[1]):
-            total += commands[k, i]
-        out[k] = shaped(law, commands[k, own], total - commands[k, own], number)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def shape_command(laws: Array, command: Array, out: Array) -> None:
-    """Write what reaches the valves of a command.
-
-    Args:
-        laws: (m, 3) law, actuator and number, in the order of the laws; those of one kind act side by side.
-        command: (na,) [Pa].
-        out: (na,) written [Pa].
-    """
-    given = np.empty(len(command))
-    for i in range(len(command)):
-        out[i] = command[i]
-    for k in range(len(laws)):
-        if k == 0 or laws[k, 0] > laws[k - 1, 0]:
-            total = 0.0
-            for i in range(len(command)):
-                given[i] = out[i]
-                total += out[i]
-        own = int(laws[k, 1])
-        out[own] = shaped(int(laws[k, 0]), given[own], total - given[own], laws[k, 2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -231,6 +177,30 @@ def _settled(times: Array, values: Array, before: float, start: float, valve: Ar
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _own_history(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    start: float,
+    dt: float,
+    i: int,
+    linear: bool,
+    out: Array,
+) -> None:
+    """``pressure_history`` of one actuator i."""
+    n, steps = len(times), len(out)
+    column = np.empty(n)
+    for k in range(n):
+        column[k] = commands[k, i]
+    pressure, cursor = _settled(times, column, before[i], start, valve[i], linear)
+    for s in range(steps):
+        pressure, out[s, 0, i], out[s, 1, i], cursor = _advance(
+            times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i], linear
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def pressure_history(
     times: Array,
     commands: Array,
@@ -253,16 +223,24 @@ def pressure_history(
         out: (steps, 2, na) written: mean and slope over each step [Pa].
         linear: commands go along a line from each row to the next, in place of being held.
     """
-    n, steps = len(times), len(out)
-    column = np.empty(n)
     for i in range(commands.shape[1]):
-        for k in range(n):
-            column[k] = commands[k, i]
-        pressure, cursor = _settled(times, column, before[i], start, valve[i], linear)
-        for s in range(steps):
-            pressure, out[s, 0, i], out[s, 1, i], cursor = _advance(
-                times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i], linear
-            )
+        _own_history(times, commands, before, valve, start, dt, i, linear, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mixed_history(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    start: float,
+    dt: float,
+    out: Array,
+    linear: NDArray[np.bool_],
+) -> None:
+    """``pressure_history`` where (na,) ``linear`` says of each actuator whether its commands go along a line."""
+    for i in range(commands.shape[1]):
+        _own_history(times, commands, before, valve, start, dt, i, linear[i], out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -336,7 +314,8 @@ def _follower_at(
 ) -> float:
     """What follows an actuator's command at a start: an integrator's first value, or what it came to until then.
 
-    Arguments are those of ``followed_history``, ``follow`` (6,) and ``first`` the actuator's own, ``own`` its column.
+    Arguments are those of ``followed_history``; ``follow`` (6,), ``first`` and ``linear`` are the actuator's own, and
+    ``own`` is its column.
     """
     if follow[FOLLOW_KIND] == INTEGRATED:
         return first
@@ -346,7 +325,7 @@ def _follower_at(
         steps = max(math.ceil((start - times[0]) / dt), 1)
         early = np.empty((steps, 2, commands.shape[1]))
         part = (start - times[0]) / steps
-        pressure_history(times, commands, before, valve, times[0], part, early, linear)
+        _own_history(times, commands, before, valve, times[0], part, own, linear, early)
         value = follow_history(follow, value, part, own, early)
     return float(value)
 
@@ -362,7 +341,7 @@ def followed_history(
     start: float,
     dt: float,
     out: Array,
-    linear: bool = False,
+    linear: NDArray[np.bool_],
 ) -> None:
     """``pressure_history``, and what follows the commands in their place.
 
@@ -376,13 +355,13 @@ def followed_history(
         start: of the first step [s].
         dt: [s].
         out: (steps, 2, na) written.
-        linear: as there.
+        linear: (na,) whether an actuator's commands go along a line from each row to the next; else they are held.
     """
-    pressure_history(times, commands, before, valve, start, dt, out, linear)
+    mixed_history(times, commands, before, valve, start, dt, out, linear)
     for i in range(commands.shape[1]):
         if follow[i, FOLLOW_KIND] == DIRECT:
             continue
-        value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear)
+        value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear[i])
         follow_history(follow[i], value, dt, i, out)
 
 
@@ -398,7 +377,7 @@ def arrived(
     dt: float,
     at: Array,
     out: Array,
-    linear: bool = False,
+    linear: NDArray[np.bool_],
 ) -> None:
     """What has arrived of the commands at given instants: that of ``followed_history``, not its mean over a step.
 
@@ -423,10 +402,10 @@ def arrived(
             column[k] = commands[k, i]
         follows, now = follow[i, FOLLOW_KIND] != DIRECT, start
         at_once = not follows and not _remembers(valve[i])
-        pressure, cursor = _settled(times, column, before[i], start, valve[i], linear)
+        pressure, cursor = _settled(times, column, before[i], start, valve[i], linear[i])
         value = pressure
         if follows:
-            value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear)
+            value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear[i])
         for k in range(len(at)):
             span = at[k] - now
             if span > 0.0:
@@ -442,7 +421,7 @@ def arrived(
                         span / parts,
                         pressure,
                         valve[i],
-                        linear,
+                        linear[i],
                     )
                     value = follow_history(follow[i], value, span / parts, i, piece) if follows else pressure
                 now = at[k]
@@ -450,7 +429,7 @@ def arrived(
                 there = now - valve[i, DELAY]
                 last = np.searchsorted(times, there, side="right") - 1
                 value = column[last] if last >= 0 else before[i]
-                if linear and 0 <= last < len(times) - 1:
+                if linear[i] and 0 <= last < len(times) - 1:
                     share = (there - times[last]) / (times[last + 1] - times[last])
                     value += share * (column[last + 1] - column[last])
             out[k, i] = value

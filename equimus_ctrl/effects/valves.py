@@ -15,22 +15,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from equimus_ctrl.effects.base import Effect, parameter, register
-from equimus_ctrl.effects.command import (
-    COUPLING,
-    CUTOFF,
-    DEAD_ZONE,
-    DELAY,
-    FILL,
-    FLOW,
-    POWER,
-    RATE,
-    REFERENCE,
-    SATURATION,
-    VENT,
-    shape_column,
-)
+from equimus_ctrl.effects.command import DELAY, FILL, FLOW, POWER, RATE, REFERENCE, VENT
 from equimus_ctrl.effects.description import Description
 from equimus_ctrl.effects.excitation import Excitation
+from equimus_ctrl.effects.shaping import COUPLING, CUTOFF, DEAD_ZONE, SATURATION, shape_column
 from equimus_ctrl.effects.sizes import Share, Size
 from equimus_ctrl.types import Array
 
@@ -461,7 +449,7 @@ def useful_commands(
 
 
 def shaping_laws(effects: Sequence[Effect], actuators: Sequence[str]) -> Array | None:
-    """(m, 3) the shaping effects as ``effects.command.shape_command`` takes them; None where one is Python alone."""
+    """(m, 3) the shaping effects as ``effects.shaping.shape_command`` takes them; None where one is Python alone."""
     shapers = shaping_effects(effects)
     rows = [
         (e.order, list(actuators).index(e.location), e.number)

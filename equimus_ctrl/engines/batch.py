@@ -26,7 +26,7 @@ from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.robots.elastic.morphology import Phase, elastic_of
 from equimus_ctrl.robots.mechanics import Structure
-from equimus_ctrl.types import Array
+from equimus_ctrl.types import Array, PrescribedMotion
 
 STEP = 1e-3
 """Default physics step [s]."""
@@ -203,16 +203,18 @@ class _Block:
 
         Args:
             trials: what is done.
-            starts: for each trial (k, nj) or (k, 2 nj), for all models.
+            starts: for each trial (k, nj), (k, 2 nj) or (k, 2 nj + 2 nl), for all models, see ``Trial.begun``.
             dt: physics step [s].
             results: for each trial, written.
         """
-        k, nj = len(self.kinds), results[0].position.shape[2]
-        q0, v0 = np.empty((2, len(trials), k, nj))
+        k, nj, robot = len(self.kinds), results[0].position.shape[2], self.coded.models[0].robot
+        q0, v0 = np.empty((2, len(trials), k, nj + len(robot.prescribed_names) + len(robot.unmeasured_names)))
         for t, trial in enumerate(trials):
             row = trial.position if starts is None else starts[t][self.models]
-            q0[t], speed = row[..., :nj], row[..., nj:]
-            v0[t] = speed if speed.size else 0.0 if trial.velocity is None else trial.velocity
+            q, speed = np.broadcast_to(row[..., :nj], (k, nj)), row[..., nj : 2 * nj]
+            if not speed.size:
+                speed = np.zeros(nj) if trial.velocity is None else trial.velocity
+            q0[t], v0[t] = trial.begun(robot, q, np.broadcast_to(speed, (k, nj)), row[..., 2 * nj :])
         follow = self.follow[:, :, FOLLOW_KIND]
         first = np.zeros((len(trials), *follow.shape))
         if follow.any():
@@ -249,7 +251,7 @@ class _Block:
             place,
             position,
             reached,
-            trials[0].linear,
+            trials[0].lines(robot),
             motion,
         )
         position = position[:, :, self.still]
@@ -273,7 +275,7 @@ class _Block:
         results: Sequence[Predicted],
     ) -> None:
         """The drives' forces along motions (k, m, 2 nv + nz), see ``run``."""
-        commands, before = self.commands(trials[0])
+        robot, (commands, before) = self.coded.models[0].robot, self.commands(trials[0])
         arriving = np.empty((place[-1], commands.shape[2]))
         models = np.arange(len(self.coded.models))[self.rows]
         for lane, index in enumerate(models):
@@ -281,7 +283,7 @@ class _Block:
             for t, own in enumerate(trials):
                 arrived(
                     own.times, commands[lane], before[lane], valve, follow, first[t, lane], own.start, dt,
-                    own.sample_times, arriving[place[t] : place[t + 1]], own.linear,
+                    own.sample_times, arriving[place[t] : place[t + 1]], own.lines(robot),
                 )  # fmt: skip
             found = drive_forces(self.coded, int(index), motion[lane], arriving)
             for t, result in enumerate(results):
@@ -303,12 +305,12 @@ def first_activations(coded: Encoded, rows: slice, trial: Trial, position: Array
         coded: models.
         rows: which of them.
         trial: what is done.
-        position: (k, nj) joint coordinates at the start.
+        position: (k, nj) joint coordinates at the start, see ``Trial.begun``.
     """
     follow = coded.follow[rows]
     found = np.zeros(follow.shape[:2])
     if trial.activation is not None:
-        found[:] = trial.activation
+        found[:, : len(trial.activation)] = trial.activation
     elif (follow[:, :, FOLLOW_KIND] == INTEGRATED).any():
         lengths = actuator_lengths(coded.form, coded.models[0].phase)
         moved = coded.mechanics[0].starts
@@ -329,11 +331,15 @@ def compile_kernel(model: Model) -> None:
     """Compile what ``simulate`` needs for a model's structure and force laws, or find it in the cache of kernels."""
     nj, na = len(model.robot.joint_names), len(model.robot.actuator_names)
     rest = np.zeros((1, na))
-    trial = Trial("first", np.zeros(1), rest, rest[0], 0.0, np.full(nj, 0.5), np.array([0.0, 1e-3]))
+    moved = PrescribedMotion.at_rest(model.robot.prescribed_names)
+    beside = PrescribedMotion.at_rest(model.robot.unmeasured_names)
+    pose, times = np.full(nj, 0.5), np.array([0.0, 1e-3])
+    trial = Trial("first", np.zeros(1), rest, rest[0], 0.0, pose, times, prescribed=moved, supposed=beside)
     simulate([model], [trial], dt=1e-3, threads=1, check=False)
 
 
 def shaped_for(model: Model, trial: Trial) -> Array:
     """(1 + n, na) what reaches the valves, before the first row, then row by row [Pa or unit of the commands]."""
     given, robot = np.vstack([trial.before, trial.commands]), model.robot
-    return shaped_commands(model.effects, robot.actuator_names, given, robot.command_ranges)
+    shaped = shaped_commands(model.effects, robot.actuator_names, given, robot.command_ranges)
+    return trial.with_accelerations(robot, shaped)

@@ -216,7 +216,8 @@ def engine_for(
         model: whose robot decides.
         name: of the one that is asked for; by default the compiled equations of motion where they hold the robot.
         dt: physics step [s]; the engine's own choice by default.
-        positions: (n, nj) each, of what is to be simulated: where bodies touch MuJoCo simulates.
+        positions: (n, nj + np + nu) each, of what is to be simulated, see ``Recording.poses``: where bodies touch
+            MuJoCo simulates.
 
     Raises:
         ConfigError: for a step that is none, an unknown name, or compiled equations that cannot hold the robot.
@@ -248,7 +249,7 @@ def _engine_of_mjcf(
         return MujocoEngine(own, dt, reason=f"equations of motion of {joints} joints would take minutes to compile")
     if reason is None:
         reason = "compiled equations of motion hold all of the robot"
-        return ReducedEngine(dt, reason=reason, noise=noise_of(positions))
+        return ReducedEngine(dt, reason=reason, noise=noise_of([p[:, : len(robot.joint_names)] for p in positions]))
     if name == "reduced":
         raise ConfigError(f"{robot.name}: compiled equations of motion cannot hold {reason}; expected --engine mujoco")
     return MujocoEngine(own, dt, reason=f"compiled equations of motion cannot hold {reason}")

@@ -15,14 +15,20 @@ LOOKED_AT = 400
 
 
 def touching(robot: MjcfRobot, positions: Sequence[Array]) -> str | None:
-    """Which geoms touch in one of the poses (n, nj), as a phrase; None where none do."""
+    """Which geoms touch in one of the poses (n, nj + np + nu), as a phrase; None where none do.
+
+    Nothing is known of poses without the joints whose motion is prescribed or not measured.
+    """
     model = robot.mujoco_model()
     off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     if off or not positions or not (model.geom_contype.any() and model.geom_conaffinity.any()):
         return None
     poses = np.concatenate(positions)
     data = mujoco.MjData(model)
-    places = [int(model.joint(name).qposadr[0]) for name in robot.joint_names]
+    joints = (*robot.joint_names, *robot.prescribed_names, *robot.unmeasured_names)
+    if poses.shape[1] != len(joints):
+        return None
+    places = [int(model.joint(name).qposadr[0]) for name in joints]
     for pose in poses[:: max(len(poses) // LOOKED_AT, 1)]:
         data.qpos[places] = pose
         mujoco.mj_fwdPosition(model, data)

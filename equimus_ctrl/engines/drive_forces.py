@@ -28,23 +28,30 @@ def _law(form: Structure, phase: Phase) -> tuple[ca.Function, ca.Function]:
 
 
 def drive_forces(coded: Encoded, index: int, motion: Array, command: Array) -> Array:
-    """(n, nc) for each command the force of its actuator [N·m or N].
+    """(n, nc) for each command of the robot the force of its actuator [N·m or N].
 
     Args:
         coded: models.
         index: which of them.
         motion: (n, 2 nv + nz) coordinates of its equations, their rates, and states of laws, the drives' own first.
-        command: (n, nc) what the forces are made of, see ``effects.command.arrived``.
+        command: (n, nc + np) what the forces are made of, see ``effects.command.arrived``, with accelerations that are
+            prescribed behind them.
     """
     found = _evaluated(coded, index, motion, command, 0).T
-    return np.asarray(found[:, [channel.actuator for channel in coded.mechanics[index].channels]])
+    return np.asarray(found[:, _driven(coded, index)])
 
 
 def drive_slopes(coded: Encoded, index: int, motion: Array, command: Array) -> Array:
     """(n, nc, 2 nv) their derivatives by coordinates and rates, see ``drive_forces``; own states of drives are held."""
     own = coded.mechanics[index]
     found = _evaluated(coded, index, motion, command, 1).reshape(-1, len(motion), 2 * len(own.starts))
-    return np.asarray(found.transpose(1, 0, 2)[:, [channel.actuator for channel in own.channels]])
+    return np.asarray(found.transpose(1, 0, 2)[:, _driven(coded, index)])
+
+
+def _driven(coded: Encoded, index: int) -> list[int]:
+    """The actuator of each command of the robot; what moves joints whose motion is prescribed is none of its drives."""
+    count = len(coded.models[index].robot.actuator_names)
+    return [channel.actuator for channel in coded.mechanics[index].channels[:count]]
 
 
 def _evaluated(coded: Encoded, index: int, motion: Array, command: Array, which: int) -> Array:

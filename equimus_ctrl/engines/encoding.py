@@ -35,7 +35,7 @@ class Encoded:
         laws: force laws that their equations have wherever they can sit.
         mechanics: (k) of their robots, with all effects on bodies.
         parameters: (k, np).
-        valve: (k, na, 6), see ``effects.command.DELAY``.
+        valve: (k, na, 6), see ``effects.command.DELAY``; na with accelerations that are prescribed.
         follow: (k, na, 6), see ``effects.command.FOLLOW_KIND``.
         between: (k, 2, na) lowest and highest command that gets to the valves.
         sensor: (k, nj, 4), see ``effects.sensors.OFFSET``.
@@ -141,8 +141,12 @@ def _own_friction(own: Mechanics, places: Sequence[tuple[str, int]]) -> set[int]
 
 
 def _channels(model: Model, own: Mechanics) -> tuple[Array, Array, Array]:
-    """(na, 6) valves, (na, 6) what follows the commands behind them, and (2, na) between what commands get there."""
-    valve = valve_settings(model.effects, model.robot.actuator_names)
+    """(na, 6) valves, (na, 6) what follows the commands behind them, and (2, na) between what commands get there.
+
+    Accelerations of joints whose motion is prescribed count as commands, the last ones.
+    """
+    names = model.robot.actuator_names
+    valve = np.vstack([valve_settings(model.effects, names), valve_settings((), model.robot.prescribed_names)])
     follow = np.zeros((len(own.channels), 6))
     between = np.empty((2, len(own.channels)))
     between[0], between[1] = -FAR, FAR

@@ -107,7 +107,7 @@ def begin(
     start: float,
     dt: float,
     same: NDArray[np.bool_],
-    linear: bool,
+    linear: NDArray[np.bool_],
 ) -> None:
     """Put the lanes of the work array w at a start, and the pressures into drive (steps, 2, na·LANES).
 
@@ -244,7 +244,7 @@ def run_trials(
     place: Array,
     out: Array,
     reached: Array,
-    linear: bool,
+    linear: NDArray[np.bool_],
     motion: Array,
 ) -> None:
     """Up to LANES parameter sets through trials of one history of commands: valves, motion and sensors.
@@ -270,7 +270,7 @@ def run_trials(
         out: (k, m, nj) written: measured positions [rad or m].
         reached: (trials, k) written: how many samples a trial has where all is well, else the index of the first that
             could not be had.
-        linear: commands go along a line from each instant to the next, in place of being held.
+        linear: (na,) whether an actuator's commands go along a line from each instant to the next; else they are held.
         motion: (k, m, 2 nj) or (k, m, 2 nj + nz) written, see ``measure_inner``; with m = 0 they are not wanted.
     """
     most = steps.max()
@@ -305,7 +305,7 @@ def run_inner(
     dt: float,
     states: Array,
     pressures: Array,
-    linear: bool,
+    linear: NDArray[np.bool_],
 ) -> None:
     """One parameter set through one trial, with what no sensor shows.
 

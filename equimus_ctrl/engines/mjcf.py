@@ -2,37 +2,29 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
-from pathlib import Path
-from threading import local
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import DELAY, FILL, VENT, arrived, pressure_history
-from equimus_ctrl.effects.force import ForceEffect, force_effects, laws_with
-from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample, sensor_settings
+from equimus_ctrl.effects.command import FILL, VENT, arrived, mixed_history, pressure_history
+from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mjcf_kernel import drive_forces
+from equimus_ctrl.engines.mjcf_realised import Realised, function_address, realise, scratch, stepped_laws
 from equimus_ctrl.engines.trials import Condition, Predicted, Trial
-from equimus_ctrl.errors import ConfigError, NotAvailable
-from equimus_ctrl.models.augmented import Laws
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.robots.mjcf.entries import Drive
-from equimus_ctrl.robots.mjcf.parts import harden, hook_of, rotor_of
-from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
+from equimus_ctrl.robots.mjcf.parts import hook_of
 from equimus_ctrl.types import Array
 
 SETTLED = 10.0
@@ -45,141 +37,6 @@ TO_FORCES = "mj_fwdPosition", "mj_fwdVelocity", "mj_fwdActuation"
 """What MuJoCo works out of a state until it knows the forces of actuators."""
 
 
-@lru_cache(maxsize=8)
-def function_address(name: str) -> int:
-    """Address of one of MuJoCo's functions void(const mjModel*, mjData*)."""
-    folder, version = Path(mujoco.__file__).parent, mujoco.__version__
-    for file in (f"libmujoco.so.{version}", f"libmujoco.{version}.dylib", "mujoco.dll"):
-        try:
-            library = ctypes.CDLL(str(folder / file))
-        except OSError:
-            continue
-        address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
-        assert address is not None
-        return address
-    raise NotAvailable(f"MuJoCo's library is not where its package is expected to have it, in {folder}")
-
-
-@dataclass(frozen=True, eq=False)
-class Realised:
-    """A model as MuJoCo and the kernel take it.
-
-    Attributes:
-        robot: with all effects on bodies and drives.
-        mujoco: its ``MjModel``; what the kernel changes of it is set anew before each run.
-        effects: all of the model's.
-        places: (nj, 3) of the joints in qpos and qvel, and in qvel of what drives them.
-        rotors: (n, 3) of drives that turn by themselves: in qpos, in qvel, and which joint they drive.
-        stepped: laws that are stepped beside MuJoCo.
-        laws: (nj, nc) prepared constants of these.
-        loss: (nj,) dry friction in the model.
-        valve: (na, 6), see ``effects.command.DELAY``.
-        sensor: (nj, 4), see ``effects.sensors.OFFSET``.
-    """
-
-    robot: MjcfRobot
-    mujoco: Any
-    effects: tuple[Effect, ...]
-    places: NDArray[np.int64]
-    rotors: NDArray[np.int64]
-    stepped: Laws
-    laws: Array
-    loss: Array
-    valve: Array
-    sensor: Array
-
-
-def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -> Realised:
-    """What MuJoCo and the kernel need of an MJCF robot with effects.
-
-    Args:
-        model: of an MJCF robot.
-        trial: in which some parameters are known to be others.
-        dt: another physics step than the XML's [s].
-    """
-    given = mjcf_of(model.robot)
-    robot = changed_bodies(model.effects, given if trial is None else trial.robot_in(given))
-    own = robot.mujoco_model(dt)
-    # To look which constraints hang together takes longer than to solve those of a few joints at once.
-    own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-    dofs = {joint.name: int(own.joint(joint.name).dofadr[0]) for joint in robot.joints}
-    laws, stepped = force_effects(model.effects), _stepped(model.effects)
-    for effect in laws:
-        if effect.mujoco_field is not None:
-            field, entry = effect.mujoco_field
-            (value,) = effect.parameters().values()
-            place = dofs[effect.location]
-            getattr(own, field)[place if entry is None else (place, entry)] += value
-        if effect.rubs or effect.loads:
-            harden(own, dofs[effect.location])
-    valve = valve_settings(model.effects, robot.actuator_names)
-    # The XML's own delays are exact with any step, as those of effects are, and know the command before a recording.
-    valve[:, DELAY] += own.actuator_delay[[drive.index for drive in robot.actuators]]
-    own.actuator_delay[:] = 0.0
-    names = robot.joint_names
-    turning = [(own.joint(rotor_of(c.joint)), names.index(c.joint)) for c in robot.compliances]
-    rotors = [(int(rotor.qposadr[0]), int(rotor.dofadr[0]), j) for rotor, j in turning]
-    drives = {j: int(rotor.dofadr[0]) for rotor, j in turning}
-    places = [(int(own.joint(name).qposadr[0]), dofs[name], drives.get(j, dofs[name])) for j, name in enumerate(names)]
-    return Realised(
-        robot,
-        own,
-        model.effects,
-        np.array(places, dtype=np.int64),
-        np.array(rotors, dtype=np.int64).reshape(-1, 3),
-        stepped,
-        _laws(stepped, laws, names),
-        np.array([own.dof_frictionloss[dofs[name]] for name in names]),
-        valve,
-        sensor_settings(model.effects, names),
-    )
-
-
-def _stepped(effects: Sequence[Effect]) -> Laws:
-    """The laws that MuJoCo has no field for; those with states where one of the effects has them."""
-    return tuple(law for law in laws_with(effects, "mjcf") if law.mujoco_field is None)
-
-
-def _laws(stepped: Laws, effects: Sequence[ForceEffect], joints: Sequence[str]) -> Array:
-    """(nj, nc) prepared constants of some laws, those of no effect doing nothing."""
-    generated, _ = compiled.load_mjcf(stepped)
-    attached = {(type(e), e.location): e for e in effects}
-    rows = []
-    for joint in joints:
-        values: list[float] = []
-        for law in stepped:
-            own = attached.get((law, joint))
-            for key, meta in law.parameter_info().items():
-                values.append(law.neutral.get(key, meta["high"]) if own is None else float(getattr(own, key)))
-        rows.append(generated.prepare(np.array(values)))
-    return np.array(rows)
-
-
-@cache
-def _sizes() -> tuple[str, ...]:
-    """Names of a model's sizes, on which its ``MjData`` depends: MuJoCo would write beyond the ends of another's."""
-    model = mujoco.MjModel.from_xml_string("<mujoco/>")
-    return tuple(name for name in dir(model) if name.startswith("n") and isinstance(getattr(model, name), int))
-
-
-class _Scratch(local):
-    """One ``MjData`` for each size of model and thread: to make one takes as long as hundreds of steps."""
-
-    def __init__(self) -> None:
-        self.known: dict[tuple[int, ...], Any] = {}
-
-    def data(self, model: Any) -> Any:
-        key = (*(getattr(model, size) for size in _sizes()), hash(model.names))
-        if key not in self.known:
-            self.known[key] = mujoco.MjData(model)
-        data = self.known[key]
-        mujoco.mj_resetData(model, data)
-        return data
-
-
-scratch = _Scratch()
-
-
 @dataclass(frozen=True, eq=False)
 class Course:
     """Where an MJCF robot's joints are on its physics steps.
@@ -189,7 +46,7 @@ class Course:
         dt: [s].
         q: (steps + 1, nj) [rad or m].
         v: (steps + 1, nj) [rad/s or m/s].
-        ctrl: (steps, na) commands that act over each step.
+        ctrl: (steps, na) commands that act over each step, with accelerations that are prescribed behind them.
         sound: number of entries that mean something.
         whole: (steps + 1, nq + nv + na) all of MuJoCo's state; None where it is not wanted.
     """
@@ -216,11 +73,12 @@ def _shaped(own: Realised, trial: Trial) -> Array:
 
 
 def commands_on(own: Realised, trial: Trial) -> Array:
-    """(steps, na) means over physics steps of the commands as they arrive at the actuators."""
-    dt = float(own.mujoco.opt.timestep)
-    out = np.empty((steps_of(trial, dt), 2, trial.commands.shape[1]))
-    whole = _shaped(own, trial)
-    pressure_history(trial.times, whole[1:].copy(), whole[0].copy(), own.valve, trial.start, dt, out, trial.linear)
+    """(steps, na) means over physics steps of the commands as they arrive at the actuators, see ``Course.ctrl``."""
+    dt, robot = float(own.mujoco.opt.timestep), own.robot
+    whole = trial.with_accelerations(robot, _shaped(own, trial))
+    valve = np.vstack([own.valve, valve_settings((), robot.prescribed_names)])
+    out = np.empty((steps_of(trial, dt), 2, whole.shape[1]))
+    mixed_history(trial.times, whole[1:].copy(), whole[0].copy(), valve, trial.start, dt, out, trial.lines(robot))
     return np.ascontiguousarray(out[:, 0])
 
 
@@ -239,6 +97,7 @@ def filled(own: Realised, trial: Trial) -> Array:
     early, dt = replace(trial, start=trial.start - lead, sample_times=np.array([trial.start])), model.opt.timestep
     first = commands_on(own, replace(early, start=early.start - dt, sample_times=np.array([early.start])))
     rows = np.concatenate([first, commands_on(own, early)]) if lead > 0 else first
+    rows = rows[:, : len(own.robot.actuators)].copy()
     for drive in drives:
         k = drive.control
         if model.actuator_ctrllimited[k]:
@@ -281,7 +140,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     Args:
         own: the robot.
         trial: what is done with it.
-        start: (2 nj,) coordinates and rates of the joints.
+        start: (2 nj,) coordinates and rates of the joints, or (2 nj + 2 nl,) see ``Trial.begun``.
         ctrl: see ``commands_on``.
         force: (steps, nj) further generalised forces on the joints [N·m or N].
     """
@@ -289,21 +148,43 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     model, nj = own.mujoco, len(own.places)
     data = scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
-    data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj:]
+    data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj : 2 * nj]
     for q, v, joint in own.rotors:
         data.qpos[q], data.qvel[v] = start[joint], start[nj + joint]
     data.act[:] = filled(own, trial)
-    _integrate_from_here(model, data)
     dt = float(model.opt.timestep)
+    grid = np.arange(len(ctrl) + 1, dtype=np.float64)
+    given = moved_along(own, trial, trial.start + dt * grid)
+    begun = trial.begun(own.robot, start[:nj], start[nj : 2 * nj], start[2 * nj :])
+    data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = (values[nj:] for values in begun)
+    _integrate_from_here(model, data)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     whole = np.empty((len(ctrl) + 1 if trial.forces else 0, model.nq + model.nv + model.na))
     sound = kernel.run_mjcf(
         function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
-        np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force, _law_starts(own, trial, start),
+        np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force,
+        _law_starts(own, trial, start[: 2 * nj]),
         data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
-        out_q, out_v, data.act, whole,
+        own.moved, *given, out_q, out_v, data.act, whole,
     )  # fmt: skip
     return Course(trial.start, dt, out_q, out_v, ctrl, int(sound), whole if trial.forces else None)
+
+
+def moved_along(own: Realised, trial: Trial, times: Array) -> tuple[Array, Array]:
+    """(n, np) positions and rates of the joints whose motion is prescribed."""
+    if not len(own.moved):
+        return np.empty((len(times), 0)), np.empty((len(times), 0))
+    position, rate, _ = trial.motion_of(own.robot.prescribed_names).at(times)
+    return position, rate
+
+
+def others_along(own: Realised, trial: Trial, times: Array) -> tuple[Array, Array]:
+    """(n, np + nu) positions and rates of these, and of unmeasured joints as they are supposed to move."""
+    moved = moved_along(own, trial, times)
+    if len(own.others) == len(own.moved) or trial.supposed is None:
+        return moved
+    beside = trial.supposed.at(times)
+    return np.column_stack([moved[0], beside[0]]), np.column_stack([moved[1], beside[1]])
 
 
 def _integrate_from_here(model: Any, data: Any) -> None:
@@ -364,7 +245,7 @@ def forces_of(own: Realised, path: Course, trial: Trial) -> Array:
     ctrl, at_once = np.empty((len(times), given.shape[1])), np.zeros((given.shape[1], 6))
     arrived(
         trial.times, given[1:].copy(), given[0].copy(), own.valve, at_once, given[0], trial.start, path.dt, times, ctrl,
-        trial.linear,
+        trial.lines(own.robot)[: given.shape[1]],
     )  # fmt: skip
     place = np.maximum((times - path.start) / path.dt, 0.0)
     step = np.minimum(place.astype(np.int64), len(path.whole) - 2)
@@ -402,7 +283,8 @@ def simulate_mjcf(
     Args:
         models: of MJCF robots.
         trials: what is predicted.
-        starts: for each trial (k, 2 nj) coordinates and rates at the start, one row a model; the trial's by default.
+        starts: for each trial (k, 2 nj) coordinates and rates at the start, one row a model, or (k, 2 nj + 2 nl), see
+            ``Trial.begun``; the trial's by default.
         threads: to use; all cores by default. The result does not depend on it.
         dt: another physics step [s].
 
@@ -439,7 +321,7 @@ def simulate_mjcf(
             own = made[condition]
             if starts is not None:
                 start = np.asarray(starts[i][which], dtype=np.float64)
-                start = start if len(start) == 2 * nj else np.concatenate([start, np.zeros(nj)])
+                start = start if len(start) >= 2 * nj else np.concatenate([start, np.zeros(nj)])
             else:
                 velocity = np.zeros(nj) if trial.velocity is None else trial.velocity
                 start = np.concatenate([trial.position, velocity])
@@ -452,10 +334,10 @@ def simulate_mjcf(
 
     tasks = [(which, chunk) for which in range(k) for chunk in chunks]
     with quietly():
-        for stepped in dict.fromkeys(_stepped(model.effects) for model in models):
+        for stepped in dict.fromkeys(stepped_laws(model.effects) for model in models):
             _, kernel = compiled.load_mjcf(stepped)
             if not kernel.run_mjcf.signatures:  # what has to be compiled is compiled once
-                first = next(task for task in tasks if _stepped(models[task[0]].effects) == stepped)
+                first = next(task for task in tasks if stepped_laws(models[task[0]].effects) == stepped)
                 tasks.remove(first)
                 work(first)
         if count == 1 or len(tasks) <= 1:
@@ -471,7 +353,9 @@ def command_at(trial: Trial, times: Array) -> Array:
     return trial.command_at(times)
 
 
-def joint_forces(own: Realised, position: Array, velocity: Array, command: Array) -> tuple[Array, Array]:
+def joint_forces(
+    own: Realised, position: Array, velocity: Array, command: Array, moved: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
     """Forces of the drives (n, na) and of gravity and motion on the joints (n, nj), without accelerations [N·m or N].
 
     Args:
@@ -479,15 +363,18 @@ def joint_forces(own: Realised, position: Array, velocity: Array, command: Array
         position: (n, nj) of the joints.
         velocity: (n, nj) their rates.
         command: (n, na) in force.
+        moved: (n, np + nu) positions and rates of the other joints, see ``others_along``; at rest at 0 by default.
     """
     model, data = own.mujoco, scratch.data(own.mujoco)
-    drives, weights = np.empty((len(position), model.nu)), np.empty(position.shape)
     which = [drive.index for drive in own.robot.actuators]
+    drives, weights = np.empty((len(position), len(which))), np.empty(position.shape)
+    moved = moved or (np.zeros((len(position), len(own.others))),) * 2
     for k in range(len(position)):
         data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = position[k], velocity[k]
         for q, v, joint in own.rotors:
             data.qpos[q], data.qvel[v] = position[k, joint], velocity[k, joint]
-        data.ctrl[:] = command[k]
+        data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = moved[0][k], moved[1][k]
+        data.ctrl[: command.shape[1]] = command[k]
         for drive in own.robot.actuators:
             if drive.state is not None:
                 settled = command[k, drive.control]
@@ -498,13 +385,20 @@ def joint_forces(own: Realised, position: Array, velocity: Array, command: Array
     return drives, weights
 
 
-def places_in_room(own: Realised, position: Array, places: Sequence[str]) -> Array:
-    """(n, k, 3) where k sites or bodies' centres of mass are in the room, with the joints at (n, nj) [m]."""
+def places_in_room(own: Realised, position: Array, places: Sequence[str], moved: Array) -> Array:
+    """(n, k, 3) where k sites or bodies' centres of mass are in the room [m].
+
+    Args:
+        own: the robot.
+        position: (n, nj) of the joints.
+        places: names of the sites and bodies.
+        moved: (n, np + nu) of the others.
+    """
     model, data = own.mujoco, scratch.data(own.mujoco)
     hooks = [hook_of(model, place) for place in places]
     found = np.empty((len(position), len(hooks), 3))
     for k in range(len(position)):
-        data.qpos[own.places[:, 0]] = position[k]
+        data.qpos[own.places[:, 0]], data.qpos[own.others[:, 0]] = position[k], moved[k]
         mujoco.mj_kinematics(model, data)
         found[k] = [data.xpos[body] + data.xmat[body].reshape(3, 3) @ point for body, point in hooks]
     return found

@@ -24,8 +24,9 @@ from equimus_ctrl.effects.command import DELAY, FILL, VENT, pressure_history
 from equimus_ctrl.effects.force import ForceEffect, force_effects
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind
 from equimus_ctrl.effects.valves import valve_settings
-from equimus_ctrl.engines.mjcf import Realised, commands_on, function_address, realise, scratch
+from equimus_ctrl.engines.mjcf import commands_on, moved_along
 from equimus_ctrl.engines.mjcf_kernel import called
+from equimus_ctrl.engines.mjcf_realised import Realised, function_address, realise, scratch
 from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.models.augmented import state_change
 from equimus_ctrl.models.model import Model
@@ -107,7 +108,8 @@ def applies(robot: Robot) -> bool:
         return False
     base = robot.plan.base
     filters = sum(int(kind) in FILTERS for kind in base.actuator_dyntype)
-    return bool(base.na == filters and not base.neq and base.nv == len(robot.joints))
+    known = len(robot.joints) + len(robot.prescribed_names)
+    return bool(base.na == filters and not base.neq and base.nv == known)
 
 
 def inverse_dynamics(model: Model, motions: Sequence[MeasuredMotion], width: int) -> list[InverseDynamics]:
@@ -137,10 +139,12 @@ def weighed_as_motion(values: Array, width: int) -> Array:
 def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMotion, width: int) -> InverseDynamics:
     """The same of one of them, of a robot with its effects but the laws at joints."""
     dt, stride = motion.interval, max(width // 2, 1)
-    shown = behind(own.sensor, motion.position)
-    rows = np.arange(1, len(shown) - 1)
+    moved = moved_along(own, motion.trial, motion.time)[0]
+    shown = np.column_stack([behind(own.sensor, motion.position), moved])
+    late = np.append(own.sensor[:, SENSOR_DELAY], np.zeros(moved.shape[1])) / dt
+    rows, nj = np.arange(1, len(shown) - 1), motion.position.shape[1]
     q, v, a = (
-        _earlier(own.sensor[:, SENSOR_DELAY] / dt, _smoothed(values, width))
+        _earlier(late, _smoothed(values, width))
         for values in (
             shown[rows],
             (shown[rows + 1] - shown[rows - 1]) / (2 * dt),
@@ -149,7 +153,8 @@ def _along_motion(own: Realised, laws: Sequence[ForceEffect], motion: MeasuredMo
     )
     u = weighed_as_motion(_commands(own, motion), width)
     q, v, a = (values[::stride].copy() for values in (q, v, a))
-    missing, drives = _evaluated(own, q, v, a, u)
+    missing, drives = (forces[:, :nj].copy() for forces in _evaluated(own, q, v, a, u))
+    q, v = q[:, :nj].copy(), v[:, :nj].copy()
     missing += own.loss * np.sign(v)
     names = own.robot.joint_names
     time = motion.time[0] - motion.trial.times[0] + dt * (width + stride * np.arange(len(q)))
@@ -277,7 +282,7 @@ def _commands(own: Realised, motion: MeasuredMotion) -> Array:
     """(n, na) means, between the middles of the intervals, of what drives make their forces of."""
     times, dt = motion.time, float(own.mujoco.opt.timestep)
     trial = replace(motion.trial, start=float(times[0]), sample_times=times + motion.interval)
-    steps = commands_on(own, trial)
+    steps = commands_on(own, trial)[:, : len(own.robot.actuators)]
     filtered = [drive for drive in own.robot.actuators if drive.state is not None]
     if filtered:
         lags = valve_settings((), own.robot.actuator_names)
@@ -286,14 +291,14 @@ def _commands(own: Realised, motion: MeasuredMotion) -> Array:
         lags[:, DELAY] = 0.0
         out = np.empty((len(steps), 2, steps.shape[1]))
         grid = np.asarray(trial.start + dt * np.arange(len(steps)), dtype=np.float64)
-        pressure_history(grid, steps, steps[0].copy(), lags, trial.start, dt, out)
+        pressure_history(grid, steps.copy(), steps[0].copy(), lags, trial.start, dt, out)
         steps = np.ascontiguousarray(out[:, 0])
     whole = np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0) * dt])
     edges = trial.start + dt * np.arange(len(whole))
     half = motion.interval / 2
     low, high = np.maximum(times - half, edges[0]), times + half
     columns = [(np.interp(high, edges, c) - np.interp(low, edges, c)) / (high - low) for c in whole.T]
-    return np.column_stack(columns)
+    return np.column_stack(columns) if columns else np.empty((len(times), 0))
 
 
 def _smoothed(values: Array, width: int) -> Array:
@@ -306,11 +311,11 @@ def _smoothed(values: Array, width: int) -> Array:
 
 
 def _evaluated(own: Realised, q: Array, v: Array, a: Array, u: Array) -> tuple[Array, Array]:
-    """(n, nj) M a + c − passive − drives, and the drives' forces at the joints."""
+    """(n, nj + np) M a + c − passive − drives, and the drives' forces at the joints, of motions (n, nj + np)."""
     model = own.mujoco
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     data = scratch.data(model)
-    joints = own.places[:, :2].copy()
+    joints = np.vstack([own.places[:, :2], own.moved])
     states = np.array(
         [(d.state, d.control) for d in own.robot.actuators if d.state is not None], dtype=np.int64
     ).reshape(-1, 2)

@@ -56,6 +56,9 @@ def run_mjcf(
     frictionloss: Array,
     driven: Array,
     dt: float,
+    moved: NDArray[np.int64],
+    given_q: Array,
+    given_v: Array,
     out_q: Array,
     out_v: Array,
     act: Array,
@@ -81,6 +84,9 @@ def run_mjcf(
         frictionloss: view of the model's dof_frictionloss.
         driven: view of the data's qfrc_actuator.
         dt: physics step [s].
+        moved: (np, 2) places in qpos and in qvel of joints whose motion is prescribed.
+        given_q: (steps + 1, np) where these are [rad or m].
+        given_v: (steps + 1, np) their rates.
         out_q: (steps + 1, nj) written: where the joints are.
         out_v: (steps + 1, nj) written: their rates.
         act: view of the data's.
@@ -88,6 +94,8 @@ def run_mjcf(
     """
     nj, nq, nv = len(places), len(qpos), len(qvel)
     for k in range(len(ctrl) + 1):
+        for m in range(len(moved)):
+            qpos[moved[m, 0]], qvel[moved[m, 1]] = given_q[k, m], given_v[k, m]
         for j in range(nj):
             out_q[k, j], out_v[k, j] = qpos[places[j, 0]], qvel[places[j, 1]]
             if not abs(out_v[k, j]) < fastest[j]:

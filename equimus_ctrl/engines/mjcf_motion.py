@@ -8,16 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.computer import threads, worker_count
-from equimus_ctrl.engines.mjcf import (
-    Course,
-    Realised,
-    commands_on,
-    follow,
-    forces_of,
-    inner_of,
-    measured_of,
-    realise,
-)
+from equimus_ctrl.engines.mjcf import Course, commands_on, follow, forces_of, inner_of, measured_of
+from equimus_ctrl.engines.mjcf_realised import Realised, realise
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.engines.trials import Condition, Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged

@@ -98,7 +98,8 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     nj, nv, na = len(own.joints), len(own.starts), len(own.channels)
     given = np.asarray(trial.position if start is None else start, dtype=np.float64)
     q0, v0 = given[:nj], np.zeros(nj) if trial.velocity is None else trial.velocity
-    v0 = given[nj:] if len(given) > nj else v0
+    v0 = given[nj : 2 * nj] if len(given) > nj else v0
+    q0, v0 = trial.begun(model.robot, q0, np.asarray(v0), given[2 * nj :])
     steps = max(int(np.ceil((times[-1] - trial.start) / dt - 1e-9)), 1)
     states, pressures = np.empty((steps + 1, kernel.N_STATE)), np.empty((steps, 2, na))
     shaped = np.clip(shaped_for(model, trial), *coded.between[0])
@@ -111,13 +112,13 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
         coded.follow,
         first_activations(coded, slice(0, 1), trial, q0[None]),
         q0[None, own.starts].copy(),
-        np.asarray(v0)[None, own.starts].copy(),
+        v0[None, own.starts].copy(),
         coded.rubbing,
         trial.start,
         dt,
         states,
         pressures,
-        trial.linear,
+        trial.lines(model.robot),
     )
     if not np.all(np.abs(states[:, nv : 2 * nv]) < MAX_SPEED):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
@@ -182,7 +183,8 @@ class _Grid:
         # A drive that turns by itself stands for its joint.
         joint_arms = np.zeros((len(times), len(length), len(own.joints)))
         for k, joint in enumerate(own.starts):
-            joint_arms[:, :, joint] += arms[:, :, k]
+            if joint < len(own.joints):
+                joint_arms[:, :, joint] += arms[:, :, k]
         return Inner(
             np.array(times), position[:, own.joints], velocity[:, own.joints], pressure, length.T, rate, joint_arms,
             position, velocity, state,

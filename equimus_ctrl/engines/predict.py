@@ -238,9 +238,7 @@ def _predict_moving(
 def _followed(
     model: Model, recording: Recording, trial: Trial, start: Array, engine: EngineName | None, dt: float | None
 ) -> Array:
-    found = engine_for(model, engine, dt, [recording.position]).simulate([model], [trial], [start[None, :]], threads=1)[
-        0
-    ]
+    found = engine_for(model, engine, dt, [recording.poses]).simulate([model], [trial], [start[None, :]], threads=1)[0]
     reached = int(found.reached[0])
     if reached < len(recording.time):
         raise SimulationDiverged(

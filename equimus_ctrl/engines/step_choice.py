@@ -111,6 +111,9 @@ def fastest_rate(model: Model, trials: Sequence[Trial], starts: Sequence[Array])
     """Largest |λ| [1/s] about the starts, with forces that nothing limits."""
     coded = encode([model], trials[0])
     own = coded.mechanics[0]
-    poses = np.concatenate(starts)[:FEW, : len(own.joints)][:, own.starts]
+    nj = len(own.joints)
+    rows = [own[:, :nj] for own in starts]
+    begun = [trial.begun(model.robot, q, q)[0] for trial, q in zip(trials, rows, strict=True)]
+    poses = np.concatenate(begun)[:FEW, own.starts]
     field = Field(coded.kernel, own.form.unlimited(coded.parameters[0]))
     return field.fastest(field.states(poses, np.zeros_like(poses)))

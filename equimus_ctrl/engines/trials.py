@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
@@ -10,8 +10,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.robots.base import Robot
-from equimus_ctrl.types import Array, Recording
+from equimus_ctrl.types import Array, PrescribedMotion, Recording
 
 R = TypeVar("R", bound=Robot)
 Condition = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, float], ...]]
@@ -54,6 +55,8 @@ class Trial:
         inner: whether the true motion at the sample times is wanted too, see ``Predicted.motion``.
         forces: whether the forces of the drives there are wanted too, see ``Predicted.forces``.
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
+        prescribed: how joints move whose motion is an input; they have no part in the vectors of joints above.
+        supposed: how joints may move that were not measured; they begin so where nothing else is said.
     """
 
     name: str
@@ -70,6 +73,8 @@ class Trial:
     linear: bool = False
     inner: bool = False
     forces: bool = False
+    prescribed: PrescribedMotion | None = None
+    supposed: PrescribedMotion | None = None
 
     @cached_property
     def condition(self) -> Condition:
@@ -86,15 +91,86 @@ class Trial:
         )
 
     @property
-    def history(self) -> tuple[Same, Same, bytes, bool]:
+    def history(self) -> tuple[Same, Same, bytes, bool, PrescribedMotion | None]:
         """Which commands these are, the same for shooting intervals of one recording: a key."""
-        return Same(self.times), Same(self.commands), self.before.tobytes(), self.linear
+        return Same(self.times), Same(self.commands), self.before.tobytes(), self.linear, self.prescribed
+
+    def motion_of(self, joints: Sequence[str]) -> PrescribedMotion:
+        """How joints move whose motion is an input.
+
+        Raises:
+            ConfigError: where the trial does not say how these move.
+        """
+        if self.prescribed is None or self.prescribed.joints != tuple(joints):
+            own = "none" if self.prescribed is None else ", ".join(self.prescribed.joints)
+            raise ConfigError(
+                f"{self.name}: has the motion of {own}, expected that of {', '.join(joints)}, which is prescribed"
+            )
+        return self.prescribed
+
+    @property
+    def moved(self) -> Array | None:
+        """(m, np) where joints whose motion is prescribed are at the sample times; None where there are none."""
+        return None if self.prescribed is None else self.prescribed.at(self.sample_times)[0]
+
+    def begun(self, robot: Robot, position: Array, velocity: Array, beside: Array | None = None) -> tuple[Array, Array]:
+        """Positions and velocities (…, nj) at the start with those of prescribed and unmeasured joints behind them.
+
+        Args:
+            robot: whose.
+            position: of its joints [rad or m].
+            velocity: theirs [rad/s or m/s].
+            beside: (…, 2 nl) those of unmeasured joints that begin anywhere; where it is empty as they are supposed to.
+
+        Raises:
+            ConfigError: where the trial does not say how prescribed joints move, or unmeasured ones begin.
+        """
+        if robot.prescribed_names:
+            q, v, _ = self.motion_of(robot.prescribed_names).at(self.start)
+            shape = (*position.shape[:-1], len(q))
+            position = np.concatenate([position, np.broadcast_to(q, shape)], axis=-1)
+            velocity = np.concatenate([velocity, np.broadcast_to(v, shape)], axis=-1)
+        if not robot.unmeasured_names:
+            return position, velocity
+        if beside is None or not beside.shape[-1]:
+            beside = self.loose_start(robot)
+        whole = np.broadcast_to(beside, (*position.shape[:-1], 2 * robot.loose_count))
+        return robot.with_unmeasured(position, velocity, whole)
+
+    def loose_start(self, robot: Robot) -> Array:
+        """(2 nl,) where unmeasured joints that begin anywhere are supposed to begin, and their rates.
+
+        Raises:
+            ConfigError: where the trial does not say so.
+        """
+        if self.supposed is None or self.supposed.joints != robot.unmeasured_names:
+            raise ConfigError(
+                f"{self.name}: does not say where {', '.join(robot.unmeasured_names)} may begin, expected a recording "
+                "that workflow.gather has read for the model"
+            )
+        q, v, _ = self.supposed.at(self.start)
+        return np.concatenate([q[: robot.loose_count], v[: robot.loose_count]])
+
+    def with_accelerations(self, robot: Robot, rows: Array) -> Array:
+        """(1 + n, na + np) rows of commands, the one before first, and accelerations of prescribed joints behind them.
+
+        Each is the command of the actuator by which its joint is moved, see ``robots.mjcf.prescribing``.
+        """
+        if not robot.prescribed_names:
+            return rows
+        found = self.motion_of(robot.prescribed_names).at(self.times)[2]
+        return np.column_stack([rows, np.vstack([found[:1], found])])
+
+    def lines(self, robot: Robot) -> NDArray[np.bool_]:
+        """(na + np,) which of these go along a line from row to row: accelerations do."""
+        counts = len(robot.actuator_names), len(robot.prescribed_names)
+        return np.repeat([self.linear, True], counts)
 
     def command_at(self, times: Array) -> Array:
         """(n, na) the commands in force at instants (n,) [s]."""
         rows = np.vstack([self.before, self.commands])
         at = np.searchsorted(self.times, times, side="right")
-        if not self.linear:
+        if not self.linear or not self.commands.shape[1]:
             return np.asarray(rows[at])
         between = np.column_stack([np.interp(times, self.times, column) for column in self.commands.T])
         return np.where(at[:, None] == 0, self.before, between)
@@ -122,6 +198,8 @@ class Trial:
             np.array(position, dtype=np.float64),
             np.array(time[inside]),
             linear=recording.linear,
+            prescribed=recording.prescribed,
+            supposed=recording.supposed,
         )
 
     def starting_from(self, position: ArrayLike) -> Trial:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.engines.mjcf_sites import site_names, site_positions
+from equimus_ctrl.engines.mjcf_sites import site_names, site_positions, unmeasured_sites
 from equimus_ctrl.engines.trials import Predicted
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.model import Model
@@ -66,18 +66,24 @@ class Channels:
     def _drives(self, robot: Robot) -> list[Drive]:
         return [mjcf_of(robot).actuators[i] for i in self.forces]
 
-    def of_motion(self, robot: Robot, motion: Array) -> Array:
-        """(k, m, ne) what velocities and sites would be in motions (k, m, 2 nj) of a robot's joints."""
+    def of_motion(self, robot: Robot, motion: Array, moved: Array | None = None) -> Array:
+        """(k, m, ne) what velocities and sites would be in motions (k, m, 2 nj) of a robot's joints.
+
+        Args:
+            robot: whose.
+            motion: positions and rates.
+            moved: (m, np) of joints whose motion is prescribed, see ``Trial.moved``.
+        """
         nj = motion.shape[2] // 2
         names = list(dict.fromkeys(name for name, _ in self.sites))
         rates = motion[:, :, [nj + j for j in self.velocities]]
         if not names:
             return rates
-        where = site_positions(mjcf_of(robot), motion[:, :, :nj], names)
+        where = site_positions(mjcf_of(robot), motion[:, :, :nj], names, moved)
         columns = [where[:, :, names.index(name), axis] for name, axis in self.sites]
         return np.concatenate([rates, np.stack(columns, axis=-1)], axis=2)
 
-    def changes(self, robot: Robot, motion: Array, change: Array, forces: Array) -> Array:
+    def changes(self, robot: Robot, motion: Array, change: Array, forces: Array, moved: Array | None = None) -> Array:
         """(m, ne, k) changes of these by small changes (m, 2 nj, k) of a motion (m, 2 nj), to first order.
 
         Args:
@@ -85,21 +91,22 @@ class Channels:
             motion: its joints' positions and rates.
             change: of them.
             forces: (m, na, k) changes of the drives' forces; without entries where none is compared.
+            moved: see ``of_motion``.
         """
         nj = motion.shape[1] // 2
         rates, driven = change[:, [nj + j for j in self.velocities]], forces[:, list(self.forces)]
         if not self.sites:
             return np.concatenate([rates, driven], axis=1)
-        moved = np.repeat(motion[None], nj + 1, axis=0)
-        moved[1:, :, :nj] += SMALL * np.eye(nj)[:, None]
-        where = replace(self, velocities=()).of_motion(robot, moved)
+        shifted = np.repeat(motion[None], nj + 1, axis=0)
+        shifted[1:, :, :nj] += SMALL * np.eye(nj)[:, None]
+        where = replace(self, velocities=()).of_motion(robot, shifted, moved)
         slopes = (where[1:] - where[0]) / SMALL  # (nj, m, ns)
         return np.concatenate([rates, np.einsum("jms,mjk->msk", slopes, change[:, :nj]), driven], axis=1)
 
-    def added(self, robot: Robot, found: Predicted) -> Predicted:
-        """Predictions with these beside the joints' positions."""
+    def added(self, robot: Robot, found: Predicted, moved: Array | None = None) -> Predicted:
+        """Predictions with these beside the joints' positions, see ``of_motion``."""
         assert found.motion is not None  # trials with channels ask for it
-        more = [self.of_motion(robot, found.motion)]
+        more = [self.of_motion(robot, found.motion, moved)]
         if self.forces:
             assert found.forces is not None
             more.append(found.forces[:, :, list(self.forces)])
@@ -133,6 +140,11 @@ def channels_of(model: Model, recording: Recording) -> Channels:
     for name, _, _ in parts:
         if name not in there:
             raise ConfigError(unknown_name("site", name, there, f"{recording.name}: column {SITE}{name}"))
+    if loose := [name for name, _, _ in parts if name in unmeasured_sites(mjcf_of(model.robot))]:
+        raise ConfigError(
+            f"{recording.name}: site {loose[0]} is moved by joints that are not measured, expected one that only "
+            "measured or prescribed joints move"
+        )
     return Channels(tuple(velocities), tuple((name, AXES.index(axis)) for name, _, axis in parts), tuple(forces))
 
 

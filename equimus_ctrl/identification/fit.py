@@ -144,7 +144,8 @@ class Fit:
         """Of all recordings and joints whose sensors' zeros were unknown."""
         values: dict[tuple[str, int], list[float]] = {}
         for segment, start in zip(self.problem.segments, self.starts, strict=True):
-            for j, value in zip(segment.zeros, start[len(start) - len(segment.zeros) :], strict=True):
+            first = 2 * segment.measured.shape[1]
+            for j, value in zip(segment.zeros, start[first : first + len(segment.zeros)], strict=True):
                 values.setdefault((segment.recording_name, j), []).append(float(value))
         joints = self.model.robot.joint_names
         return tuple(
@@ -190,7 +191,7 @@ def fit(
     """
     # The matrices are small: threads of the linear algebra would only fight with those of the simulation.
     with threadpool_limits(limits=1, user_api="blas"):
-        simulator = simulator or simulator_for(parameters.model, [s.measured for s in segments])
+        simulator = simulator or simulator_for(parameters.model, [s.poses for s in segments])
         problem = Problem(parameters, segments, simulator, noise, coarse)
         return _fit(problem, settings or FitSettings(), begin, earlier, notify)
 

@@ -50,10 +50,11 @@ class Segment:
         measured: (m, nj) positions of the joints at the sample times [rad or m].
         recording: which of the recordings it was cut from.
         recording_name: of that recording; trials of shooting intervals have names of their own.
-        start: (2 nj + nz,) positions and velocities at the start as the sensors show them, and how far their zeros are
-            off [rad, rad/s, rad or m, m/s, m].
+        start: (2 nj + nz + 2 nl,) positions and velocities at the start as the sensors show them, how far their zeros
+            are off, and positions and velocities of unmeasured joints that begin anywhere [rad, rad/s, rad or m, m/s,
+            m].
         free_start: how many components of the initial state are free: none, the angles (nj), angles and velocities
-            (2 nj), or these and the zeros. What was read off the measurements then counts as one more sample, see
+            (2 nj), or all. What was read off the measurements then counts as one more sample, see
             ``start_weights``.
         slope_span: half the time over which a start was read off [s].
         trust: (2 nj,) in a start that was read off, in units of that in a sample [1, s]; None for what a parabola
@@ -84,6 +85,14 @@ class Segment:
         """(m, nj + ne) all that is compared with predictions: positions of the joints, and what was measured beside."""
         return self.measured if self.also is None else np.column_stack([self.measured, self.also])
 
+    @property
+    def poses(self) -> Array:
+        """(m, nj + np + nu) ``measured``, and behind it where prescribed joints are and unmeasured ones may be."""
+        moved, supposed = self.trial.moved, self.trial.supposed
+        beside = [] if moved is None else [moved]
+        beside += [] if supposed is None else [supposed.at(self.trial.sample_times)[0]]
+        return np.column_stack([self.measured, *beside]) if beside else self.measured
+
     @cached_property
     def scales(self) -> Array:
         """(nj + ne,) how large residuals of each are beside those of joints [1, 1/s or m]."""
@@ -100,21 +109,27 @@ class Segment:
         """(free_start,) what a start's distance from the measured one weighs, in units of a sample's residual."""
         nj = self.measured.shape[1]
         trust = np.repeat([1.0, self.slope_span / 2], nj) if self.trust is None else self.trust
-        return np.append(trust, np.full(len(self.zeros), LEAST_TRUST))[: self.free_start]
+        return np.append(trust, np.full(len(self.start) - 2 * nj, LEAST_TRUST))[: self.free_start]
 
     @property
     def start_joints(self) -> list[int]:
-        """(free_start,) of which joint each free component is."""
+        """(free_start,) by which joint's noise each free component is judged: an unmeasured one's by the first's."""
         nj = self.measured.shape[1]
-        return [*range(nj), *range(nj), *self.zeros][: self.free_start]
+        known = [*range(nj), *range(nj), *self.zeros]
+        return [*known, *[0] * (len(self.start) - len(known))][: self.free_start]
 
-    def parted(self, starts: Array) -> tuple[Array, Array]:
-        """Starts (k, 2 nj + nz) as (k, 2 nj) what the sensors would show with a right zero, and (k, nj) their zeros."""
+    def parted(self, starts: Array) -> tuple[Array, Array, Array]:
+        """Starts (k, 2 nj + nz + 2 nl) in three parts.
+
+        (k, 2 nj) what the sensors would show with a right zero, (k, nj) their zeros, and (k, 2 nl) the unmeasured
+        joints.
+        """
         nj = self.measured.shape[1]
+        first = 2 * nj + len(self.zeros)
         shown, offsets = np.array(starts[:, : 2 * nj]), np.zeros((len(starts), nj))
-        offsets[:, self.zeros] = starts[:, 2 * nj :]
+        offsets[:, self.zeros] = starts[:, 2 * nj : first]
         shown[:, :nj] -= offsets
-        return shown, offsets
+        return shown, offsets, np.array(starts[:, first:])
 
 
 def cut(
@@ -211,9 +226,12 @@ def _shooting_intervals(
             linear=recording.linear,
             inner=bool(channels),
             forces=bool(channels.forces),
+            prescribed=recording.prescribed,
+            supposed=recording.supposed,
         )
         measured = np.array(recording.position[chosen])
-        whole = np.append(start, np.zeros(len(zeros)))
+        beside = trial.loose_start(model.robot) if model.robot.loose_count else ()
+        whole = np.concatenate([start, np.zeros(len(zeros)), beside])
         segments.append(
             Segment(
                 trial, measured, index, recording.name, whole, len(whole), span, trust, zeros, channels,

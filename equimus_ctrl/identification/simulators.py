@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from equimus_ctrl.engines.base import Engine
 from equimus_ctrl.engines.choice import STEP, ReducedEngine, engine_for
 from equimus_ctrl.engines.predict import behind_all
@@ -34,7 +36,7 @@ class Simulator:
         Args:
             models: that predict.
             segments: what was done.
-            starts: for each segment (k, 2 nj + nz), see ``Segment.start``, one row a model.
+            starts: for each segment (k, 2 nj + nz + 2 nl), see ``Segment.start``, one row a model.
         """
         if not any(model.by_group for model in models):
             return self._simulated(models, segments, starts)
@@ -49,15 +51,19 @@ class Simulator:
     def _simulated(
         self, models: Sequence[Model], segments: Sequence[Segment], starts: Sequence[Array]
     ) -> list[Predicted]:
-        shown, offsets = zip(*(s.parted(rows) for s, rows in zip(segments, starts, strict=True)), strict=True)
-        true = behind_all(models, shown)
+        parts = [s.parted(rows) for s, rows in zip(segments, starts, strict=True)]
+        shown, offsets, beside = zip(*parts, strict=True)
+        true = [
+            np.concatenate([joints, loose], axis=1)
+            for joints, loose in zip(behind_all(models, shown), beside, strict=True)
+        ]
         found = self.engine.simulate(models, [s.trial for s in segments], true, self.threads)
         shifted = [
             replace(own, position=own.position + offset[:, None]) if segment.zeros else own
             for segment, own, offset in zip(segments, found, offsets, strict=True)
         ]
         return [
-            segment.channels.added(models[0].robot, own) if segment.channels else own
+            segment.channels.added(models[0].robot, own, segment.trial.moved) if segment.channels else own
             for segment, own in zip(segments, shifted, strict=True)
         ]
 

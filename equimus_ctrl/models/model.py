@@ -164,7 +164,7 @@ def model_from_dict(
 
 
 def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[str, Edits], MjcfRobot] | None) -> Model:
-    known = ("format", "name", "mjcf", "lock", "ignore", "motors", "parameters", "effects")
+    known = ("format", "name", "mjcf", "lock", "ignore", "motors", "prescribe", "unmeasured", "parameters", "effects")
     for key in data:
         if key not in known:
             raise ConfigError(unknown_name("key", key, known, where))
@@ -182,12 +182,15 @@ def _mjcf_from_dict(data: Mapping[str, Any], where: str, read_mjcf: Callable[[st
 
 
 def _edits(data: Mapping[str, Any], where: str) -> Edits:
-    lock, ignore, motors = _numbers(data.get("lock", {}), f"{where}: lock"), data.get("ignore", []), data.get("motors")
-    if not isinstance(ignore, list) or not all(isinstance(name, str) for name in ignore):
-        raise ConfigError(f"{where}: ignore is {ignore!r}, expected a list of names of actuators and loose objects")
+    lock, motors = _numbers(data.get("lock", {}), f"{where}: lock"), data.get("motors")
+    ignore, prescribe, unmeasured = (data.get(key, []) for key in ("ignore", "prescribe", "unmeasured"))
+    kinds = ("ignore", ignore, "actuators and loose objects"), ("prescribe", prescribe, "joints")
+    for key, names, what in (*kinds, ("unmeasured", unmeasured, "joints")):
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ConfigError(f"{where}: {key} is {names!r}, expected a list of names of {what}")
     if not isinstance(motors, bool | None):
         raise ConfigError(f"{where}: motors is {motors!r}, expected true or false")
-    return Edits(lock, tuple(ignore), bool(motors))
+    return Edits(lock, tuple(ignore), bool(motors), tuple(prescribe), unmeasured=tuple(unmeasured))
 
 
 def _model_from_dict(data: Mapping[str, Any], where: str) -> Model:

@@ -132,9 +132,19 @@ class Experiment(CaseSource):
 
 
 def require_bare_mjcf(model: Model) -> None:
-    """Raise ConfigError where a model is of no MJCF robot, or has effects already."""
+    """Raise ConfigError where a model is of no MJCF robot, has effects already, or is moved as it was measured."""
     if model.robot.traits.catalogue != "mjcf":
         raise ConfigError(f"{model.name} is no MJCF robot; a leg's experiments are drawn")
+    if model.robot.prescribed_names:
+        raise ConfigError(
+            f"{model.name}: the motion of {', '.join(model.robot.prescribed_names)} is prescribed, expected a robot "
+            "whose joints all move by themselves: its ground truths are simulated"
+        )
+    if model.robot.unmeasured_names:
+        raise ConfigError(
+            f"{model.name}: {', '.join(model.robot.unmeasured_names)} is not measured, expected a robot whose joints "
+            "all are"
+        )
     if model.effects:
         raise ConfigError(f"{model.name} has effects already; prove with the robot alone")
 

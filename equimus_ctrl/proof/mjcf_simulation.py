@@ -22,7 +22,8 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.limits import MAX_SPEED
-from equimus_ctrl.engines.mjcf import Course, Realised, commands_on, filled, measured_of, realise, steps_of
+from equimus_ctrl.engines.mjcf import Course, commands_on, filled, measured_of, steps_of
+from equimus_ctrl.engines.mjcf_realised import Realised, realise
 from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import SimulationDiverged

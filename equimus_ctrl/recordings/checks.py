@@ -37,6 +37,7 @@ class Limits:
         joints: names that belong together: a file with one of them must have all of them.
         actuators: the same for actuators.
         missing: what to do where some of them are missing, for the message.
+        given: positions that are an input: of these no velocities are asked for.
     """
 
     command_low: float = 0.0
@@ -48,6 +49,7 @@ class Limits:
     joints: tuple[str, ...] = ("hip", "knee")
     actuators: tuple[str, ...] = ("maa", "baa")
     missing: str = ""
+    given: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.command_low < self.command_high:
@@ -66,12 +68,17 @@ class Limits:
 
     @classmethod
     def of_mjcf(
-        cls, joints: Sequence[str], actuators: Sequence[str], hinges: Sequence[str] = (), missing: str = ""
+        cls,
+        joints: Sequence[str],
+        actuators: Sequence[str],
+        hinges: Sequence[str] = (),
+        missing: str = "",
+        given: Sequence[str] = (),
     ) -> Limits:
         """Of a robot whose commands may be anything, and whose joints, of which some are hinges, may go without end."""
-        both = tuple(joints), tuple(actuators)
+        every, wide = (*joints, *given), (-math.inf, math.inf, math.inf)
         return cls(
-            -math.inf, math.inf, math.inf, both[0], tuple(hinges), joints=both[0], actuators=both[1], missing=missing
+            *wide, every, tuple(hinges), joints=every, actuators=tuple(actuators), missing=missing, given=tuple(given)
         )
 
 

@@ -1,7 +1,7 @@
 """The project's recording format: one CSV a trial.
 
-Header ``time,cmd.<actuator>…,pos.<joint>…`` with optional ``vel.<joint>`` (all joints or none),
-``meas.<actuator>`` (all actuators or none) and ``site.<site>.x``, ``.y``, ``.z`` (any), the columns in any
+Header ``time,cmd.<actuator>…,pos.<joint>…`` with optional ``vel.<joint>`` (all joints or none; ``Limits.given`` apart),
+``meas.<actuator>`` (of a leg all actuators or none) and ``site.<site>.x``, ``.y``, ``.z`` (any), the columns in any
 order, SI units, times strictly ascending. A command holds from its row until the next, or goes along a line to it (note
 ``interpolation = linear``). Lines starting with ``#`` before the header carry ``key = value`` notes;
 ``before.cmd.<actuator> = value`` (all actuators or none) states the command in force before the first row. Blank lines
@@ -61,37 +61,28 @@ def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
     """The trial in ``sheet``, checked."""
     groups = _columns(sheet, limits)
     joints, actuators = groups["pos"], groups["cmd"]
-    names = {
-        prefix: [f"{prefix}.{name}" for name in _order(prefix, groups) if name in groups[prefix]]
-        for prefix in PREFIXES
-        if groups[prefix]
-    }
+    names = {prefix: [f"{prefix}.{name}" for name in _order(prefix, groups)] for prefix in PREFIXES if groups[prefix]}
+    unmeasured = {name for prefix in ("vel", "meas") for name in names.get(prefix, ()) if name not in sheet.header}
     notes, before = _notes(sheet, actuators, limits)
     seen = [column for column in sheet.header if column.startswith(SITE)]
-    columns = ["time", *(column for group in names.values() for column in group), *seen]
+    whole = ["time", *(column for group in names.values() for column in group), *seen]
+    columns = [column for column in whole if column not in unmeasured]
     values = sheet.numbers(columns)
 
     def block(prefix: str) -> Array | None:
+        """With nan where nothing is measured."""
         if prefix not in names:
             return None
-        start = columns.index(names[prefix][0])
-        return values[:, start : start + len(names[prefix])]
-
-    def measured() -> Array | None:
-        """With nan for actuators that have no sensor."""
-        if "meas" not in names:
-            return None
-        return np.column_stack(
-            [
-                values[:, columns.index(f"meas.{name}")] if name in groups["meas"] else np.full(len(values), math.nan)
-                for name in actuators
-            ]
-        )
+        found = np.full((len(values), len(names[prefix])), np.nan)
+        there = [k for k, name in enumerate(names[prefix]) if name not in unmeasured]
+        found[:, there] = values[:, [columns.index(names[prefix][k]) for k in there]]
+        return found
 
     time, command, position = values[:, 0], block("cmd"), block("pos")
-    assert command is not None and position is not None  # _columns refuses a header without them
+    assert position is not None  # _columns refuses a header without them
+    command = np.empty((len(time), 0)) if command is None else command
     checks.check_time(sheet, "time", time, limits)
-    checks.check_commands(sheet, names["cmd"], command, limits)
+    checks.check_commands(sheet, names.get("cmd", ()), command, limits)
     checks.check_angles(sheet, joints, names["pos"], position, limits)
     return Recording(
         name=sheet.path.stem,
@@ -101,7 +92,7 @@ def from_sheet(sheet: Sheet, limits: Limits) -> Recording:
         actuators=actuators,
         joints=joints,
         velocity=block("vel"),
-        measured=measured(),
+        measured=block("meas"),
         before=before,
         notes=notes,
         sites={column.removeprefix(SITE): values[:, columns.index(column)] for column in seen},
@@ -133,7 +124,8 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
         ("commanded pressures in Pa", "joint angles in rad") if limits.pressures else ("commands", "joints' positions")
     )
     for prefix, what in zip(("cmd", "pos"), quantities, strict=True):
-        if not found[prefix]:
+        passive = prefix == "cmd" and not limits.actuators and not limits.pressures
+        if not found[prefix] and not passive:
             raise sheet.header_error(
                 f"there is no column '{prefix}.<{PREFIXES[prefix]}>'; {what} belong in such columns"
             )
@@ -147,7 +139,7 @@ def _columns(sheet: Sheet, limits: Limits) -> dict[str, tuple[str, ...]]:
                 )
         # A single drive may have a sensor of its force; what presses in actuators is measured in all of them.
         if found[prefix] and (prefix != "meas" or limits.pressures):
-            _demand_all(sheet, prefix, found[prefix], found[base], "")
+            _demand_all(sheet, prefix, found[prefix], [name for name in found[base] if name not in limits.given], "")
     return {prefix: tuple(names) for prefix, names in found.items()}
 
 

@@ -157,7 +157,7 @@ def _position_label(diagnosis: Diagnosis, joint: str) -> str:
 
 def _command_label(diagnosis: Diagnosis) -> str:
     shown = {units.command(diagnosis.model, name).unit for name in diagnosis.model.robot.actuator_names}
-    return f"[{', '.join(sorted(shown))}]" if shown != {""} else "command"
+    return f"[{', '.join(sorted(shown))}]" if shown - {""} else "command"
 
 
 def before_after_figure(diagnosis: Diagnosis) -> Figure:
@@ -262,7 +262,7 @@ def _columns(model: Model, segments: Sequence[Segment]) -> dict[str, list[tuple[
     positions = np.concatenate([s.measured for s in segments])
     rates = np.concatenate([speeds(s) for s in segments])
     given = np.concatenate([commands(s)[0] for s in segments])
-    since = np.concatenate([_since_step(s, float(given.max())) for s in segments])
+    since = np.concatenate([_since_step(s, float(given.max(initial=0.0))) for s in segments])
     names = model.robot.actuator_names
     shown = {name: units.command(model, name) for name in names}
     driving = {

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+
+import numpy as np
 
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect, Robots
@@ -112,6 +114,58 @@ class Robot(ABC):
     def actuator_names(self) -> tuple[str, ...]:
         """Actuator names in the order of every vector of commands."""
         return tuple(actuator.name for actuator in self.actuators)
+
+    @property
+    def prescribed_names(self) -> tuple[str, ...]:
+        """Joints beside these whose motion is an input: measured, and taken as it is."""
+        return ()
+
+    @property
+    def unmeasured_names(self) -> tuple[str, ...]:
+        """Joints beside these that no column tells of and that move by themselves, those that begin anywhere first."""
+        return ()
+
+    @property
+    def loose_count(self) -> int:
+        """How many of these begin anywhere; where the others begin follows, see ``with_unmeasured``."""
+        return 0
+
+    def with_unmeasured(self, position: Array, velocity: Array, beside: Array) -> tuple[Array, Array]:
+        """Positions and rates (…, nj + np) at a start with those of unmeasured joints behind them.
+
+        Args:
+            position: of the joints and of those whose motion is prescribed [rad or m].
+            velocity: theirs [rad/s or m/s].
+            beside: (…, 2 nl) positions and rates of unmeasured joints that begin anywhere.
+        """
+        return position, velocity
+
+    @property
+    def prescribed_columns(self) -> tuple[str, ...]:
+        """The positions that were recorded of them, by the columns' names."""
+        return ()
+
+    @property
+    def prescribed_range(self) -> tuple[Array, Array]:
+        """(low, high), each (np,): between what they can be [rad or m], ±inf where nothing says so."""
+        return np.empty(0), np.empty(0)
+
+    def prescribed_positions(self, where: str, recorded: Array) -> Array:
+        """(n, np) positions of these joints [rad or m], of (n, nc) what was recorded.
+
+        Args:
+            where: it was recorded, for messages.
+            recorded: ``prescribed_columns``.
+        """
+        return recorded
+
+    def suited(self, read: Callable[[], Sequence[tuple[str, Array]]]) -> Self:
+        """A copy whose prescribed joints suit some recordings, where there is a choice.
+
+        Args:
+            read: gives the name of each, and (n, nc) ``prescribed_columns``.
+        """
+        return self
 
     @property
     @abstractmethod

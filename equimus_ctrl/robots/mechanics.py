@@ -50,7 +50,8 @@ class Mechanics:
         form: of the equations.
         parameters: (np,) of the form.
         joints: (nj,) which of the form's coordinates is each joint's.
-        starts: (n,) which joint each of the form's coordinates moves with at a start.
+        starts: (n,) which joint each of the form's coordinates moves with at a start; those whose motion is prescribed
+            or not measured are counted on behind the joints.
         law_places: kind of place → the form's places at which force laws act, by name.
         channels: of the actuators.
     """

@@ -11,8 +11,9 @@ import numpy as np
 from numba import njit
 
 from equimus_ctrl.controllers.pid_kernel import blend, pid_command, pid_start, static_feed
-from equimus_ctrl.effects.command import advance_pressure, shape_command
+from equimus_ctrl.effects.command import advance_pressure
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, follow, read, recall
+from equimus_ctrl.effects.shaping import shape_command
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ROWS,
@@ -123,7 +124,7 @@ def run_loop(
         nominal: constants of the robot that the controller computes with, see ``compiled.prepared``.
         valve: (k, na, 6), see ``effects.command.advance_pressure``.
         sensor: (k, nj, 4), see ``effects.sensors``.
-        shaping: (m, 3), see ``effects.command.shape_command``.
+        shaping: (m, 3), see ``effects.shaping.shape_command``.
         gains: (k, 7, nz), see ``pid_start``.
         lengths: whether channels are actuator lengths, else joint angles.
         feedforward: whether the controller adds the static pressures, where nothing is planned.

@@ -85,7 +85,8 @@ def diagnose_recordings(
     check_settings(chosen, parts)
     check_fitted(groups, parts.train)
     search = SearchSettings(most_parts=options.most)
-    notes = (*preflight.coarse_steps(model.robot, trials), *((told(gains),) if gains else ()))
+    told_before = (*preflight.other_joints(model.robot, trials), *preflight.coarse_steps(model.robot, trials))
+    notes = (*told_before, *((told(gains),) if gains else ()))
     settings = DiagnosisSettings(
         search, options.threads, options.engine, tuple(options.exclude), options.budget, notes=notes
     )

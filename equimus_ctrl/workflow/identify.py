@@ -69,7 +69,7 @@ def simulator_of(
     names = get_args(EngineName)
     if engine is not None and engine not in names:
         raise ConfigError(unknown_name("engine", engine, names))
-    positions = [trial.position for trial in trials]
+    positions = [trial.poses for trial in trials]
     chosen = engine_for(model or nominal_model(), cast("EngineName | None", engine), dt, positions)
     return Simulator(chosen, threads)
 

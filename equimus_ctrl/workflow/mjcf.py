@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from equimus_ctrl import presets
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, SensorDelay
 from equimus_ctrl.effects.valves import TransportDelay
-from equimus_ctrl.engines.mjcf import realise
+from equimus_ctrl.engines.mjcf_realised import realise
+from equimus_ctrl.engines.supposed import with_supposed
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.identification.parameters import default_bounds, default_names, matching, unit_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.recordings import Limits
 from equimus_ctrl.recordings.sets import read_with_files
+from equimus_ctrl.recordings.smoothing import smoothed
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.editing import Edits, edited
 from equimus_ctrl.robots.mjcf.export import exported
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-from equimus_ctrl.types import Recording
+from equimus_ctrl.types import Array, Recording
 
 FORMAT = "equimus-ctrl/parameters/1"
-UNRECORDED = "a joint that was not measured is held by --lock, an actuator that was not recorded left out by --ignore"
+UNRECORDED = (
+    "a joint that was not measured is held by --lock, or moves by itself with --unmeasured; an actuator that was not "
+    "recorded is left out by --ignore"
+)
 
 
 def load_mjcf(path: Path, source: str | None = None, edits: Edits | None = None) -> MjcfRobot:
@@ -41,7 +48,7 @@ def load_mjcf(path: Path, source: str | None = None, edits: Edits | None = None)
     edits = edits or Edits()
     name, xml, assets = presets.read_mjcf(path)
     if edits:
-        xml = edited(path.name, xml, assets, edits)
+        xml, edits = edited(path.name, xml, assets, edits)
     try:
         return MjcfRobot(name, xml, assets, source or path.name, edits)
     except ModelError as error:
@@ -61,12 +68,65 @@ def read_trials_with_files(files: Sequence[Path], robot: Robot) -> tuple[tuple[P
     Raises:
         RecordingError: where a file cannot be read or lacks one of them.
     """
+    return tuple((path, as_modelled(trial, robot)) for path, trial in _read(files, robot))
+
+
+def suited(model: Model, files: Sequence[Path]) -> Model:
+    """A model of a robot whose prescribed joints suit the motion in some files, see ``Robot.suited``."""
+    if not files:
+        return model
+
+    def read() -> list[tuple[str, Array]]:
+        columns = model.robot.prescribed_columns
+        trials = [trial for _, trial in _read(files, model.robot)]
+        return [(t.name, t.position[:, [t.joints.index(name) for name in columns]]) for t in trials]
+
+    return replace(model, robot=model.robot.suited(read))
+
+
+def _read(files: Sequence[Path], robot: Robot) -> tuple[tuple[Path, Recording], ...]:
+    """Trials as they were recorded, each with its file."""
     if robot.traits.commands_are_pressures:
         return read_with_files(files)
-    joints, actuators = robot.joint_names, robot.actuator_names
-    hinges = [name for name in joints if not robot.slides(name)]
-    limits = Limits.of_mjcf(joints, actuators, hinges, UNRECORDED)
-    return read_with_files(files, joints=joints, actuators=actuators, limits=limits)
+    joints, actuators, given = robot.joint_names, robot.actuator_names, robot.prescribed_columns
+    columns = [*joints, *(name for name in robot.prescribed_names if name in given)]
+    hinges = [name for name in columns if not robot.slides(name)]
+    limits = Limits.of_mjcf(joints, actuators, hinges, UNRECORDED, given)
+    return read_with_files(files, joints=(*joints, *given), actuators=actuators, limits=limits)
+
+
+def as_modelled(trial: Recording, robot: Robot) -> Recording:
+    """A trial with how prescribed joints moved, and unmeasured ones may have moved.
+
+    Raises:
+        ConfigError: where that cannot be made of it.
+    """
+    return with_supposed(with_prescribed(trial, robot), robot)
+
+
+def with_prescribed(trial: Recording, robot: Robot) -> Recording:
+    """A trial in which the positions of joints whose motion is prescribed are that motion, and no measurements.
+
+    Raises:
+        ConfigError: where it cannot be made of them.
+    """
+    columns = robot.prescribed_columns
+    if not columns or trial.prescribed is not None or not set(columns) <= set(trial.joints):
+        return trial
+    given = trial.position[:, [trial.joints.index(name) for name in columns]]
+    kept = [j for j, name in enumerate(trial.joints) if name not in columns]
+    velocity = None if trial.velocity is None else trial.velocity[:, kept]
+    if velocity is not None and np.isnan(velocity).all():
+        velocity = None  # that of prescribed joints alone was measured
+    return replace(
+        trial,
+        position=trial.position[:, kept],
+        joints=tuple(trial.joints[j] for j in kept),
+        velocity=velocity,
+        prescribed=smoothed(
+            trial.name, robot.prescribed_names, trial.time, robot.prescribed_positions(trial.name, given)
+        ),
+    )
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict, nominal_model
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-from equimus_ctrl.workflow.mjcf import load_mjcf, write_corrected
+from equimus_ctrl.workflow.mjcf import load_mjcf, suited, write_corrected
 
 
 def load_model(
@@ -20,6 +20,9 @@ def load_model(
     lock: Mapping[str, float] | None = None,
     ignore: Sequence[str] = (),
     motors: bool = False,
+    prescribe: Sequence[str] = (),
+    unmeasured: Sequence[str] = (),
+    recordings: Sequence[Path | str] = (),
 ) -> Model:
     """The model in a model file, of MuJoCo's XML or of a URDF; the nominal leg where ``path`` is None.
 
@@ -28,26 +31,37 @@ def load_model(
         lock: joint → where it is held [rad or m], of an MJCF robot: what was not measured.
         ignore: actuators that are left out, for they were not recorded, and loose objects: bodies with a free joint.
         motors: whether each joint without an actuator gets a motor, see ``robots.mjcf.editing.Edits``.
+        prescribe: names or patterns of joints whose motion was measured and is taken as it is.
+        unmeasured: names or patterns of joints that no column tells of and that move by themselves.
+        recordings: files or folders that it is to be compared with, by which the axes are chosen about which a free
+            base that is prescribed turns.
 
     Raises:
         ConfigError, ModelError: where the file cannot be read or describes no model.
     """
-    edits = Edits(dict(lock or {}), tuple(ignore), motors)
+    edits = Edits(dict(lock or {}), tuple(ignore), motors, tuple(prescribe), unmeasured=tuple(unmeasured))
     if path is None:
         if edits:
-            raise ConfigError("joints are held and actuators left out of MJCF robots alone; name one by --model")
+            raise ConfigError(
+                "joints are held, prescribed or not measured, and actuators left out, of MJCF robots alone; name one "
+                "by --model"
+            )
         return nominal_model()
+    files = [Path(own) for own in recordings]
     if Path(path).suffix.lower() in presets.MJCF:
-        return Model(load_mjcf(Path(path), edits=edits))
+        return suited(Model(load_mjcf(Path(path), edits=edits)), files)
     folder, data = Path(path).parent, presets.read_toml(Path(path))
     if not data:
         raise ConfigError(f"{path}: is empty; a model file has a morphology, parameters or effects, or names an mjcf")
 
     def read(name: str, own: Edits) -> MjcfRobot:
-        both = Edits({**own.lock, **edits.lock}, (*own.ignore, *edits.ignore), own.motors or edits.motors)
+        both = Edits(
+            {**own.lock, **edits.lock}, (*own.ignore, *edits.ignore), own.motors or edits.motors,
+            (*own.prescribe, *edits.prescribe), unmeasured=(*own.unmeasured, *edits.unmeasured),
+        )  # fmt: skip
         return load_mjcf(folder / name, name, both)
 
-    return model_from_dict(data, str(path), read)
+    return suited(model_from_dict(data, str(path), read), files)
 
 
 def load_elastic(path: Path | str | None = None) -> Model:

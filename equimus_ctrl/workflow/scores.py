@@ -18,7 +18,7 @@ from equimus_ctrl.options import ScoreOptions, with_changes
 from equimus_ctrl.recordings import read_set
 from equimus_ctrl.scenarios.scoring import on_grid
 from equimus_ctrl.types import Array, Recording
-from equimus_ctrl.workflow.mjcf import read_trials
+from equimus_ctrl.workflow.mjcf import as_modelled, read_trials
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def gather(
     trials = [item for item in given if isinstance(item, Recording)]
     if files or not trials:
         trials += read_set(files) if model is None else read_trials(files, model.robot)
-    return trials
+    return trials if model is None else [as_modelled(trial, model.robot) for trial in trials]
 
 
 def score_recordings(
@@ -117,7 +117,7 @@ def score_recordings(
     for trial in trials:
         check_columns(model, trial)
     scores = []
-    chosen = engine_for(model, options.engine, positions=[trial.position for trial in trials])
+    chosen = engine_for(model, options.engine, positions=[trial.poses for trial in trials])
     for k, trial in enumerate(trials):
         predicted = predict(model, trial, engine=chosen.name)
         error = _scored_error(trial, predicted, options.window, options.rate)

@@ -31,28 +31,31 @@ _DYNAMICS = tuple(
 )
 LEAST = 1e-15
 """MuJoCo's least divisor."""
+AWAY = 0.3
+"""From the file's own pose, where moment arms might vanish [rad or m]."""
 TAKEN = (
     "motor, position, velocity, intvelocity, damper, cylinder, muscle, general with fixed or affine gain and bias, pid "
     "and dcmotor, at joints, tendons, sites and sliders with a crank"
 )
 
 
-def drives_of(base: Any, name: str, joints: Sequence[Axis]) -> tuple[Drive, ...]:
+def drives_of(base: Any, name: str, joints: Sequence[Axis], but: Sequence[str] = ()) -> tuple[Drive, ...]:
     """All commands of all actuators.
 
     Args:
         base: MuJoCo's model.
         name: of the robot, for messages.
         joints: all of it.
+        but: actuators that are left out; where there are any, a robot needs no others to be moved.
 
     Raises:
         ModelError: for an actuator without a name, or of a kind that neither engine takes.
     """
     moments = _moments(base, mujoco.MjData(base))
     found: list[Drive] = []
-    for i in range(base.nactuator):
+    for i in (k for k in range(base.nactuator) if base.actuator(k).name not in but):
         found += _commands(base, i, name, joints, moments[int(base.actuator_outadr[i])])
-    if not found:
+    if not found and not but:
         raise ModelError(f"{name}: has no actuator with a command; --motors gives each joint a motor")
     return tuple(found)
 
@@ -63,6 +66,13 @@ def _moments(base: Any, data: Any) -> Array:
     moments = np.zeros((base.nout, base.nv))
     mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
     return moments
+
+
+def moments_away(base: Any) -> Array:
+    """(nout, nv) moments of actuators ``AWAY`` from the file's own pose, where they might vanish."""
+    data = mujoco.MjData(base)
+    data.qpos[:] += AWAY
+    return _moments(base, data)
 
 
 def moments_at(base: Any, joints: Sequence[str], positions: Array) -> Array:
@@ -187,10 +197,10 @@ def drive_parameters(base: Any, drives: Sequence[Drive]) -> list[ModelParameter]
 
 def _law_of(base: Any, i: int) -> Callable[[Any, Drive, str, str], Iterator[ModelParameter]]:
     gain = int(base.actuator_gaintype[i])
-    return _own_law if gain in OWN else _peak_force if _is_muscle(base, i) else _gain_and_bias
+    return _own_law if gain in OWN else _peak_force if is_muscle(base, i) else _gain_and_bias
 
 
-def _is_muscle(model: Any, i: int) -> bool:
+def is_muscle(model: Any, i: int) -> bool:
     """Whether an actuator's force is MuJoCo's force of a muscle, by its length and how fast that changes."""
     return int(model.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_MUSCLE)
 
@@ -209,7 +219,7 @@ def hold_peak_forces(model: Any, base: Any) -> None:
         base: of the file.
     """
     for i in range(base.nactuator):
-        if _is_muscle(base, i):
+        if is_muscle(base, i):
             k = model.actuator(base.actuator(i).name).id
             model.actuator_gainprm[k, 2] = model.actuator_biasprm[k, 2] = peak_force(base, i)
 
@@ -288,7 +298,7 @@ def exerts_its_command(base: Any, drive: Drive) -> bool:
 def scale_force(model: Any, actuator: str, factor: float) -> None:
     """Make an actuator's force, a gain and a bias, so many times as large."""
     i = model.actuator(actuator).id
-    entries = slice(2, 3) if _is_muscle(model, i) else slice(0, 3)
+    entries = slice(2, 3) if is_muscle(model, i) else slice(0, 3)
     model.actuator_gainprm[i, entries] *= factor
     model.actuator_biasprm[i, entries] *= factor
 

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from equimus_ctrl.errors import ModelError, unknown_name
+from equimus_ctrl.robots.mjcf.free_base import SEQUENCES, free_joints
+from equimus_ctrl.robots.mjcf.prescribing import AT_JOINTS, chosen
 from equimus_ctrl.types import Array
-
-AT_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 @dataclass(frozen=True)
@@ -29,23 +29,35 @@ class Edits:
         lock: joint → where it is held [rad or m].
         ignore: actuators and loose objects that are left out.
         motors: whether each joint without an actuator gets a motor of its name, whose command is its force [N·m or N].
+        prescribe: joints whose motion was measured and is taken as it is, see ``prescribing``; of a robot their names,
+            else also patterns.
+        unmeasured: joints that no column tells of and that move by themselves, see ``unmeasured``; named alike.
+        turns: free joint among these → axes of the hinges that take its place, as the recordings ask for.
     """
 
     lock: Mapping[str, float] = field(default_factory=dict)
     ignore: tuple[str, ...] = ()
     motors: bool = False
+    prescribe: tuple[str, ...] = ()
+    turns: Mapping[str, str] = field(default_factory=dict)
+    unmeasured: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.lock or self.ignore or self.motors)
+        return bool(self.lock or self.ignore or self.motors or self.prescribe or self.unmeasured)
 
     def to_dict(self) -> dict[str, Any]:
         """What a model file says of them."""
-        said: dict[str, Any] = {"lock": dict(self.lock), "ignore": list(self.ignore), "motors": self.motors}
+        said: dict[str, Any] = {
+            "lock": dict(self.lock), "ignore": list(self.ignore), "motors": self.motors,
+            "prescribe": list(self.prescribe), "unmeasured": list(self.unmeasured),
+        }  # fmt: skip
         return {key: value for key, value in said.items() if value}
 
 
-def edited(name: str, xml: str, assets: Mapping[str, bytes], edits: Edits) -> str:
-    """The XML of a robot with some edits.
+def edited(name: str, xml: str, assets: Mapping[str, bytes], edits: Edits) -> tuple[str, Edits]:
+    """The XML of a robot with some edits, and these with names in the place of patterns.
+
+    What is prescribed is left as it is there.
 
     Args:
         name: of the robot, for messages.
@@ -62,14 +74,25 @@ def edited(name: str, xml: str, assets: Mapping[str, bytes], edits: Edits) -> st
         _ignore(name, spec, edits.ignore)
         for joint, value in edits.lock.items():
             _lock(name, spec, joint, value)
+        prescribed = chosen(name, spec, edits.prescribe, "prescribe")
+        unmeasured = chosen(name, spec, edits.unmeasured, "unmeasured")
+        if both := [joint for joint in unmeasured if joint in prescribed]:
+            raise ModelError(f"{name}: {both[0]} is prescribed and unmeasured, expected one of both")
+        free = [joint for joint in free_joints(spec) if joint in prescribed]
+        edits = replace(edits, prescribe=prescribed, turns=dict.fromkeys(free, SEQUENCES[0]), unmeasured=unmeasured)
+        if edits == Edits(prescribe=prescribed, turns=edits.turns, unmeasured=unmeasured):
+            return xml, edits
         if edits.motors:
-            driven = {own.target for own in spec.actuators if int(own.trntype) in AT_JOINTS}
+            driven = {own.target for own in spec.actuators if int(own.trntype) in AT_JOINTS} | {
+                *prescribed,
+                *unmeasured,
+            }
             for own in spec.joints:
                 if own.name not in driven and own.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
                     motor = spec.add_actuator(name=own.name, target=own.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
                     motor.set_to_motor()
         spec.compile()
-        return str(spec.to_xml())
+        return str(spec.to_xml()), edits
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         what = ", ".join([*edits.lock, *edits.ignore]) or "motors added"

@@ -6,6 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from equimus_ctrl.types import Array
+
 SLIDING = {
     "rad": "m", "rad/s": "m/s", "N·m": "N", "N·m/rad": "N/m", "N·m·s/rad": "N·s/m", "N·m·s²/rad²": "N·s²/m²",
     "N·m·s/rad/s": "N·s/m/s", "kg·m²": "kg",
@@ -57,6 +61,27 @@ class Axis:
     dof: int
     slides: bool
     range: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Tie:
+    """How a joint follows another by an equality: q − q₀ = Σ cₖ (q' − q'₀)ᵏ, k from 0 to 4.
+
+    Attributes:
+        leader: q'; None where the joint is held.
+        zeros: q₀ and q'₀ of the file's own pose [rad or m].
+        coefficients: cₖ.
+    """
+
+    leader: str | None
+    zeros: tuple[float, float]
+    coefficients: tuple[float, ...]
+
+    def follow(self, position: Array, velocity: Array) -> tuple[Array, Array]:
+        """Where the joint is and how fast, of its leader's position and rate."""
+        along = np.polynomial.Polynomial(self.coefficients)
+        off = position - self.zeros[1]
+        return self.zeros[0] + along(off), along.deriv()(off) * velocity
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from equimus_ctrl.robots.mjcf.held_bodies import held_tendons
 from equimus_ctrl.robots.mjcf.parts import surface_of, tether_of, with_parts_spec
 from equimus_ctrl.robots.mjcf.plan import Assets
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -40,7 +41,11 @@ def exported(
         body.iquat, body.explicitinertial, body.fullinertia = model.body_iquat[b], True, [math.nan] * 6
         for geom in body.geoms:
             geom.mass = 0.0
+    given = {own.name for own in spec.joints} & set(robot.edits.prescribe)
+    driven = {model.actuator(k).name for k in range(model.nactuator)}
     for joint in spec.joints:
+        if joint.name in given:
+            continue  # what moves it was not looked for
         j, d = model.joint(joint.name).id, model.joint(joint.name).dofadr[0]
         joint.damping = [model.dof_damping[d], *model.dof_dampingpoly[d]]
         joint.armature, joint.frictionloss = model.dof_armature[d], model.dof_frictionloss[d]
@@ -49,6 +54,8 @@ def exported(
         joint.springref = model.qpos_spring[model.joint(joint.name).qposadr[0]] * (1.0 if slides else turn)
         joint.solref_friction, joint.solimp_friction = model.dof_solref[d], model.dof_solimp[d]
     for actuator in spec.actuators:
+        if actuator.name not in driven:
+            continue
         a = model.actuator(actuator.name).id
         actuator.gainprm, actuator.biasprm = model.actuator_gainprm[a], model.actuator_biasprm[a]
         actuator.biastype, actuator.dynprm = model.actuator_biastype[a], model.actuator_dynprm[a]
@@ -59,8 +66,11 @@ def exported(
             _buffer(actuator, model)
         actuator.forcelimited, actuator.forcerange = model.actuator_forcelimited[a], model.actuator_forcerange[a]
         actuator.lengthrange = model.actuator_lengthrange[a]  # that of a muscle, which its force depends on
+    held = held_tendons(model, robot.prescribed_names)
     for tendon in spec.tendons:
         t = tendon.id
+        if t in held:
+            continue  # as it is in the file
         tendon.limited, tendon.range = model.tendon_limited[t], model.tendon_range[t]
         tendon.solref_limit, tendon.solimp_limit = model.tendon_solref_lim[t], model.tendon_solimp_lim[t]
         tendon.stiffness = [model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t]]

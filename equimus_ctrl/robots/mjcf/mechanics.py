@@ -23,6 +23,7 @@ def mechanics_of(
     xml: str,
     assets: Assets,
     joint_names: Sequence[str],
+    other_names: Sequence[str],
     drives: Mapping[str, Drive],
     tethers: Sequence[Tether],
     surfaces: Sequence[Surface],
@@ -35,6 +36,7 @@ def mechanics_of(
         xml: from which it was made.
         assets: files that the XML names.
         joint_names: of the joints that are measured.
+        other_names: of those whose motion is an input, or not measured.
         drives: joint whose drive turns by itself → see ``packing.pack``.
         tethers: springs to points of the room.
         surfaces: level planes in it that points touch.
@@ -46,7 +48,8 @@ def mechanics_of(
     form = _form((xml, assets, bool(drives), bool(tethers), bool(surfaces), bool(couplings)), model)
     names = [link.name for link in form.links]
     joints = np.array([names.index(name) for name in joint_names], dtype=np.int64)
-    starts = np.array([list(joint_names).index(name) for name in names], dtype=np.int64)
+    order = [*joint_names, *other_names]
+    starts = np.array([order.index(name) for name in names], dtype=np.int64)
     loose = {names.index(name): drive for name, drive in drives.items()}
     springs, touches = {}, {}
     for tether in tethers:

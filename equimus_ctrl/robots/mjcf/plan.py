@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from dataclasses import field as made
 from functools import lru_cache
 from typing import Any
 
@@ -14,19 +15,33 @@ import numpy as np
 from equimus_ctrl.errors import ModelError
 from equimus_ctrl.robots.mjcf.actuators import drive_parameters, drives_of
 from equimus_ctrl.robots.mjcf.editing import name_actuators
-from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, ModelParameter, setter
+from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive, ModelParameter, Tie, setter
+from equimus_ctrl.robots.mjcf.free_base import columns_of
+from equimus_ctrl.robots.mjcf.held_bodies import moved_bodies
 from equimus_ctrl.robots.mjcf.inertia import SHAPE
+from equimus_ctrl.robots.mjcf.prescribing import motor_of, prescribe
+from equimus_ctrl.robots.mjcf.unmeasured import check_drives, ties_of
 from equimus_ctrl.types import Array
 
 
 @dataclass(frozen=True)
 class Assets:
-    """Files by name, compared by what they are, so that plans can be kept."""
+    """What a model is made of beside its XML, compared by what it is, so that plans can be kept.
+
+    Attributes:
+        files: that the XML names.
+        prescribed: joints whose motion is an input.
+        turns: free joint among them → axes of the hinges that take its place.
+        unmeasured: joints that no column tells of and that move by themselves.
+    """
 
     files: Mapping[str, bytes]
+    prescribed: tuple[str, ...] = ()
+    turns: Mapping[str, str] = made(default_factory=dict)
+    unmeasured: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
-        return hash(tuple(sorted(self.files)))
+        return hash((tuple(sorted(self.files)), self.prescribed, self.unmeasured))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +50,10 @@ class Plan:
 
     Attributes:
         base: MuJoCo's model of it, not to be changed.
-        joints: all of them.
-        drives: all actuators.
+        joints: all of them, but for those that are prescribed or not measured.
+        prescribed: joints whose motion is an input.
+        unmeasured: joints that no column tells of, with what ties them to others, see ``unmeasured.ties_of``.
+        drives: all actuators, but for those by which prescribed joints are moved.
         bodies: names of those that move.
         sites: names of those that move.
         parameters: by dotted name.
@@ -46,6 +63,8 @@ class Plan:
 
     base: Any
     joints: tuple[Axis, ...]
+    prescribed: tuple[Axis, ...]
+    unmeasured: tuple[tuple[Axis, Tie | None], ...]
     drives: tuple[Drive, ...]
     bodies: tuple[str, ...]
     sites: tuple[str, ...]
@@ -68,6 +87,8 @@ def spec_of(xml: str, assets: Assets) -> Any:
     name_actuators(spec)
     for body in spec.bodies:
         body.simple = False  # what is balanced now may be unbalanced by a payload
+    if assets.prescribed:
+        prescribe(spec, assets.prescribed, assets.turns)
     return spec
 
 
@@ -80,15 +101,34 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
     """
     base = _compiled(xml, assets, name)
     _check(base, name, xml)
-    joints = _joints(base, name)
-    drives = drives_of(base, name, joints)
-    moves = [b for b in range(1, base.nbody) if base.body_dofnum[b] or base.body_weldid[b]]
+    every = _joints(base, name)
+    motors = [base.actuator(k).name for k in range(base.nactuator)] if assets.prescribed else []
+    moved = sorted((j for j in every if motor_of(j.name) in motors), key=lambda j: motors.index(motor_of(j.name)))
+    prescribed = tuple(replace(joint, range=_kept_range(base, joint)) for joint in moved)
+    beside = [joint for joint in every if joint.name in assets.unmeasured]
+    joints = tuple(joint for joint in every if joint not in moved and joint not in beside)
+    if moved and base.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
+        raise ModelError(
+            f"{name}: the XML switches actuators off, expected them on where the motion of joints is prescribed; leave "
+            '<flag actuation="disable"/> out'
+        )
+    if not joints:
+        if beside:
+            raise ModelError(f"{name}: no joint is left that is measured and not prescribed, expected one at least")
+        raise ModelError(f"{name}: the motion of all joints is prescribed, expected one at least that moves by itself")
+    others = [motor_of(joint.name) for joint in prescribed]
+    if beside:
+        check_drives(base, name, joints, others)
+    drives = drives_of(base, name, joints, others)
+    unmeasured = tuple(ties_of(base, name, [joint.name for joint in (*joints, *prescribed)], beside))
+    free = (*joints, *beside)
+    moves = moved_bodies(base, (joint.dof for joint in free))
     bodies = tuple(n for b in moves if (n := base.body(b).name) and base.body_mass[b] > 0)
     sites = tuple(
         s.name for s in (base.site(i) for i in range(base.nsite)) if s.name and base.site_bodyid[s.id] in moves
     )
-    axis = _tilt_axis(base)
-    parameters = [*_body_parameters(base, bodies), *_joint_parameters(base, joints), *drive_parameters(base, drives)]
+    axis = _tilt_axis(base, joints)
+    parameters = [*_body_parameters(base, bodies), *_joint_parameters(base, free), *drive_parameters(base, drives)]
     size = float(np.linalg.norm(base.opt.gravity))
     down = np.array(base.opt.gravity)
 
@@ -103,7 +143,8 @@ def plan_of(name: str, xml: str, assets: Assets) -> Plan:
     if size > 0:
         parameters += [ModelParameter("gravity", size, "m/s²", heavy)]
     parameters += [ModelParameter("tilt", 0.0, "rad", turned)]
-    return Plan(base, joints, drives, bodies, sites, {n.name: n for n in parameters}, axis, _weights(base, joints))
+    named, weights = {n.name: n for n in parameters}, _weights(base, free)
+    return Plan(base, joints, prescribed, unmeasured, drives, bodies, sites, named, axis, weights)
 
 
 SHORTEST, LONGEST = 1e-6, 0.1
@@ -152,11 +193,9 @@ def _joints(base: Any, name: str) -> tuple[Axis, ...]:
     for i in range(base.njnt):
         joint, kind = base.joint(i), int(base.jnt_type[i])
         if kind not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
-            what = "free" if kind == int(kinds.mjJNT_FREE) else "ball"
-            raise ModelError(
-                f"{name}: joint {joint.name or i!r} is a {what} joint, expected hinges and slides alone: the base has "
-                f"to be fixed{_way_out(base, i)}"
-            )
+            if kind == int(kinds.mjJNT_FREE):
+                raise ModelError(_free(base, name, i))
+            raise ModelError(f"{name}: joint {joint.name or i!r} is a ball joint, expected hinges and slides alone")
         if not joint.name:
             raise ModelError(f"{name}: joint {i} has no name, by which a recording's columns could be identified")
         limited = bool(base.jnt_limited[i])
@@ -168,17 +207,27 @@ def _joints(base: Any, name: str) -> tuple[Axis, ...]:
     return tuple(found)
 
 
-def _way_out(base: Any, joint: int) -> str:
-    """What to do about a free joint where there is a robot without its body and what hangs on it."""
-    body = int(base.jnt_bodyid[joint])
-    if int(base.jnt_type[joint]) != int(mujoco.mjtJoint.mjJNT_FREE):
-        return ""
-    if all(int(base.body_rootid[other]) == int(base.body_rootid[body]) for other in base.jnt_bodyid):
-        return ""
-    own = base.body(body).name
-    if not own:
-        return "; a loose object in the scene is left out by --ignore BODY, for which its body needs a name"
-    return f"; a loose object in the scene is left out by --ignore {own}"
+def _kept_range(base: Any, joint: Axis) -> tuple[float, float]:
+    """Where the file lets a prescribed joint be, which no longer ends its motion, see ``prescribing``."""
+    low, high = (float(end) for end in base.jnt_range[joint.index])
+    return (low, high) if low < high else (-math.inf, math.inf)
+
+
+def _free(base: Any, name: str, index: int) -> str:
+    """What to do about a free joint: of a base, and where there is a robot without its body of a loose object."""
+    joint, body = base.joint(index).name, int(base.jnt_bodyid[index])
+    measured = "it gets a name, by which --prescribe takes its measured pose"
+    if joint:
+        columns = ", ".join(f"pos.{own}" for own in columns_of(joint))
+        measured = f"its pose measured ({columns}) and taken as it is by --prescribe {joint}"
+    loose = ""
+    if any(int(base.body_rootid[other]) != int(base.body_rootid[body]) for other in base.jnt_bodyid):
+        own = base.body(body).name or "BODY, for which its body needs a name"
+        loose = f"; a loose object in the scene is left out by --ignore {own}"
+    return (
+        f"{name}: joint {joint or index!r} is a free joint, expected hinges and slides alone: the base has to be "
+        f"fixed, or {measured}{loose}"
+    )
 
 
 def _weights(base: Any, joints: Sequence[Axis]) -> dict[str, float]:
@@ -189,7 +238,7 @@ def _weights(base: Any, joints: Sequence[Axis]) -> dict[str, float]:
     return {joint.name: float(whole[joint.dof, joint.dof]) for joint in joints}
 
 
-def _tilt_axis(base: Any) -> Array:
+def _tilt_axis(base: Any, joints: Sequence[Axis]) -> Array:
     """A horizontal axis about which turning gravity matters to the first joint for which it does."""
     data = mujoco.MjData(base)
     mujoco.mj_kinematics(base, data)
@@ -197,10 +246,9 @@ def _tilt_axis(base: Any) -> Array:
     size = np.linalg.norm(down)
     if size > 0:
         down /= size
-        for i in range(base.njnt):
-            own = data.xaxis[i]
-            slides = int(base.jnt_type[i]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
-            axis = np.cross(down, own) if slides else own - down * (down @ own)
+        for joint in joints:
+            own = data.xaxis[joint.index]
+            axis = np.cross(down, own) if joint.slides else own - down * (down @ own)
             if np.linalg.norm(axis) > 0.1:
                 return np.asarray(axis / np.linalg.norm(axis))
     return np.array([0.0, 1.0, 0.0])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar
@@ -22,11 +22,11 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError, ModelError, unknown_name
 from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
-from equimus_ctrl.robots.mjcf.actuators import OWN, exerts_its_command, hold_peak_forces, limit_force, scale_force
+from equimus_ctrl.robots.mjcf.actuators import OWN, exerts_its_command
+from equimus_ctrl.robots.mjcf.bounds import POSITIVE, bounds_of, size_of
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
-from equimus_ctrl.robots.mjcf.independent import independent
-from equimus_ctrl.robots.mjcf.inertia import SHAPE, add_mass, reshape_inertias
+from equimus_ctrl.robots.mjcf.independent import base_names, default_names
 from equimus_ctrl.robots.mjcf.mechanics import mechanics_of
 from equimus_ctrl.robots.mjcf.obstacles import obstacles
 from equimus_ctrl.robots.mjcf.parts import (
@@ -37,52 +37,21 @@ from equimus_ctrl.robots.mjcf.parts import (
     Surface,
     Tether,
     hardness,
-    lay,
-    loosen,
-    rub,
-    stretch,
     with_parts,
 )
 from equimus_ctrl.robots.mjcf.plan import Assets, Plan, plan_of, spec_of
+from equimus_ctrl.robots.mjcf.prescribing import ease_solver, prescribed_positions, recorded_columns, suited_turns
 from equimus_ctrl.robots.mjcf.reading import next_hinges
 from equimus_ctrl.robots.mjcf.scratch import Scratch
+from equimus_ctrl.robots.mjcf.traits import TRAITS
+from equimus_ctrl.robots.mjcf.unmeasured import tied
+from equimus_ctrl.robots.mjcf.writing import write, write_parameters
 from equimus_ctrl.types import Array, frozen_array
 
 BASE = "base"
 """The place of what concerns the whole robot."""
 LEAST_PLAY = 2e-9
 """A play that is none [rad or m]."""
-_FACTOR = {
-    "mass": 3.0, "inertia": 3.0, "kp": 3.0, "kv": 10.0, "gain": 2.0, "gravity": 1.02, "stiffness": 10.0,
-    "damping": 10.0, "quadratic_damping": 10.0, "armature": 10.0, "frictionloss": 10.0, "force_limit": 3.0,
-    "time_constant": 10.0, "delay": 3.0, "force": 3.0, "activation_time": 10.0, "deactivation_time": 10.0,
-}  # fmt: skip
-_AWAY = dict.fromkeys(SHAPE, 0.5) | {"com_x": 0.1, "com_y": 0.1, "com_z": 0.1, "tilt": 0.3, "springref": 1.0}
-QUICK = {"damping": 100.0, "quadratic_damping": 100.0, "frictionloss": 100.0, "stiffness": 1e4, "armature": 10.0}
-"""Upper bound of a joint's parameter that is 0 in the file: this multiple of what causes an acceleration of 1."""
-RUBS = ("damping", "quadratic_damping", "frictionloss")
-"""Kinds of a joint's parameters that a file often has for want of better ones: what it says bounds them nowhere."""
-POSITIVE = frozenset(_FACTOR) - {"gain"}
-"""Kinds of parameters that are at least 0."""
-
-TRAITS = RobotTraits(
-    catalogue="mjcf",
-    starts_at_rest=False,
-    held_in_place=False,
-    smooth_motion=False,
-    forces_along_actuators=False,
-    commands_are_pressures=False,
-    same_kind_of_trials=False,
-    notes_set_parameters=True,
-    keeps_states_of_laws=False,
-    has_stance=False,
-    damping_known_within=None,
-    bounds_of_any_size=True,
-    least_command=0.0,
-    least_motion=1e-4,
-    most_angle=math.inf,
-)
-"""Motors drive hinges and slides that nothing need hold in place; recordings are what somebody has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,13 +102,67 @@ class MjcfRobot(Robot):
         """SHA-256 of all that it is but its name and the file's."""
         files = [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(self.assets.items())]
         parts = (self.xml, files, sorted(self.values.items()), self.payloads, self.compliances, self.gains, self.limits)
-        whole = (*parts, *(own for own in (self.tethers, self.surfaces, self.couplings) if own))
+        given = self.edits.prescribe, sorted(self.edits.turns.items()), self.edits.unmeasured
+        whole = (*parts, *(own for own in (self.tethers, self.surfaces, self.couplings, *given) if own))
         return hashlib.sha256(repr(whole).encode()).hexdigest()
 
     @cached_property
     def plan(self) -> Plan:
         """What the file says."""
-        return plan_of(self.name, self.xml, Assets(self.assets))
+        return plan_of(self.name, self.xml, self.beside_xml)
+
+    @cached_property
+    def beside_xml(self) -> Assets:
+        """What its model is made of beside the XML."""
+        return Assets(self.assets, self.edits.prescribe, self.edits.turns, self.edits.unmeasured)
+
+    @property
+    def prescribed_names(self) -> tuple[str, ...]:
+        """Joints whose motion is an input, see ``robots.mjcf.prescribing``."""
+        return tuple(joint.name for joint in self.plan.prescribed)
+
+    @property
+    def unmeasured_names(self) -> tuple[str, ...]:
+        """As of any robot, see ``robots.mjcf.unmeasured``."""
+        return tuple(joint.name for joint, _ in self.plan.unmeasured)
+
+    @property
+    def loose_count(self) -> int:
+        """As of any robot: those that are tied to no other."""
+        return sum(tie is None for _, tie in self.plan.unmeasured)
+
+    def with_unmeasured(self, position: Array, velocity: Array, beside: Array) -> tuple[Array, Array]:
+        """As of any robot; tied ones are where their ties put them."""
+        if not self.plan.unmeasured:
+            return position, velocity
+        return tied(self.plan.unmeasured, (*self.joint_names, *self.prescribed_names), position, velocity, beside)
+
+    @property
+    def prescribed_columns(self) -> tuple[str, ...]:
+        """As of any robot; the pose of a free base, see ``free_base.POSE``."""
+        return recorded_columns(self.edits.prescribe, self.edits.turns)
+
+    @property
+    def prescribed_range(self) -> tuple[Array, Array]:
+        """As of any robot: what the file says of them."""
+        low, high = ([joint.range[side] for joint in self.plan.prescribed] for side in (0, 1))
+        return frozen_array(low, 1), frozen_array(high, 1)
+
+    def prescribed_positions(self, where: str, recorded: Array) -> Array:
+        """As of any robot.
+
+        Raises:
+            ConfigError: for what is no pose of a free base, or one that its hinges cannot follow.
+        """
+        return prescribed_positions(where, self.edits.prescribe, self.edits.turns, recorded)
+
+    def suited(self, read: Callable[[], Sequence[tuple[str, Array]]]) -> MjcfRobot:
+        """As of any robot: with the hinges in the place of free joints that suit, see ``free_base.sequence_for``."""
+        if not self.edits.turns:
+            return self
+        return replace(
+            self, edits=replace(self.edits, turns=suited_turns(self.edits.prescribe, self.edits.turns, read()))
+        )
 
     @cached_property
     def joints(self) -> tuple[Axis, ...]:
@@ -204,32 +227,15 @@ class MjcfRobot(Robot):
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Default bounds (lowest, highest) of a free parameter of this kind."""
-        value, kind = self.parameters()[name], self.plan.parameters[name].kind
-        place = name.rpartition(".")[0]
-        if kind in RUBS and place in self.joint_names:
-            return 0.0, max(value * _FACTOR[kind], float(self.plan.weights[place]) * QUICK[kind])
-        if kind in _FACTOR and (value > 0 or (value and kind not in POSITIVE)):
-            ends = value / _FACTOR[kind], value * _FACTOR[kind]
-            return min(ends), max(ends)
-        away = _AWAY.get(kind, max(abs(value), 1.0))
-        if kind in QUICK and place in self.joint_names:
-            away = float(self.plan.weights[place]) * QUICK[kind]
-        return (max(value - away, 0.0) if kind in POSITIVE else value - away), value + away
+        return bounds_of(self.plan, self.parameters()[name], name)
 
     def size(self, name: str) -> float | None:
-        """Of a change of a joint's number that counts: what it takes for an acceleration of 1 rad/s² or m/s² there.
-
-        Of others that are not 0 it is the number itself.
-        """
-        place, _, kind = name.rpartition(".")
-        value = abs(self.parameters()[name])
-        if value and (kind not in RUBS or place not in self.joint_names):
-            return None
-        return max(value, float(self.plan.weights.get(place, 1.0)))
+        """Of a change of a parameter that counts, see ``bounds.size_of``."""
+        return size_of(self.plan, self.parameters()[name], name)
 
     def slides(self, joint: str) -> bool:
         """Whether a joint is a slide."""
-        return next(axis.slides for axis in self.joints if axis.name == joint)
+        return next(axis.slides for axis in self._axes if axis.name == joint)
 
     def place_unit(self, unit: str, place: str) -> str:
         """The unit of something at a joint or actuator, see ``Robot.place_unit``."""
@@ -242,7 +248,12 @@ class MjcfRobot(Robot):
             unit = own.pop() if len(own) == 1 else "1"
             return "1" if unit == "1" else f"1/({unit})" if "·" in unit else f"1/{unit}"
         joint = drive.joint if drive else place
-        return SLIDING.get(hinge, hinge) if joint in self.joint_names and self.slides(joint) else hinge
+        return SLIDING.get(hinge, hinge) if any(own.name == joint and own.slides for own in self._axes) else hinge
+
+    @property
+    def _axes(self) -> tuple[Axis, ...]:
+        """Of all joints, whatever is known of their motion."""
+        return (*self.joints, *self.plan.prescribed, *(joint for joint, _ in self.plan.unmeasured))
 
     def driven_joints(self, actuator: str) -> frozenset[str]:
         """The joint that a drive is at, or drives most."""
@@ -345,7 +356,7 @@ class MjcfRobot(Robot):
         """(2, na) the XML's ``ctrlrange`` of each command, where MuJoCo clips commands there."""
         if self.plan.base.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
             return None
-        return np.array([drive.range for drive in self.actuators]).T
+        return np.array([drive.range for drive in self.actuators]).reshape(-1, 2).T
 
     @property
     def sharing(self) -> tuple[str, ...]:
@@ -394,12 +405,12 @@ class MjcfRobot(Robot):
         Raises:
             ConfigError: for an actuator whose force is not a gain and a bias.
         """
-        i = self.plan.base.actuator(self._actuator(actuator)).id
+        i = self.plan.base.actuator(self.actuator_of(actuator)).id
         if int(self.plan.base.actuator_gaintype[i]) in OWN:
             raise ConfigError(f"{self.name}: actuator {actuator!r} has a law of its own, expected a gain and a bias")
         return replace(self, gains=(*self.gains, (actuator, factor)))
 
-    def _actuator(self, command: str) -> str:
+    def actuator_of(self, command: str) -> str:
         """MuJoCo's actuator that takes a command."""
         return next(drive.actuator for drive in self.actuators if drive.name == command)
 
@@ -408,9 +419,9 @@ class MjcfRobot(Robot):
         return replace(self, limits=(*self.limits, (actuator, size)))
 
     def mechanics(self) -> Mechanics:
-        assets = Assets(self.assets)
+        assets = self.beside_xml
         model, data = _scratch.blank(self.xml, assets, self.plan.base)
-        self._write_parameters(model)
+        write_parameters(model, self)
         drives = {}
         for c in self.compliances:
             dof = int(model.joint(c.joint).dofadr[0])
@@ -418,12 +429,14 @@ class MjcfRobot(Robot):
             model.dof_armature[dof] = 0.0
         mujoco.mj_setConst(model, data)
         parts = self.tethers, self.surfaces, self.couplings
-        return mechanics_of(model, self.xml, assets, self.joint_names, drives, *parts)
+        return mechanics_of(
+            model, self.xml, assets, self.joint_names, (*self.prescribed_names, *self.unmeasured_names), drives, *parts
+        )
 
     @property
     def obstacles(self) -> tuple[str, ...]:
         """What compiled equations of motion cannot hold of it, a phrase each; contacts are another matter."""
-        return _obstacles(self.xml, Assets(self.assets))
+        return _obstacles(self.xml, self.beside_xml)
 
     def mujoco_model(self, timestep: float | None = None) -> Any:
         """An ``mujoco.MjModel`` of one's own with all of this in it.
@@ -433,13 +446,15 @@ class MjcfRobot(Robot):
         """
         model = copy.copy(self._base())
         model.opt.timestep = timestep or model.opt.timestep
-        self._write(model)
+        write(model, self)
         mujoco.mj_setConst(model, mujoco.MjData(model))
+        if self.prescribed_names:
+            ease_solver(model, self.prescribed_names)
         return model
 
     def _base(self) -> Any:
         """MuJoCo's model of the file, with what ``with_parts`` adds to it; not to be changed."""
-        return with_parts(self.xml, Assets(self.assets), self.parts) if self.parts else self.plan.base
+        return with_parts(self.xml, self.beside_xml, self.parts) if self.parts else self.plan.base
 
     @property
     def parts(self) -> Parts:
@@ -449,58 +464,13 @@ class MjcfRobot(Robot):
         bare = tuple(replace(own, friction=0.0, damping=0.0) for own in self.couplings)
         return Parts(joints, tethered, touching, bare)
 
-    def _write_parameters(self, model: Any) -> None:
-        """Put all that is not as in the file into a copy of its model, except drives that turn by themselves."""
-        hold_peak_forces(model, self.plan.base)
-        for name, value in self.values.items():
-            self.plan.parameters[name].write(model, value)
-        reshape_inertias(model, self._shapes())
-        for place, mass, beside in self.payloads:
-            add_mass(model, place, mass, beside)
-        for name, factor in self.gains:
-            scale_force(model, self._actuator(name), factor)
-        for name, size in self.limits:
-            limit_force(model, self._actuator(name), size)
-
-    def _shapes(self) -> dict[str, list[float]]:
-        """Body → how its mass is spread, see ``SHAPE``, where that is not as in the file."""
-        bodies = {name.rpartition(".")[0] for name, value in self.values.items() if value and name.endswith(SHAPE)}
-        return {body: [self.values.get(f"{body}.{kind}", 0.0) for kind in SHAPE] for body in sorted(bodies)}
-
-    def _write(self, model: Any) -> None:
-        """Put all that is not as in the file into a copy of its model."""
-        self._write_parameters(model)
-        for c in self.compliances:
-            loosen(model, c, self.parameters()[f"{c.joint}.armature"])
-        for tether in self.tethers:
-            stretch(model, tether)
-        for surface in self.surfaces:
-            lay(model, surface)
-        for coupling in self.couplings:
-            rub(model, coupling)
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-
     def default_names(self) -> list[str]:
-        """Parameters that are free by default: masses, inertias, and those of joints that are not 0 in the file.
-
-        Those that others can replace are not among them. Centres of mass, the orientation of inertias and actuators are
-        taken to be known.
-        """
-        own = [n.name for n in self.plan.parameters.values()]
-        values = self.parameters()
-        wanted = [
-            n for kind in ("mass", "inertia", "armature") for n in own if n.endswith(f".{kind}") and values[n] > 0
-        ]
-        kept = independent(self, wanted)
-        kinds = ("damping", "quadratic_damping", "frictionloss", "stiffness")
-        return kept + [n for kind in kinds for n in own if n.rpartition(".")[2] == kind and values[n] > 0]
+        """Parameters that are free by default, see ``independent.default_names``."""
+        return default_names(self, self.plan.parameters)
 
     def base_names(self) -> list[str]:
-        """Of masses, centres, inertias and armatures as many as there are base parameters, see ``independent``."""
-        own = self.plan.parameters.values()
-        kinds = "mass", "com_x", "com_y", "com_z", "inertia", *SHAPE, "armature"
-        wanted = [n.name for kind in kinds for n in own if n.kind == kind]
-        return independent(self, [n for n in wanted if not n.endswith(".armature") or self.parameters()[n] > 0])
+        """Inertial parameters, as many as there are base parameters, see ``independent.base_names``."""
+        return base_names(self, self.plan.parameters)
 
 
 def mjcf_of(robot: Robot) -> MjcfRobot:
