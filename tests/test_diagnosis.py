@@ -123,7 +123,7 @@ def test_a_search_goes_on_once_after_an_effect_was_rejected(monkeypatch: pytest.
             (), {k: "said so" for k, label in enumerate(labels) if label != kept and kept in labels}
         )
 
-    monkeypatch.setattr("equimus_ctrl.diagnosis.stages.residual_analysis", refusing)
+    monkeypatch.setattr("equimus_ctrl.diagnosis.smooth_laws.residual_analysis", refusing)
     model = nominal_model()
     effects = (parse("dead_zone:baa:threshold=2000"), parse("coulomb_friction:knee:friction=0.01"))
     parts = split(model, recordings(effects), validation=["trial_3"])
