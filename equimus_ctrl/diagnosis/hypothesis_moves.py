@@ -134,7 +134,7 @@ class HypothesisMoves:
         lower = known.base.deviance - fitted.deviance
         if lower <= CONVERGED_GAIN:
             return True
-        lack = min((option.deviance for option in options), default=math.inf) - rival
+        lack = min((option.deviance for option in options), default=-math.inf) - rival
         return rival < math.inf and self.settings.optimism * lower < lack
 
     def extensions(
@@ -347,13 +347,16 @@ class HypothesisMoves:
             option, best = options[place], options[0].deviance
             close = best + settings.kept_share * max(fitted.deviance - best, 0.0) + settings.kept_gain
             ranked = settings.many_minima or option.fit.converged
-            if option.deviance > close or (place >= settings.kept and ranked) or out_of_reach(option):
+            if option.deviance > close or (place >= settings.kept and ranked):
                 return option
-            noise = white_noise(option.fit.residuals)
-            longer = self.data.coarse_fit(
-                option.hypothesis, [option.begin], noise, settings.long_steps, settled=fitted.labels
-            )
-            option = min(option, longer, key=lambda f: f.deviance)
+            if not out_of_reach(option):
+                noise = white_noise(option.fit.residuals)
+                longer = self.data.coarse_fit(
+                    option.hypothesis, [option.begin], noise, settings.long_steps, settled=fitted.labels
+                )
+                option = min(option, longer, key=lambda f: f.deviance)
+            elif place:
+                return option
             if place == 0:
                 option = self._or_of_other_sign(fitted, option)
             gain = fitted.deviance - option.deviance

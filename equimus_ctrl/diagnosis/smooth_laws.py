@@ -15,17 +15,19 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Literal, cast
 
 import casadi as ca
 import numpy as np
 from scipy.special import chdtri
 
+from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, carried_over, confirms
 from equimus_ctrl.diagnosis.coordinates import Coordinate
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
+from equimus_ctrl.diagnosis.localization import speeds
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
@@ -34,15 +36,20 @@ from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.excitation import Excitation
+from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.smooth import SmoothForce, splines
+from equimus_ctrl.engines.mjcf_inverse import law_force
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.types import Array
 
 ASKED = 0.05
-"""Simulated is what chance would explain in the torque domain with at most this probability. It decides nothing."""
+"""Simulated is what chance would explain in the torque domain with at most this probability, over all that is asked. It
+decides nothing."""
 WIDER = (1, 2)
 """Widths of the test functions at which that is asked, over that of the search: wide ones see slow forces better."""
+DRAWN = 1e-3
+"""A smooth force can draw a law of which it leaves less than this share; splines follow a jump no closer."""
 POINTS = 61
 CONFIDENT = 1.96
 
@@ -83,24 +90,29 @@ class SmoothLaw:
 def analysed(search: Search, state: SearchState, split: Split) -> ResidualAnalysis:
     """The analysis of the residuals that a search's end leaves, with smooth forces beside its laws.
 
-    Where robots are held in place, residual forces say as much to first order.
+    Where robots are held in place, residual forces say as much to first order. Where the budget ends, what they say.
     """
     own = residual_analysis(search.data, state.base, state.best, state.without)
     if own.redundant or not state.best.hypothesis or search.data.free.model.robot.traits.held_in_place:
         return own
-    laws = beside(search, state, split)
-    replaced = dict.fromkeys(redundant(search, state, laws), GENERALISED)
-    return ResidualAnalysis(_together(own.unexplained, as_residual_forces(search, laws)), replaced)
+    try:
+        laws = beside(search, state, split)
+        replaced = redundant(search, state, laws)
+    except BudgetSpent:
+        return own
+    told = {law.joint: law for law in (*laws, *replaced.values())}
+    forces = [_residual_force(search, law) for law in told.values()]
+    return ResidualAnalysis(_together(own.unexplained, forces), dict.fromkeys(sorted(replaced), GENERALISED))
 
 
-def _together(known: tuple[Unexplained, ...], smooth: Sequence[ResidualForce]) -> tuple[Unexplained, ...]:
-    """Residual forces to first order, and smooth ones at other joints; the strongest first."""
+def _together(known: Sequence[Unexplained], smooth: Sequence[ResidualForce]) -> tuple[Unexplained, ...]:
+    """Residual forces to first order, and smooth ones at other joints, the strongest first; then other joints' rest."""
     forces = [force for force in known if isinstance(force, ResidualForce)]
-    if len(forces) < len(known):  # joints whose residuals no force explains
-        return known
     forces += [force for force in smooth if force.location not in {own.location for own in forces}]
     total = sum(force.gain for force in forces)
-    return tuple(replace(force, share=force.gain / total) for force in sorted(forces, key=lambda f: -f.gain))
+    shared = [replace(force, share=force.gain / total) for force in sorted(forces, key=lambda f: -f.gain)]
+    places = {force.location for force in forces}
+    return (*shared, *(own for own in known if not isinstance(own, ResidualForce) and own.location not in places))
 
 
 def beside(search: Search, state: SearchState, split: Split) -> tuple[SmoothLaw, ...]:
@@ -114,7 +126,7 @@ def beside(search: Search, state: SearchState, split: Split) -> tuple[SmoothLaw,
     found: dict[str, SmoothLaw] = {}
     for joint, shape, candidate in _asked_for(search, best):
         law = _fitted(search, best, joint, shape, candidate)
-        if law is None or not search.accepts(best, law.fitted):
+        if law is None:
             continue
         if search.data.thresholds.decides(partial(_but_a_trace, law.gain, whole)):
             continue
@@ -132,27 +144,77 @@ def _but_a_trace(gain: float, whole: float, t: Thresholds) -> bool:
     return gain < t.trace * (whole + gain)
 
 
-def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> tuple[int, ...]:
-    """Places of parts at a smooth force's joint that explain nothing more beside it.
+def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> dict[int, SmoothLaw]:
+    """Places of friction laws that a smooth force at their joint shows not to be the right ones, and that force.
 
-    Where the force gains hardly anything over what the part does, the part stays: what is left is another thing.
+    A law that the force could not draw by itself is none where it explains nothing more beside the force. One that it
+    could, viscous friction where the force is the speed times a function of the angle, is another law where that
+    function without it is no constant: by more than the share from which on hypotheses are distinguished. Other parts
+    stay: what is left is then another thing.
     """
-    places: list[int] = []
+    found: dict[int, SmoothLaw] = {}
     for law in laws:
         for k, part in enumerate(state.best.hypothesis):
-            fall = state.without[k].deviance - state.best.deviance
-            if law.joint not in _joints_of(search, part) or k in places:
+            if part.candidate.locations != (law.joint,) or not _rubs(part):
                 continue
-            if not search.data.thresholds.decides(partial(_distinguished, law.gain, fall)):
+            drawn = _drawn(search, law, part)
+            if drawn and not (law.shape.times_rate and part.candidate.effect.depends() == {"vel"}):
                 continue
-            simpler = _without(search, law, k)
-            if simpler is not None and not search.accepts(simpler, law.fitted):
-                places.append(k)
-    return tuple(sorted(places))
+            alone = _without(search, law, k)
+            if alone is None or search.accepts(alone, law.fitted):
+                continue
+            other = replace(law, fitted=alone)
+            if not drawn or search.data.thresholds.decides(partial(_another_law, _beyond(search, other, part))):
+                found.setdefault(k, other)
+    return found
 
 
-def _distinguished(gain: float, fall: float, t: Thresholds) -> bool:
-    return gain > t.indistinguishable_share * fall
+def _another_law(share: float, t: Thresholds) -> bool:
+    return share > t.indistinguishable_share
+
+
+def _rubs(part: Part) -> bool:
+    """Whether a part is a law of the speed, and of the angle at most beside it."""
+    law = part.candidate.effect.depends() or set()
+    return issubclass(part.candidate.effect, ForceEffect) and "vel" in law and law <= {"pos", "vel"}
+
+
+def _along(search: Search, joint: str) -> tuple[Array, Array]:
+    """(n,) positions and rates of a joint at the instants that were measured."""
+    data = search.data
+    j = data.free.model.robot.joint_names.index(joint)
+    return (
+        np.concatenate([segment.measured[:, j] for segment in data.segments]),
+        np.concatenate([speeds(segment)[:, j] for segment in data.segments]),
+    )
+
+
+def _force_of(part: Part, joint: str, x: Array, rate: Array) -> Array:
+    """(n,) what a law exerts at a joint."""
+    values = part.candidate.at(part.values, joint)
+    return law_force(cast("type[ForceEffect]", part.candidate.effect), values, x, rate, np.zeros_like(x))
+
+
+def _share_beyond(force: Array, columns: Array) -> float:
+    """The share of a force's square that no sum of columns (n, k) is."""
+    left = force - columns @ np.linalg.lstsq(columns, force, rcond=None)[0]
+    return float(left @ left) / max(float(force @ force), 1e-300)
+
+
+def _drawn(search: Search, law: SmoothLaw, part: Part) -> bool:
+    """Whether a smooth force could be a part's law, whatever that explains."""
+    x, rate = _along(search, law.joint)
+    given = law.fitted.hypothesis[-1].candidate.given
+    rows = _basis(rate if law.shape.over == "vel" else x, given)
+    rows = rows * rate[:, None] if law.shape.times_rate else rows
+    return _share_beyond(_force_of(part, law.joint, x, rate), rows) < DRAWN
+
+
+def _beyond(search: Search, law: SmoothLaw, part: Part) -> float:
+    """The share of a smooth force, fitted without a part, that is not the part's law, whatever size that has."""
+    x, rate = _along(search, law.joint)
+    whole = _force_of(law.fitted.hypothesis[-1], law.joint, x, rate)
+    return _share_beyond(whole, _force_of(part, law.joint, x, rate)[:, None])
 
 
 def _without(search: Search, law: SmoothLaw, k: int) -> Fitted | None:
@@ -195,7 +257,7 @@ def _asked_for(search: Search, best: Fitted) -> Iterator[tuple[str, Shape, Candi
             wider = replace(domain, width=times * domain.width)
             for own, fit in torque_screen(data, wider, best, [candidate for *_, candidate in every]).alone().items():
                 gains[own] = max(gains.get(own, 0.0), fit.gain / CORRELATED)
-    least = float(chdtri(len(SmoothForce.neutral), ASKED))
+    least = float(chdtri(len(SmoothForce.neutral), ASKED / max(len(every), 1)))
     yield from (one for one in every if gains.get(one[-1], math.inf) > least)
 
 
@@ -214,35 +276,41 @@ def _candidate(joint: str, shape: Shape, excitation: Excitation) -> Candidate:
 
 
 def _fitted(search: Search, best: Fitted, joint: str, shape: Shape, candidate: Candidate) -> SmoothLaw | None:
-    """A smooth force fitted beside a hypothesis, begun at nothing; None where that diverges."""
-    data = search.data
+    """A smooth force fitted beside a hypothesis, begun at nothing; None where that diverges.
+
+    Its gain is over the better minimum of the hypothesis: the one it has, or the one next to where the fit ended.
+    """
+    data, n = search.data, candidate.n_parameters
     hypothesis = (*best.hypothesis, Part(candidate, dict(SmoothForce.neutral)))
-    begin = (np.append(best.fit.theta, np.zeros(candidate.n_parameters)), best.fit.starts)
+    begin = (np.append(best.fit.theta, np.zeros(n)), best.fit.starts)
     try:
         fitted = data.coarse_fit(hypothesis, [begin], best.noise, search.settings.long_steps)
-        fitted = data.converge(fitted) if search.accepts(best, fitted) else fitted
+        if not search.accepts(best, fitted):
+            return None
+        fitted = data.converge(fitted)
+        back = (fitted.fit.theta[:-n], fitted.fit.starts)
+        plain = data.converge(data.coarse_fit(best.hypothesis, [back], best.noise, search.settings.long_steps))
     except SimulationDiverged:
         return None
-    return SmoothLaw(joint, shape, fitted, best.deviance - fitted.deviance)
-
-
-def as_residual_forces(search: Search, laws: Sequence[SmoothLaw]) -> tuple[ResidualForce, ...]:
-    """Of a report."""
-    return tuple(_residual_force(search, law) for law in laws)
+    least = min(best, plain, key=lambda f: f.deviance)
+    return SmoothLaw(joint, shape, fitted, least.deviance - fitted.deviance) if search.accepts(least, fitted) else None
 
 
 def _residual_force(search: Search, law: SmoothLaw) -> ResidualForce:
+    """Of a report; without a curve where recordings do not determine it beside the other laws.
+
+    The curve and its interval are without their means, which are as much the model's own damping or weight.
+    """
     model, part, axis = search.data.free.model, law.fitted.hypothesis[-1], Coordinate(law.shape.over, law.joint)
     given = part.candidate.given
     x = np.linspace(given["low"], given["low"] + given["width"], POINTS)
     rows, size = _basis(x, given), given["force_scale"] / (given["speed"] if law.shape.times_rate else 1.0)
+    rows -= rows.mean(axis=0)
     coefficients, spread = _coefficients(law)
-    force, band = (
-        -size * (rows @ coefficients),
-        CONFIDENT * size * np.sqrt(np.maximum(((rows @ spread) * rows).sum(axis=1), 0.0)),
-    )
+    force = -size * (rows @ coefficients)
+    band = CONFIDENT * size * np.sqrt(np.maximum(((rows @ spread) * rows).sum(axis=1), 0.0))
+    known = bool(np.all(np.isfinite(band)))
     factor = (Coordinate("vel", law.joint),) if law.shape.times_rate else ()
-    unit = "N·m·s/rad" if law.shape.times_rate else "N·m"
     return ResidualForce(
         location=law.joint,
         share=1.0,
@@ -250,12 +318,12 @@ def _residual_force(search: Search, law: SmoothLaw) -> ResidualForce:
         places=(law.joint,),
         gain=law.gain,
         threshold=search.threshold(part.candidate.n_parameters),
-        unit=place_unit(model, unit, law.joint),
-        axis=axis,
-        axis_unit=place_unit(model, "rad" if law.shape.over == "pos" else "rad/s", law.joint),
-        x=x,
-        force=force,
-        band=band,
+        unit=place_unit(model, "N·m·s/rad" if law.shape.times_rate else "N·m", law.joint),
+        axis=axis if known else None,
+        axis_unit=place_unit(model, "rad" if law.shape.over == "pos" else "rad/s", law.joint) if known else "",
+        x=x if known else np.empty(0),
+        force=force if known else np.empty(0),
+        band=band if known else np.empty(0),
     )
 
 
@@ -267,8 +335,8 @@ def _basis(x: Array, given: Mapping[str, float]) -> Array:
 
 
 def _coefficients(law: SmoothLaw) -> tuple[Array, Array]:
-    """(k,) a smooth force's coefficients, and (k, k) their covariance, 0 where one is not identifiable."""
+    """(k,) a smooth force's coefficients, and (k, k) their covariance; nan where one is not identifiable."""
     k, uncertainty = law.fitted.hypothesis[-1].candidate.n_parameters, law.fitted.fit.uncertainty
-    error = np.where(np.isfinite(uncertainty.standard_error), uncertainty.standard_error, 0.0)[-k:]
-    correlation = np.nan_to_num(uncertainty.correlation[-k:, -k:])
-    return law.fitted.fit.theta[-k:], correlation * np.outer(error, error)
+    error = uncertainty.standard_error[-k:]
+    with np.errstate(invalid="ignore"):
+        return law.fitted.fit.theta[-k:], uncertainty.correlation[-k:, -k:] * np.outer(error, error)
