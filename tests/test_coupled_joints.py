@@ -83,6 +83,7 @@ def pushed(effect: Effect, first: float, second: float) -> Array:
     return np.concatenate([one[-1] for one in ends])
 
 
+@pytest.mark.slow
 def test_friction_holds_what_pushes_both_joints_alike_and_no_other_way() -> None:
     """Torques τ on both are a force along the tendon of τ: less than the friction holds. Against each other they move."""
     assert np.abs(pushed(CoupledFriction("shoulder", 1.0), 0.9, 0.9)).max() < 1e-5
@@ -137,6 +138,7 @@ def test_one_pair_rubs_against_the_sum_or_the_difference() -> None:
     assert more.digest != made.digest != ARM_OF_HINGES.digest
 
 
+@pytest.mark.slow
 def test_an_xml_that_switches_friction_off_has_none_of_it() -> None:
     flag = '<option timestep="0.002"><flag frictionloss="disable"/></option>'
     off = MjcfRobot("off", xml_of().replace('<option timestep="0.002" integrator="implicitfast"/>', flag))

@@ -205,6 +205,7 @@ def test_both_engines_agree_on_what_small_forces_change_of_a_drives_force() -> N
     assert size > 0.1 and np.abs(exact[0][:, 1] - by_steps[0][:, 1]).max() < 0.04 * size
 
 
+@pytest.mark.slow
 def test_shooting_intervals_begin_with_what_has_arrived_of_the_commands() -> None:
     """The force at an interval's first sample hangs on commands of before it, by a delay and a filter."""
     model = Model(MjcfRobot("arm", PENDULUM.format(drive=servo(12, 0.4, 'timeconst="0.1"'))))

@@ -203,6 +203,7 @@ def belted(size: float = 0.3) -> tuple[Model, Trial]:
     return Model(robot), replace(trial(size), inner=True, forces=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("engine", "dt"), [("reduced", 5e-4), ("mujoco", 1e-4)])
 def test_a_drives_force_hangs_on_the_prescribed_motion_too(engine: EngineName, dt: float) -> None:
     """Its command is held from row to row while the acceleration of the shoulder goes along a line."""

@@ -96,6 +96,7 @@ def test_given_parameters_are_not_estimated_and_keep_their_places() -> None:
     assert len(parameters_of(free, (part,)).free) == len(free.free) + 6
 
 
+@pytest.mark.slow
 def test_a_law_that_depends_on_more_than_it_says_is_redundant_beside_a_smooth_force() -> None:
     search, state, parts = fitted_law(OUTSIDE)
     (law,) = beside(search, state, parts)
@@ -112,12 +113,14 @@ def test_a_law_that_depends_on_more_than_it_says_is_redundant_beside_a_smooth_fo
     assert np.all(force.band[seen] > 0)
 
 
+@pytest.mark.slow
 def test_the_right_law_leaves_nothing_that_a_smooth_force_explains() -> None:
     search, state, parts = fitted_law(TRUE)
     assert beside(search, state, parts) == ()
     assert analysed(search, state, parts).redundant == {}
 
 
+@pytest.mark.slow
 def test_a_right_law_that_a_smooth_force_could_draw_stays_beside_what_else_is_missing() -> None:
     search, state, parts = fitted_law(
         TRUE,
@@ -131,6 +134,7 @@ def test_a_right_law_that_a_smooth_force_could_draw_stays_beside_what_else_is_mi
     assert force.depends_on == "vel.hinge" and force.location == "hinge"
 
 
+@pytest.mark.slow
 def test_damping_that_hardly_depends_on_the_angle_keeps_its_name() -> None:
     truth = ViscousFriction("hinge", 0.3), DampingOverAngle("hinge", 0.02, 0.0, 0.6)
     search, state, parts = fitted_law(*truth)
@@ -138,6 +142,7 @@ def test_damping_that_hardly_depends_on_the_angle_keeps_its_name() -> None:
     assert redundant(search, state, laws) == {}
 
 
+@pytest.mark.slow
 def test_dry_friction_in_the_place_of_viscous_friction_is_seen_over_the_speed() -> None:
     search, state, parts = fitted_law(CoulombFriction("hinge", 0.3))
     (law,) = beside(search, state, parts)

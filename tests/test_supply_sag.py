@@ -51,6 +51,7 @@ def test_it_moves_as_under_commands_that_are_as_much_smaller(engine: str) -> Non
     assert np.abs(own - moved(engine, Model(HINGES), np.ones_like(share))).max() > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["reduced", "mujoco"])
 def test_a_drive_asks_for_no_more_than_its_range_lets_it(engine: str) -> None:
     """MuJoCo clips commands there; where that is switched off they count as they are."""

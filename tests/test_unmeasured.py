@@ -116,6 +116,7 @@ def test_what_it_may_have_done_is_found_along_the_measured_motion(tmp_path: Path
     assert other.supposed.position[0, 0] == pytest.approx(-np.arctan2(3, 9.81), abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["reduced", "mujoco"])
 def test_a_joint_that_is_tied_to_another_begins_where_that_puts_it(tmp_path: Path, engine: EngineName) -> None:
     model = model_of(tmp_path, GRIPPER, "mimic")
@@ -134,6 +135,7 @@ def test_a_joint_that_is_tied_to_another_begins_where_that_puts_it(tmp_path: Pat
     assert np.abs(found.position[0, :, 0] - wanted[:, 0]).max() < 2e-3 * np.ptp(wanted[:, 0])
 
 
+@pytest.mark.slow
 def test_a_joint_is_prescribed_one_measured_and_one_neither(tmp_path: Path) -> None:
     """A crane on a rail that is moved, the angle of its rope measured, and not that of the load below its hook."""
     crane = SWING.replace(
