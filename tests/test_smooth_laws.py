@@ -21,7 +21,14 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.smooth_laws import SHAPES, analysed, beside, redundant
 from equimus_ctrl.diagnosis.unexplained import GENERALISED
-from equimus_ctrl.effects import ConstantForce, CoulombFriction, Effect, QuadraticDamping, ViscousFriction
+from equimus_ctrl.effects import (
+    AsymmetricDamping,
+    ConstantForce,
+    CoulombFriction,
+    Effect,
+    QuadraticDamping,
+    ViscousFriction,
+)
 from equimus_ctrl.effects.smooth import SmoothForce, splines
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
@@ -132,6 +139,18 @@ def test_a_right_law_that_a_smooth_force_could_draw_stays_beside_what_else_is_mi
     assert law.shape == SHAPES[1] and redundant(search, state, [law]) == {}
     (force,) = analysed(search, state, parts).unexplained
     assert force.depends_on == "vel.hinge" and force.location == "hinge"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "right", [AsymmetricDamping("hinge", 0.1), QuadraticDamping("hinge", 0.05)], ids=lambda effect: effect.name
+)
+def test_damping_over_the_speed_that_a_smooth_force_could_draw_stays_where_something_else_is_missing(
+    right: Effect,
+) -> None:
+    search, state, parts = fitted_law(right, ConstantForce("hinge", 0.1), named=(f"{right.name}:hinge",))
+    (law,) = beside(search, state, parts)
+    assert law.shape in SHAPES[:2] and redundant(search, state, [law]) == {}
 
 
 @pytest.mark.slow

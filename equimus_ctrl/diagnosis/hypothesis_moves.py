@@ -99,8 +99,7 @@ class HypothesisMoves:
     ) -> tuple[list[Fitted], SearchHistory]:
         """Hypotheses with one more part, the most promising ones fitted until converged.
 
-        They are those of the history where the same hypothesis was extended before, from a fit at least as good, see
-        ``_serves``.
+        They are those of the history where the same hypothesis was extended before, see ``_serves``.
 
         Args:
             tried: the history so far.

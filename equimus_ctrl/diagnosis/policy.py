@@ -185,6 +185,22 @@ class Thresholds:
         "calibration",
         PROOFS,
     )
+    drawn: float = _decides(
+        0.03,
+        "of a force's square",
+        "a smooth force beside a friction law could be that law where it leaves less of it: then its gain says nothing "
+        "of the law",
+        "theory",
+        "of evenly spread speeds six cubic splines leave 0.0001 of v|v|, 0.004 of |v| and 0.08 of sign(v)",
+    )
+    no_constant: float = _decides(
+        0.05,
+        "of a force's square",
+        "damping is another law than viscous friction where more of the speed times a function of the angle is not the "
+        "speed times a constant",
+        "convention",
+        "the damping's standard deviation is then 23 % of its mean",
+    )
     linear_share: float = _decides(
         0.3,
         "",

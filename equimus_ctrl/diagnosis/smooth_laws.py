@@ -12,12 +12,11 @@ Where there is a torque domain, only what it asks for is simulated.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, cast
 
-import casadi as ca
 import numpy as np
 from scipy.special import chdtri
 
@@ -37,8 +36,8 @@ from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect
-from equimus_ctrl.effects.smooth import SmoothForce, splines
-from equimus_ctrl.engines.mjcf_inverse import law_force
+from equimus_ctrl.effects.smooth import SmoothForce
+from equimus_ctrl.engines.mjcf_inverse import law_force, law_slopes
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.types import Array
@@ -48,8 +47,6 @@ ASKED = 0.05
 decides nothing."""
 WIDER = (1, 2)
 """Widths of the test functions at which that is asked, over that of the search: wide ones see slow forces better."""
-DRAWN = 1e-3
-"""A smooth force can draw a law of which it leaves less than this share; splines follow a jump no closer."""
 POINTS = 61
 CONFIDENT = 1.96
 
@@ -149,15 +146,15 @@ def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> 
 
     A law that the force could not draw by itself is none where it explains nothing more beside the force. One that it
     could, viscous friction where the force is the speed times a function of the angle, is another law where that
-    function without it is no constant: by more than the share from which on hypotheses are distinguished. Other parts
-    stay: what is left is then another thing.
+    function without it is no constant. Other parts stay: what is left is then another thing.
     """
     found: dict[int, SmoothLaw] = {}
     for law in laws:
         for k, part in enumerate(state.best.hypothesis):
             if part.candidate.locations != (law.joint,) or not _rubs(part):
                 continue
-            drawn = _drawn(search, law, part)
+            share = _not_drawn(search, law, part)
+            drawn = search.data.thresholds.decides(partial(_could_be_drawn, share))
             if drawn and not (law.shape.times_rate and part.candidate.effect.depends() == {"vel"}):
                 continue
             alone = _without(search, law, k)
@@ -169,8 +166,12 @@ def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> 
     return found
 
 
+def _could_be_drawn(share: float, t: Thresholds) -> bool:
+    return share < t.drawn
+
+
 def _another_law(share: float, t: Thresholds) -> bool:
-    return share > t.indistinguishable_share
+    return share > t.no_constant
 
 
 def _rubs(part: Part) -> bool:
@@ -201,13 +202,16 @@ def _share_beyond(force: Array, columns: Array) -> float:
     return float(left @ left) / max(float(force @ force), 1e-300)
 
 
-def _drawn(search: Search, law: SmoothLaw, part: Part) -> bool:
-    """Whether a smooth force could be a part's law, whatever that explains."""
+def _slopes(candidate: Candidate, x: Array, rate: Array) -> Array:
+    """(n, k) what a smooth force exerts for each of its coefficients."""
+    values = candidate.at(SmoothForce.neutral, candidate.locations[0])
+    return law_slopes(SmoothForce, values, x, rate, np.zeros_like(x))[:, : candidate.n_parameters]
+
+
+def _not_drawn(search: Search, law: SmoothLaw, part: Part) -> float:
+    """The share of a part's force that a smooth force cannot be, whatever it explains."""
     x, rate = _along(search, law.joint)
-    given = law.fitted.hypothesis[-1].candidate.given
-    rows = _basis(rate if law.shape.over == "vel" else x, given)
-    rows = rows * rate[:, None] if law.shape.times_rate else rows
-    return _share_beyond(_force_of(part, law.joint, x, rate), rows) < DRAWN
+    return _share_beyond(_force_of(part, law.joint, x, rate), _slopes(law.fitted.hypothesis[-1].candidate, x, rate))
 
 
 def _beyond(search: Search, law: SmoothLaw, part: Part) -> float:
@@ -304,11 +308,11 @@ def _residual_force(search: Search, law: SmoothLaw) -> ResidualForce:
     model, part, axis = search.data.free.model, law.fitted.hypothesis[-1], Coordinate(law.shape.over, law.joint)
     given = part.candidate.given
     x = np.linspace(given["low"], given["low"] + given["width"], POINTS)
-    rows, size = _basis(x, given), given["force_scale"] / (given["speed"] if law.shape.times_rate else 1.0)
+    rows = _slopes(part.candidate, x, x if law.shape.over == "vel" else np.ones_like(x))  # at a rate of 1
     rows -= rows.mean(axis=0)
     coefficients, spread = _coefficients(law)
-    force = -size * (rows @ coefficients)
-    band = CONFIDENT * size * np.sqrt(np.maximum(((rows @ spread) * rows).sum(axis=1), 0.0))
+    force = rows @ coefficients
+    band = CONFIDENT * np.sqrt(np.maximum(((rows @ spread) * rows).sum(axis=1), 0.0))
     known = bool(np.all(np.isfinite(band)))
     factor = (Coordinate("vel", law.joint),) if law.shape.times_rate else ()
     return ResidualForce(
@@ -325,13 +329,6 @@ def _residual_force(search: Search, law: SmoothLaw) -> ResidualForce:
         force=force if known else np.empty(0),
         band=band if known else np.empty(0),
     )
-
-
-def _basis(x: Array, given: Mapping[str, float]) -> Array:
-    """(n, k) the splines at x (n,)."""
-    u = ca.SX.sym("u")
-    rows = ca.Function("splines", [u], [ca.horzcat(*splines(u, ca.SX(given["low"]), ca.SX(given["width"])))])
-    return np.vstack([np.array(rows(value)) for value in x])
 
 
 def _coefficients(law: SmoothLaw) -> tuple[Array, Array]:
