@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from test_search_ends import RUB, Known, OnPaper, ended
+from search_on_paper import RUB, Known, OnPaper, ended
 
 from equimus_ctrl.diagnosis import discretization
 from equimus_ctrl.diagnosis.holdout import Split

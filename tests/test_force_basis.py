@@ -1,4 +1,4 @@
-"""What flexible torques can express, and whether concealed physics is found."""
+"""What flexible torques can express, and whether missing physics is found."""
 
 from __future__ import annotations
 

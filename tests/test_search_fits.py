@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_search_ends import DEAD, FULL, OFF, POOL, RUB, STICK, VALUES, Known, OnPaper, fitted
+from search_on_paper import DEAD, FULL, OFF, POOL, RUB, STICK, VALUES, Known, OnPaper, fitted
 
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.group_splits import own_in_each_group
