@@ -321,6 +321,23 @@ def _follower_at(
         return first
     value = min(max(before[own], follow[FOLLOW_LOW]), follow[FOLLOW_HIGH])
     value = min(max(value, follow[FOLLOW_LEAST]), follow[FOLLOW_MOST])
+    return _followed_since(times, commands, before, valve, follow, value, start, dt, own, linear)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _followed_since(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    value: float,
+    start: float,
+    dt: float,
+    own: int,
+    linear: bool,
+) -> float:
+    """The same of what had a value when the commands began."""
     if start > times[0]:
         steps = max(math.ceil((start - times[0]) / dt), 1)
         early = np.empty((steps, 2, commands.shape[1]))
@@ -328,6 +345,38 @@ def _follower_at(
         _own_history(times, commands, before, valve, times[0], part, own, linear, early)
         value = follow_history(follow, value, part, own, early)
     return float(value)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def integrate(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    first: Array,
+    start: float,
+    dt: float,
+    linear: NDArray[np.bool_],
+    out: Array,
+) -> None:
+    """What integrators of commands have come to at a start, of those that began with the commands.
+
+    Args:
+        times: as in ``followed_history``, as what is not named here.
+        commands: as there.
+        before: as there.
+        valve: as there.
+        follow: as there.
+        first: (na,) values of the integrators at times[0].
+        start: [s].
+        dt: longest steps in which they are followed [s].
+        linear: as there.
+        out: (na,) written where an actuator integrates its command.
+    """
+    for i in range(len(first)):
+        if follow[i, FOLLOW_KIND] == INTEGRATED:
+            out[i] = _followed_since(times, commands, before, valve, follow[i], first[i], start, dt, i, linear[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

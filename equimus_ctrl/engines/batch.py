@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl import computer
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import FOLLOW_KIND, FOLLOW_LEAST, FOLLOW_MOST, INTEGRATED, arrived
-from equimus_ctrl.effects.sensors import SCALE
+from equimus_ctrl.effects.command import FOLLOW_KIND, arrived
 from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
 from equimus_ctrl.engines.drive_forces import drive_forces
 from equimus_ctrl.engines.encoding import Encoded, grouped
+from equimus_ctrl.engines.hidden import Commands, first_activations, lead
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
 from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.symbolic import build
-from equimus_ctrl.robots.elastic.morphology import Phase, elastic_of
-from equimus_ctrl.robots.mechanics import Structure
+from equimus_ctrl.robots.elastic.morphology import elastic_of
 from equimus_ctrl.types import Array, PrescribedMotion
 
 STEP = 1e-3
@@ -178,9 +174,7 @@ class _Block:
         self.parameters, self.valve, self.follow = (
             np.ascontiguousarray(part[rows]) for part in (coded.parameters, coded.valve, coded.follow)
         )
-        self.sensor = np.zeros((len(models), len(self.moved), 4))
-        self.sensor[:, :, SCALE] = 1.0
-        self.sensor[:, self.joints] = coded.sensor[rows]
+        self.sensor = coded.sensors_of_coordinates(rows)
         self.moving = not coded.models[0].robot.traits.starts_at_rest
         pairs = list(zip(coded.models[rows], coded.between[rows], strict=True))
         kinds = {shaping_of(*pair): pair for pair in pairs}
@@ -215,11 +209,12 @@ class _Block:
             if not speed.size:
                 speed = np.zeros(nj) if trial.velocity is None else trial.velocity
             q0[t], v0[t] = trial.begun(robot, q, np.broadcast_to(speed, (k, nj)), row[..., 2 * nj :])
-        follow = self.follow[:, :, FOLLOW_KIND]
-        first = np.zeros((len(trials), *follow.shape))
-        if follow.any():
-            first[:] = [first_activations(self.coded, self.rows, own, q) for own, q in zip(trials, q0, strict=True)]
         commands, before = self.commands(trials[0])
+        given = Commands(commands, before, self.valve, self.follow)
+        first = np.zeros((len(trials), *self.follow.shape[:2]))
+        if self.follow[:, :, FOLLOW_KIND].any():
+            first[:] = [first_activations(self.coded, self.rows, own, q) for own, q in zip(trials, q0, strict=True)]
+        led = lead(self.coded, self.rows, trials, given, self.sensor, first, dt)
         times = [trial.sample_times for trial in trials]
         place = np.concatenate([[0], np.cumsum([len(own) for own in times])])
         start = np.array([trial.start for trial in trials], dtype=np.float64)
@@ -253,6 +248,10 @@ class _Block:
             reached,
             trials[0].lines(robot),
             motion,
+            led.times,
+            led.motion,
+            led.reading,
+            led.integrals,
         )
         position = position[:, :, self.still]
         for t, result in enumerate(results):
@@ -296,35 +295,6 @@ def _run_of(indices: NDArray[np.int64]) -> slice | NDArray[np.int64]:
     first = int(indices[0])
     follow = np.array_equal(indices, np.arange(first, first + len(indices)))
     return slice(first, first + len(indices)) if follow else indices
-
-
-def first_activations(coded: Encoded, rows: slice, trial: Trial, position: Array) -> Array:
-    """(k, na) what integrators of commands begin with: the trial's, else where their actuators are.
-
-    Args:
-        coded: models.
-        rows: which of them.
-        trial: what is done.
-        position: (k, nj) joint coordinates at the start, see ``Trial.begun``.
-    """
-    follow = coded.follow[rows]
-    found = np.zeros(follow.shape[:2])
-    if trial.activation is not None:
-        found[:, : len(trial.activation)] = trial.activation
-    elif (follow[:, :, FOLLOW_KIND] == INTEGRATED).any():
-        lengths = actuator_lengths(coded.form, coded.models[0].phase)
-        moved = coded.mechanics[0].starts
-        for row, own, q in zip(found, coded.mechanics[rows], position, strict=True):
-            along = np.array(lengths(q[moved], own.parameters)).ravel()
-            row[:] = along[[channel.actuator for channel in own.channels]]
-    return np.clip(found, follow[:, :, FOLLOW_LEAST], follow[:, :, FOLLOW_MOST])
-
-
-@lru_cache(maxsize=32)
-def actuator_lengths(form: Structure, phase: Phase) -> ca.Function:
-    """(q, p) → lengths (na,)."""
-    m = build(form, phase)
-    return ca.Function("lengths", [m.q, m.p], [m.lengths])
 
 
 def compile_kernel(model: Model) -> None:

@@ -24,8 +24,10 @@ import numba
 import platformdirs
 
 from equimus_ctrl.engines import (
+    lane_begin,
     lane_dry_friction,
     lane_functions,
+    lane_hidden,
     lane_kernel,
     lane_objects,
     lane_steps,
@@ -57,7 +59,7 @@ from equimus_ctrl.types import Array
 DECORATOR = '@njit(cache=True, nogil=True, error_model="numpy")'
 _STUB = "equimus_ctrl.engines.model_functions"
 _LANE_STUB = "equimus_ctrl.engines.lane_functions"
-LANE_KERNELS = (lane_steps, lane_dry_friction, lane_kernel)
+LANE_KERNELS = (lane_begin, lane_steps, lane_dry_friction, lane_hidden, lane_kernel)
 """Modules written against ``engines.lane_functions``, each of which may import from those before it."""
 
 
@@ -367,6 +369,13 @@ def _lane_source(form: Structure, phase: Phase, laws: Laws, prefix: str) -> tupl
     routines = [
         lane_code.LaneRoutine(
             "lane_motion", moving, ca.vertcat(m.gripped_acceleration, m.z_rate), moving_rows, rows["RATE"] + nj
+        ),
+        lane_code.LaneRoutine(
+            "lane_rates",
+            {"q": m.q, "v": m.v, "z": m.z, "pressure": m.pressure},
+            m.z_rate,
+            {**state, "pressure": rows["PRESSURE"]},
+            rows["RATE"] + 2 * nj,
         ),
         lane_code.LaneRoutine(
             "lane_grips",

@@ -13,7 +13,7 @@ from equimus_ctrl.effects.base import Effect, require_simulated
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import DELAY, DIRECT, FILL, FILTERED, FLOW, FOLLOW_KIND, RATE, SLEWED, VENT
 from equimus_ctrl.effects.force import force_laws, laws_with
-from equimus_ctrl.effects.sensors import sensor_settings
+from equimus_ctrl.effects.sensors import SCALE, sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.trials import Trial
@@ -61,6 +61,14 @@ class Encoded:
     def kernel(self) -> ModuleType:
         """The compiled kernel of their form."""
         return compiled.load_lanes(self.form, self.models[0].phase, self.laws)
+
+    def sensors_of_coordinates(self, rows: slice) -> Array:
+        """(k, nv, 4) the sensors of some models' coordinates; those of coordinates that are no joints show them."""
+        own, chosen = self.mechanics[0], self.sensor[rows]
+        found = np.zeros((len(chosen), len(own.starts), 4))
+        found[:, :, SCALE] = 1.0
+        found[:, own.joints] = chosen
+        return found
 
 
 def encode(models: Sequence[Model], trial: Trial | None = None) -> Encoded:

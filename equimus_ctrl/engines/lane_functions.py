@@ -72,6 +72,11 @@ def lane_motion(w: Array) -> None:
     raise NotImplementedError
 
 
+def lane_rates(w: Array) -> None:
+    """From state and pressure: rates of the rows of z, below those of q and v in ROW_RATE."""
+    raise NotImplementedError
+
+
 def lane_whole_step(w: Array) -> None:
     """From ROW_START, friction, ROW_MEAN to ROW_PART: the state after a Runge–Kutta step with no limit pressed."""
     raise NotImplementedError

@@ -1,9 +1,10 @@
 """The batch kernel: many parameter sets, side by side in lanes, through one trial.
 
 A trial is what the sensors show (``measure``) of a motion on a fixed grid (``run_lanes``) under what arrives of the
-commands (``begin``). Its steps are in ``lane_steps``, the dry friction at their ends is in ``lane_dry_friction``. What
-the same equations of motion say at many states that belong to no trial is told by ``field``, ``rubbing_field`` and
-``limit_gaps``. Units are those of ``lane_functions``.
+commands (``lane_begin``), its hidden states being as the recorded motion before it left them (``lane_hidden``). Its
+steps are in ``lane_steps``, the dry friction at their ends is in ``lane_dry_friction``. What the same equations of
+motion say at many states that belong to no trial is told by ``field``, ``rubbing_field`` and ``limit_gaps``. Units are
+those of ``lane_functions``.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import followed_history
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, hermite, inner, read, sample
+from equimus_ctrl.engines.lane_begin import begin_trial, prepared, same_as_previous
 from equimus_ctrl.engines.lane_dry_friction import correct_friction as correct_friction
 from equimus_ctrl.engines.lane_functions import (
     LANES,
@@ -23,7 +24,6 @@ from equimus_ctrl.engines.lane_functions import (
     N_ROWS,
     N_STATES,
     ROW_BOUND,
-    ROW_CONSTANTS,
     ROW_DEPTHS,
     ROW_GAPS,
     ROW_PER_IMPULSE,
@@ -32,15 +32,12 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_PRESSURE,
     ROW_RATE,
     ROW_START,
-    ROW_TIME,
     ROW_X,
-    WORK_ROWS,
     lane_depths,
     lane_friction,
     lane_motion,
-    lane_start,
-    prepare_lane,
 )
+from equimus_ctrl.engines.lane_hidden import HIDDEN, hidden_starts, put_hidden
 from equimus_ctrl.engines.lane_steps import N_STATE, anything_pressed, grip_limits, lane_stops, press_as_asked, step
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.types import Array
@@ -67,78 +64,6 @@ def run_lanes(w: Array, drive: Array, dt: float, rubbing: Array, out: Array) -> 
         step(w, drive[k], dt)
         if len(rubbing) > 0:
             correct_friction(w, dt, rubbing)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def prepared(parameters: Array) -> Array:
-    """A work array with the constants of up to LANES parameter sets (k, np); lanes to spare repeat the last."""
-    w = np.zeros(WORK_ROWS * LANES)
-    for l in range(LANES):  # noqa: E741
-        prepare_lane(parameters[min(l, len(parameters) - 1)], w, l)
-    return w
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def same_as_previous(commands: Array, before: Array, valve: Array, follow: Array) -> NDArray[np.bool_]:
-    """(k,) whether what reaches a lane's valves, and what they make of it, is as in the lane before it."""
-    same = np.zeros(len(commands), dtype=np.bool_)
-    for l in range(1, len(commands)):  # noqa: E741
-        same[l] = (
-            np.array_equal(valve[l], valve[l - 1])
-            and np.array_equal(follow[l], follow[l - 1])
-            and np.array_equal(before[l], before[l - 1])
-            and np.array_equal(commands[l], commands[l - 1])
-        )
-    return same
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def begin(
-    w: Array,
-    drive: Array,
-    times: Array,
-    commands: Array,
-    before: Array,
-    valve: Array,
-    follow: Array,
-    first: Array,
-    q0: Array,
-    v0: Array,
-    start: float,
-    dt: float,
-    same: NDArray[np.bool_],
-    linear: NDArray[np.bool_],
-) -> None:
-    """Put the lanes of the work array w at a start, and the pressures into drive (steps, 2, na·LANES).
-
-    The other arguments are those of ``run_trials``, for one trial, and what ``same_as_previous`` says of the lanes.
-    """
-    k, steps = len(q0), len(drive)
-    for i in range(ROW_CONSTANTS * LANES):
-        w[i] = 0.0
-    for l in range(LANES):  # noqa: E741
-        own = min(l, k - 1)
-        for j in range(N_JOINTS):
-            w[(ROW_X + j) * LANES + l] = q0[own, j]
-            w[(ROW_X + N_JOINTS + j) * LANES + l] = v0[own, j]
-        w[ROW_TIME * LANES + l] = start - times[0]
-    lane_start(w)
-    history = np.empty((steps, 2, N_ACTUATORS))
-    l = 0  # noqa: E741
-    while l < k:
-        followed_history(times, commands[l], before[l], valve[l], follow[l], first[l], start, dt, history, linear)
-        # Lanes that follow with the same pressures get them at once, and lanes to spare those of the last.
-        end = l + 1
-        while end < k and same[end] and np.array_equal(first[end], first[end - 1]):
-            end += 1
-        last = end if end < k else LANES
-        for s in range(steps):
-            for part in range(2):
-                for i in range(N_ACTUATORS):
-                    value = history[s, part, i]
-                    for m in range(i * LANES + l, i * LANES + last):
-                        drive[s, part, m] = value
-        l = end  # noqa: E741
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -246,6 +171,10 @@ def run_trials(
     reached: Array,
     linear: NDArray[np.bool_],
     motion: Array,
+    recorded_times: Array,
+    recorded: Array,
+    reading: float,
+    integrals: Array,
 ) -> None:
     """Up to LANES parameter sets through trials of one history of commands: valves, motion and sensors.
 
@@ -272,17 +201,33 @@ def run_trials(
             could not be had.
         linear: (na,) whether an actuator's commands go along a line from each instant to the next; else they are held.
         motion: (k, m, 2 nj) or (k, m, 2 nj + nz) written, see ``measure_inner``; with m = 0 they are not wanted.
+        recorded_times: (n,) of the motion that was recorded, of which all trials are parts [s]; with n = 0 hidden
+            states start as if nothing had been before.
+        recorded: (3, n, nj), see ``hidden_starts``, as what follows.
+        reading: as there [s].
+        integrals: (k, na) as ``first`` there.
     """
     most = steps.max()
     w, same = prepared(parameters), same_as_previous(commands, before, valve, follow)
     drive = np.empty((most, 2, N_ACTUATORS * LANES))
     grid = np.empty((most + 1, motion.shape[2] * LANES))
+    hidden = np.empty((len(start), N_STATES * LANES))
+    led = HIDDEN and len(recorded_times) > 0
+    if HIDDEN and led:
+        hidden_starts(
+            w, times, commands, before, valve, follow, integrals, sensor, recorded_times, recorded, reading, q0, v0,
+            start, dt, same, linear, hidden,
+        )  # fmt: skip
     for trial in range(len(start)):
         n, low, high = steps[trial], place[trial], place[trial + 1]
         sampled = out_times[low:high]
         own = drive[:n]
         at = start[trial]
-        begin(w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, same, linear)
+        begin_trial(
+            w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, same, linear
+        )
+        if led and at > times[0]:
+            put_hidden(w, hidden[trial])
         run_lanes(w, own, dt, rubbing, grid[: n + 1])
         measure(grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
         if motion.shape[1] > 0:
@@ -306,6 +251,11 @@ def run_inner(
     states: Array,
     pressures: Array,
     linear: NDArray[np.bool_],
+    sensor: Array,
+    recorded_times: Array,
+    recorded: Array,
+    reading: float,
+    integrals: Array,
 ) -> None:
     """One parameter set through one trial, with what no sensor shows.
 
@@ -325,11 +275,25 @@ def run_inner(
         states: (steps + 1, 2 nj + nz) written: positions, velocities and effect states on the grid.
         pressures: (steps, 2, na) written: mean and slope over each step of what the forces are made of.
         linear: as there.
+        sensor: (1, nj, 4).
+        recorded_times: as there.
+        recorded: as there.
+        reading: as there.
+        integrals: (1, na).
     """
     w = prepared(parameters)
     drive = np.empty((len(pressures), 2, N_ACTUATORS * LANES))
     same = same_as_previous(commands, before, valve, follow)
-    begin(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same, linear)
+    hidden = np.empty((1, N_STATES * LANES))
+    led = HIDDEN and len(recorded_times) > 0 and start > times[0]
+    if HIDDEN and led:
+        hidden_starts(
+            w, times, commands, before, valve, follow, integrals, sensor, recorded_times, recorded, reading,
+            q0.reshape((1, 1, N_JOINTS)), v0.reshape((1, 1, N_JOINTS)), np.array([start]), dt, same, linear, hidden,
+        )  # fmt: skip
+    begin_trial(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same, linear)
+    if led:
+        put_hidden(w, hidden[0])
     grid = np.empty((len(states), N_STATE * LANES))
     run_lanes(w, drive, dt, rubbing, grid)
     for s in range(len(states)):

@@ -18,6 +18,7 @@ from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mjcf_kernel import drive_forces
+from equimus_ctrl.engines.mjcf_lead import Hidden, Leader, remembers
 from equimus_ctrl.engines.mjcf_realised import Realised, function_address, realise, scratch, stepped_laws
 from equimus_ctrl.engines.trials import Condition, Predicted, Trial
 from equimus_ctrl.errors import ConfigError
@@ -134,7 +135,31 @@ def _activated(model: Any, drive: Drive, commands: Array) -> float:
     return act
 
 
-def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array | None = None) -> Course:
+def leader_of(own: Realised) -> Leader | None:
+    """What leads a robot's hidden states to where trials start; None where it has none."""
+    if not remembers(own):
+        return None
+    _, kernel = compiled.load_mjcf(own.stepped)
+
+    def begin(trial: Trial, start: Array) -> Hidden:
+        position, velocity = np.split(start, 2)
+        rotors = np.array([(position[j], velocity[j]) for *_, j in own.rotors]).reshape(-1, 2)
+        data = scratch.data(own.mujoco)
+        data.qpos[own.places[:, 0]], data.act[:] = position, filled(own, trial)
+        _integrate_from_here(own.mujoco, data)
+        return Hidden(rotors, np.array(data.act), _law_starts(own, trial, start))
+
+    return Leader(own, kernel, commands_on, begin)
+
+
+def follow(
+    own: Realised,
+    trial: Trial,
+    start: Array,
+    ctrl: Array,
+    force: Array | None = None,
+    leader: Leader | None = None,
+) -> Course:
     """Step an MJCF robot through a trial.
 
     Args:
@@ -143,9 +168,14 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
         start: (2 nj,) coordinates and rates of the joints, or (2 nj + 2 nl,) see ``Trial.begun``.
         ctrl: see ``commands_on``.
         force: (steps, nj) further generalised forces on the joints [N·m or N].
+        leader: of the robot, see ``leader_of``: the recorded motion before the start says what hidden states are there.
+            Without, they begin in balance.
     """
     _, kernel = compiled.load_mjcf(own.stepped)
     model, nj = own.mujoco, len(own.places)
+    begun = trial.begun(own.robot, start[:nj], start[nj : 2 * nj], start[2 * nj :])
+    hidden = None if leader is None or trial.led is None else leader.at(trial, np.concatenate(begun))
+    states = _law_starts(own, trial, start[: 2 * nj]) if hidden is None else hidden.states
     data = scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
     data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj : 2 * nj]
@@ -155,15 +185,17 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     dt = float(model.opt.timestep)
     grid = np.arange(len(ctrl) + 1, dtype=np.float64)
     given = moved_along(own, trial, trial.start + dt * grid)
-    begun = trial.begun(own.robot, start[:nj], start[nj : 2 * nj], start[2 * nj :])
     data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = (values[nj:] for values in begun)
     _integrate_from_here(model, data)
+    if hidden is not None:
+        data.qpos[own.rotors[:, 0]], data.qvel[own.rotors[:, 1]] = hidden.rotors.T
+        data.act[:] = hidden.act
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     whole = np.empty((len(ctrl) + 1 if trial.forces else 0, model.nq + model.nv + model.na))
     sound = kernel.run_mjcf(
         function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
         np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force,
-        _law_starts(own, trial, start[: 2 * nj]),
+        states,
         data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
         own.moved, *given, out_q, out_v, data.act, whole,
     )  # fmt: skip
@@ -312,20 +344,21 @@ def simulate_mjcf(
 
     def work(task: tuple[int, list[int]]) -> None:
         which, chunk = task
-        made: dict[Condition, Realised] = {}
+        made: dict[Condition, tuple[Realised, Leader | None]] = {}
         for i in chunk:
             trial = trials[i]
             condition = trial.condition
             if condition not in made:
-                made[condition] = realise(models[which], trial, dt)
-            own = made[condition]
+                own = realise(models[which], trial, dt)
+                made[condition] = own, leader_of(own)
+            own, leader = made[condition]
             if starts is not None:
                 start = np.asarray(starts[i][which], dtype=np.float64)
                 start = start if len(start) >= 2 * nj else np.concatenate([start, np.zeros(nj)])
             else:
                 velocity = np.zeros(nj) if trial.velocity is None else trial.velocity
                 start = np.concatenate([trial.position, velocity])
-            path = follow(own, trial, start, command(i, own))
+            path = follow(own, trial, start, command(i, own), leader=leader)
             results[i].position[which], results[i].reached[which] = measured_of(own, path, trial.sample_times)
             if (motion := results[i].motion) is not None:
                 motion[which] = inner_of(path, trial.sample_times)

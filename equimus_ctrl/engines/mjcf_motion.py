@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimus_ctrl.computer import threads, worker_count
-from equimus_ctrl.engines.mjcf import Course, commands_on, follow, forces_of, inner_of, measured_of
+from equimus_ctrl.engines.mjcf import Course, commands_on, follow, forces_of, inner_of, leader_of, measured_of
+from equimus_ctrl.engines.mjcf_lead import Leader
 from equimus_ctrl.engines.mjcf_realised import Realised, realise
 from equimus_ctrl.engines.motion import Inner, Motion, hermite_arrays
 from equimus_ctrl.engines.trials import Condition, Trial
@@ -81,15 +82,16 @@ class SimulatedResponse:
         count = torques[0].shape[2]
 
         def work(columns: Sequence[int]) -> None:
-            known: dict[Condition, Realised] = {}
+            known: dict[Condition, tuple[Realised, Leader | None]] = {}
             for i, trial in enumerate(self.trials):
                 condition = trial.condition
                 if condition not in known:
-                    known[condition] = realise(self.model, trial)
-                own = known[condition]
+                    own = realise(self.model, trial)
+                    known[condition] = own, leader_of(own)
+                own, leader = known[condition]
                 dt = float(own.mujoco.opt.timestep)
                 ctrl = commands_on(own, trial)
-                plain = read(own, follow(own, trial, self.starts[i], ctrl), trial)
+                plain = read(own, follow(own, trial, self.starts[i], ctrl, leader=leader), trial)
                 for column in columns:
                     torque = torques[i][:, :, column]
                     size = float(np.max(np.abs(torque) / self.scale, initial=0.0))
@@ -97,7 +99,7 @@ class SimulatedResponse:
                         continue
                     factor = SMALL / size
                     force = _on_steps(trial, torque * factor, dt, len(ctrl))
-                    course = follow(own, trial, self.starts[i], ctrl, force)
+                    course = follow(own, trial, self.starts[i], ctrl, force, leader)
                     if course.sound == len(course.q):
                         found[i][:, :, column] = (read(own, course, trial) - plain) / factor
 
@@ -129,7 +131,7 @@ def mjcf_motion(model: Model, trial: Trial, start: Array) -> Motion:
     """
     own = realise(model, trial)
     with quietly():
-        course = follow(own, trial, start, commands_on(own, trial))
+        course = follow(own, trial, start, commands_on(own, trial), leader=leader_of(own))
     if course.sound < len(course.q):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
     names = own.robot.joint_names

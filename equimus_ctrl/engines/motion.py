@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.effects.sensors import hermite
-from equimus_ctrl.engines.batch import STEP, first_activations, shaped_for
+from equimus_ctrl.engines.batch import STEP, shaped_for
 from equimus_ctrl.engines.encoding import Encoded, encode
+from equimus_ctrl.engines.hidden import Commands, first_activations, lead
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -103,14 +104,18 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     steps = max(int(np.ceil((times[-1] - trial.start) / dt - 1e-9)), 1)
     states, pressures = np.empty((steps + 1, kernel.N_STATE)), np.empty((steps, 2, na))
     shaped = np.clip(shaped_for(model, trial), *coded.between[0])
+    commands = Commands(shaped[None, 1:].copy(), shaped[:1].copy(), coded.valve, coded.follow)
+    one = slice(0, 1)
+    first, sensor = first_activations(coded, one, trial, q0[None]), coded.sensors_of_coordinates(one)
+    led = lead(coded, one, [trial], commands, sensor, first[None], dt)
     kernel.run_inner(
         coded.parameters,
         trial.times,
-        shaped[None, 1:].copy(),
-        shaped[:1].copy(),
+        commands.commands,
+        commands.before,
         coded.valve,
         coded.follow,
-        first_activations(coded, slice(0, 1), trial, q0[None]),
+        first,
         q0[None, own.starts].copy(),
         v0[None, own.starts].copy(),
         coded.rubbing,
@@ -119,6 +124,11 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
         states,
         pressures,
         trial.lines(model.robot),
+        sensor,
+        led.times,
+        led.motion,
+        led.reading,
+        led.integrals,
     )
     if not np.all(np.abs(states[:, nv : 2 * nv]) < MAX_SPEED):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")

@@ -14,7 +14,7 @@ from scipy.optimize import root
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.recordings.smoothing import smoothed
+from equimus_ctrl.recordings.smoothing import smoothed, together
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array, PrescribedMotion, Recording
@@ -34,7 +34,7 @@ def with_supposed(recording: Recording, robot: Robot) -> Recording:
         return recording
     own = mjcf_of(robot)
     measured = smoothed(recording.name, recording.joints, recording.time, np.asarray(recording.position))
-    known = _together(measured, recording.prescribed)
+    known = measured if recording.prescribed is None else together(measured, recording.prescribed)
     beside = np.zeros((len(recording.time), 0))
     if own.loose_count:
         beside = _simulated(own, recording, known)
@@ -45,19 +45,6 @@ def with_supposed(recording: Recording, robot: Robot) -> Recording:
         own.unmeasured_names, known.times, q[:, n:], v[:, n:], acceleration, np.zeros(len(own.unmeasured_names))
     )
     return replace(recording, supposed=found)
-
-
-def _together(measured: PrescribedMotion, prescribed: PrescribedMotion | None) -> PrescribedMotion:
-    """Measured and prescribed joints, at the instants of the former."""
-    if prescribed is None:
-        return measured
-    parts = zip(
-        (measured.position, measured.velocity, measured.acceleration), prescribed.at(measured.times), strict=True
-    )
-    q, v, a = (np.column_stack(part) for part in parts)
-    return PrescribedMotion(
-        (*measured.joints, *prescribed.joints), measured.times, q, v, a, np.append(measured.noise, prescribed.noise)
-    )
 
 
 def _along_measured(robot: MjcfRobot) -> MjcfRobot:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.recordings.smoothing import RecordedMotion
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Array, PrescribedMotion, Recording
 
@@ -57,6 +58,8 @@ class Trial:
         activation: (na,) what integrators of commands begin with; by default where their actuators are.
         prescribed: how joints move whose motion is an input; they have no part in the vectors of joints above.
         supposed: how joints may move that were not measured; they begin so where nothing else is said.
+        recorded: the motion that the trial is a part of, from the first command on: what no sensor shows is at the
+            start as it left it. Without, that is in balance there.
     """
 
     name: str
@@ -75,6 +78,12 @@ class Trial:
     forces: bool = False
     prescribed: PrescribedMotion | None = None
     supposed: PrescribedMotion | None = None
+    recorded: RecordedMotion | None = None
+
+    @property
+    def led(self) -> RecordedMotion | None:
+        """The motion before the start; None where there is none, or nobody knows it."""
+        return self.recorded if self.start > self.times[0] else None
 
     @cached_property
     def condition(self) -> Condition:
@@ -91,9 +100,10 @@ class Trial:
         )
 
     @property
-    def history(self) -> tuple[Same, Same, bytes, bool, PrescribedMotion | None]:
-        """Which commands these are, the same for shooting intervals of one recording: a key."""
-        return Same(self.times), Same(self.commands), self.before.tobytes(), self.linear, self.prescribed
+    def history(self) -> tuple[Same, Same, bytes, bool, PrescribedMotion | None, RecordedMotion | None]:
+        """Which commands and motion these are, the same for shooting intervals of one recording: a key."""
+        own = self.linear, self.prescribed, self.recorded
+        return Same(self.times), Same(self.commands), self.before.tobytes(), *own
 
     def motion_of(self, joints: Sequence[str]) -> PrescribedMotion:
         """How joints move whose motion is an input.

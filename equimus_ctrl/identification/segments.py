@@ -28,6 +28,7 @@ from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import NOTHING, Channels, channels_of, measured_channels
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.recordings.smoothing import recorded_motion
 from equimus_ctrl.types import Array, Recording
 
 LEAST_SAMPLES = 10
@@ -205,6 +206,8 @@ def _shooting_intervals(
         reach = np.maximum(np.ptp(also, axis=0), LEAST_REACH) / np.ptp(recording.position, axis=0).max()
     # All intervals share these arrays, by which engines know that they share one history of commands.
     times, command, before = np.array(time), np.array(recording.command), np.array(recording.command_before)
+    # Robots that start at rest were there before, too.
+    recorded = None if model.robot.traits.starts_at_rest else recorded_motion(recording, span)
     segments: list[Segment] = []
     for a, b in pairwise(edges):
         chosen = inside & (time >= a) & ((time < b) | (b == high))
@@ -228,6 +231,7 @@ def _shooting_intervals(
             forces=bool(channels.forces),
             prescribed=recording.prescribed,
             supposed=recording.supposed,
+            recorded=recorded,
         )
         measured = np.array(recording.position[chosen])
         beside = trial.loose_start(model.robot) if model.robot.loose_count else ()

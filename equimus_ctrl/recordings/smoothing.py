@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.types import Array, PrescribedMotion
+from equimus_ctrl.types import Array, PrescribedMotion, Recording
 
 LEAST_ROWS = 8
 """Fewer rows tell no motion."""
@@ -15,6 +18,43 @@ WIDER = 1.25
 EXACT = 4.0
 """Where the distance from three rows to two lowers the score by more, what is left is the spline's own error and not
 noise: of a cubic spline the first falls by 25 (the eighth power of 3/2), the second not at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedMotion:
+    """The motion that a recording shows, worked out where somebody asks for it.
+
+    Attributes:
+        recording: whose.
+        reading: over how long the motion at one instant is read off it [s].
+    """
+
+    recording: Recording
+    reading: float
+
+    @cached_property
+    def motion(self) -> PrescribedMotion:
+        """Its joints smoothed, see ``smoothed``, then prescribed joints, then unmeasured ones as they may move."""
+        own = self.recording
+        found = smoothed(own.name, own.joints, own.time, np.asarray(own.position))
+        for beside in (own.prescribed, own.supposed):
+            if beside is not None:
+                found = together(found, beside)
+        return found
+
+
+@lru_cache(maxsize=256)
+def recorded_motion(recording: Recording, reading: float) -> RecordedMotion:
+    """The same of a recording whenever it is asked for, so that it is smoothed once."""
+    return RecordedMotion(recording, reading)
+
+
+def together(first: PrescribedMotion, second: PrescribedMotion) -> PrescribedMotion:
+    """The joints of two motions, at the instants of the first."""
+    parts = zip((first.position, first.velocity, first.acceleration), second.at(first.times), strict=True)
+    q, v, a = (np.column_stack(part) for part in parts)
+    noise = np.append(first.noise, second.noise)
+    return PrescribedMotion((*first.joints, *second.joints), first.times, q, v, a, noise)
 
 
 def smoothed(name: str, joints: tuple[str, ...], time: Array, position: Array) -> PrescribedMotion:

@@ -1,0 +1,124 @@
+"""What the motion before a trial's start left of hidden states, for kernels in lanes; see ``engines.lane_hidden``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from equimus_ctrl.effects.command import FOLLOW_KIND, FOLLOW_LEAST, FOLLOW_MOST, INTEGRATED, integrate
+from equimus_ctrl.effects.sensors import behind
+from equimus_ctrl.engines.encoding import Encoded
+from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.recordings.smoothing import RecordedMotion
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.morphology import Phase
+from equimus_ctrl.robots.mechanics import Structure
+from equimus_ctrl.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Lead:
+    """The motion of a recording as kernels take it, nothing where none is needed.
+
+    Attributes:
+        times: (n,) [s].
+        motion: (3, n, nv) positions, rates and accelerations of the coordinates, as the sensors show them.
+        reading: over how long a start is read off [s].
+        integrals: (k, na) what integrators of commands begin with at the start of the recording.
+    """
+
+    times: Array
+    motion: Array
+    reading: float
+    integrals: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """What of k models' commands takes part, as in ``run_trials``."""
+
+    commands: Array
+    before: Array
+    valve: Array
+    follow: Array
+
+
+def recorded_of(trials: Sequence[Trial]) -> RecordedMotion | None:
+    """The motion that trials of one history have in common; None where none of them begins inside of it."""
+    return next((trial.led for trial in trials if trial.led is not None), None)
+
+
+def first_activations(coded: Encoded, rows: slice, trial: Trial, position: Array) -> Array:
+    """(k, na) what integrators of commands begin with: the trial's, else where their actuators are.
+
+    Args:
+        coded: models.
+        rows: which of them.
+        trial: what is done.
+        position: (k, nj) joint coordinates at the start, see ``Trial.begun``.
+    """
+    follow = coded.follow[rows]
+    found = np.zeros(follow.shape[:2])
+    if trial.activation is not None:
+        found[:, : len(trial.activation)] = trial.activation
+    elif (follow[:, :, FOLLOW_KIND] == INTEGRATED).any():
+        lengths = actuator_lengths(coded.form, coded.models[0].phase)
+        moved = coded.mechanics[0].starts
+        for row, own, q in zip(found, coded.mechanics[rows], position, strict=True):
+            along = np.array(lengths(q[moved], own.parameters)).ravel()
+            row[:] = along[[channel.actuator for channel in own.channels]]
+    return np.clip(found, follow[:, :, FOLLOW_LEAST], follow[:, :, FOLLOW_MOST])
+
+
+@lru_cache(maxsize=32)
+def actuator_lengths(form: Structure, phase: Phase) -> ca.Function:
+    """(q, p) → lengths (na,)."""
+    m = build(form, phase)
+    return ca.Function("lengths", [m.q, m.p], [m.lengths])
+
+
+def lead(
+    coded: Encoded, rows: slice, trials: Sequence[Trial], given: Commands, sensor: Array, first: Array, dt: float
+) -> Lead:
+    """What leads to the starts of trials of one history of commands.
+
+    Args:
+        coded: models.
+        rows: which of them.
+        trials: what is done.
+        given: their commands.
+        sensor: (k, nv, 4) of the coordinates, see ``effects.sensors.OFFSET``.
+        first: (trials, k, na) what integrators of commands begin with at the starts; of those that began before, what
+            they came to since is written.
+        dt: longest steps in which they are followed [s].
+    """
+    own, recorded, none = coded.mechanics[0], recorded_of(trials), np.zeros(0)
+    integrates = given.follow[:, :, FOLLOW_KIND] == INTEGRATED
+    integrals = np.zeros(integrates.shape)
+    nothing = Lead(none, np.empty((3, 0, len(own.starts))), 0.0, integrals)
+    if recorded is None or not (integrates.any() or coded.kernel.N_STATES > 0):
+        return nothing
+    robot, motion = coded.models[0].robot, recorded.motion
+    if integrates.any():
+        q = np.tile(motion.position[0], (len(sensor), 1))
+        q[:, own.starts] = behind(sensor, q[:, own.starts])
+        integrals = first_activations(coded, rows, replace(trials[0], activation=None), q)
+        for trial, row in zip(trials, first, strict=True):
+            if trial.led is not None and trial.activation is None:
+                _integrated(robot, trial, given, integrals, dt, row)
+    columns = np.stack([motion.position, motion.velocity, motion.acceleration])[:, :, own.starts]
+    return Lead(motion.times, np.ascontiguousarray(columns), recorded.reading, integrals)
+
+
+def _integrated(robot: Robot, trial: Trial, given: Commands, begun: Array, dt: float, out: Array) -> None:
+    """What integrators came to by a trial's start, written to (k, na)."""
+    for lane in range(len(out)):
+        integrate(
+            trial.times, given.commands[lane], given.before[lane], given.valve[lane], given.follow[lane], begun[lane],
+            trial.start, dt, trial.lines(robot), out[lane],
+        )  # fmt: skip

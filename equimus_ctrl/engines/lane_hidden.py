@@ -1,0 +1,314 @@
+"""Hidden states where a shooting interval begins inside a recording: those that the motion before it leads to.
+
+What no sensor shows (how far a compliant drive is ahead of its joint, states of laws) hangs on the motion before. It
+follows its own equations dz/dt = g(q, v, z, u) along the motion that was recorded, and under the commands that were, as
+an input-driven observer does: from the start of the recording, so that nothing has to be said of how long a state
+remembers. One pass through a recording serves all intervals of it. Units are those of ``lane_functions``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from equimus_ctrl.effects.command import integrate
+from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, hermite, hermite_rate
+from equimus_ctrl.engines.lane_begin import clear, put_commands
+from equimus_ctrl.engines.lane_functions import (
+    BOUNDED,
+    LANES,
+    N_ACTUATORS,
+    N_JOINTS,
+    N_STATES,
+    QUICK_INSIDE,
+    ROW_FROM,
+    ROW_PART,
+    ROW_PRESSURE,
+    ROW_RATE,
+    ROW_START,
+    ROW_SUM,
+    ROW_X,
+    lane_keep,
+    lane_rates,
+    lane_start,
+)
+from equimus_ctrl.engines.lane_steps import MOST_PARTS, ROUNDING, limit_parts
+from equimus_ctrl.types import Array
+
+HIDDEN = N_STATES > 0
+"""Whether there are any."""
+ROW_Z = ROW_X + 2 * N_JOINTS
+Z_AT_START, Z_SUM, Z_RATE = ROW_START + 2 * N_JOINTS, ROW_SUM + 2 * N_JOINTS, ROW_RATE + 2 * N_JOINTS
+AT_ONCE = 4096
+"""So many steps at most share one array of commands."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def alike(first: Array, second: Array) -> bool:
+    """Whether two sensors (4,) show the same but for their play."""
+    same: bool = (
+        first[OFFSET] == second[OFFSET]
+        and first[SCALE] == second[SCALE]
+        and first[SENSOR_DELAY] == second[SENSOR_DELAY]
+    )
+    return same
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def put_recorded(
+    w: Array, times: Array, motion: Array, sensor: Array, row: int, at: Array, bend: Array, bends: float, until: float
+) -> None:
+    """Put all lanes' joints where they were recorded to be.
+
+    Args:
+        w: work array.
+        times: (n,) of the recorded motion [s].
+        motion: (3, n, nj) positions, rates and accelerations then, as the sensors show them.
+        sensor: (k, nj, 4), see ``effects.sensors.OFFSET``.
+        row: of the motion, at or before the instants.
+        at: (LANES,) instants, one a lane [s].
+        bend: (2 nj·LANES) by how much an interval starts elsewhere than it was recorded.
+        bends: how long before it the motion bends there [s]; 0 where it does not.
+        until: when the interval starts [s].
+    """
+    k, last = len(sensor), len(times) - 2
+    for j in range(N_JOINTS):
+        q, v = 0.0, 0.0
+        for l in range(LANES):  # noqa: E741
+            own, before = min(l, k - 1), max(min(l, k - 1) - 1, 0)
+            # What lanes have in common is worked out once.
+            if l == 0 or at[l] != at[l - 1] or not alike(sensor[own, j], sensor[before, j]):
+                t, i = at[l] + sensor[own, j, SENSOR_DELAY], row
+                while i < last and times[i + 1] <= t:
+                    i += 1
+                s, h = t - times[i], times[i + 1] - times[i]
+                a = motion[2, i, j]
+                jerk = (motion[2, i + 1, j] - a) / h
+                q = motion[0, i, j] + s * (motion[1, i, j] + s * (0.5 * a + s * jerk / 6.0))
+                v = motion[1, i, j] + s * (a + s * 0.5 * jerk)
+                q, v = (q - sensor[own, j, OFFSET]) / sensor[own, j, SCALE], v / sensor[own, j, SCALE]
+            w[(ROW_X + j) * LANES + l], w[(ROW_X + N_JOINTS + j) * LANES + l] = q, v
+    if bends == 0.0:
+        return
+    for l in range(LANES):  # noqa: E741
+        share = 1.0 - (until - at[l]) / bends
+        for j in range(N_JOINTS):
+            off, faster = bend[j * LANES + l], bend[(N_JOINTS + j) * LANES + l]
+            w[(ROW_X + j) * LANES + l] += hermite(0.0, 0.0, off, faster, bends, share)
+            w[(ROW_X + N_JOINTS + j) * LANES + l] += hermite_rate(0.0, 0.0, off, faster, bends, share)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hidden_part(
+    w: Array,
+    drive: Array,
+    begun: float,
+    dt: float,
+    times: Array,
+    motion: Array,
+    sensor: Array,
+    row: int,
+    bend: Array,
+    bends: float,
+    until: float,
+) -> None:
+    """One Runge–Kutta step of the hidden states over each lane's own part of a step that has begun; see ``advance``."""
+    at = np.empty(LANES)
+    for i in range(N_STATES * LANES):
+        w[Z_AT_START * LANES + i] = w[ROW_Z * LANES + i]
+        w[Z_SUM * LANES + i] = 0.0
+    for stage in range(4):
+        into = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
+        if stage != 2:  # both in the middle see the same motion and commands
+            for l in range(LANES):  # noqa: E741
+                share = w[ROW_FROM * LANES + l] + into * w[ROW_PART * LANES + l]
+                at[l] = begun + share * dt
+                for i in range(N_ACTUATORS):
+                    mean, slope = drive[0, i * LANES + l], drive[1, i * LANES + l]
+                    w[(ROW_PRESSURE + i) * LANES + l] = mean + (share - 0.5) * slope
+            put_recorded(w, times, motion, sensor, row, at, bend, bends, until)
+        lane_rates(w)
+        weight = 1.0 if stage == 0 or stage == 3 else 2.0
+        h = 0.5 * dt if stage < 2 else dt
+        for i in range(N_STATES):
+            for l in range(LANES):  # noqa: E741
+                rate = w[(Z_RATE + i) * LANES + l]
+                w[(Z_SUM + i) * LANES + l] += weight * rate
+                w[(ROW_Z + i) * LANES + l] = w[(Z_AT_START + i) * LANES + l] + h * w[ROW_PART * LANES + l] * rate
+    for i in range(N_STATES):
+        for l in range(LANES):  # noqa: E741
+            change = dt / 6.0 * w[ROW_PART * LANES + l] * w[(Z_SUM + i) * LANES + l]
+            w[(ROW_Z + i) * LANES + l] = w[(Z_AT_START + i) * LANES + l] + change
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hidden_step(
+    w: Array,
+    drive: Array,
+    begun: float,
+    dt: float,
+    times: Array,
+    motion: Array,
+    sensor: Array,
+    row: int,
+    bend: Array,
+    bends: float,
+    until: float,
+) -> None:
+    """One step of the hidden states, in as short parts as their rates ask for; see ``lane_steps.step``."""
+    for l in range(LANES):  # noqa: E741
+        w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
+    limited = QUICK_INSIDE and limit_parts(w, dt)
+    for part in range(MOST_PARTS):
+        hidden_part(w, drive, begun, dt, times, motion, sensor, row, bend, bends, until)
+        if not limited:
+            break
+        left = 0.0
+        for l in range(LANES):  # noqa: E741
+            reached = w[ROW_FROM * LANES + l] + w[ROW_PART * LANES + l]
+            w[ROW_FROM * LANES + l] = reached if reached < 1.0 - ROUNDING else 1.0
+            left += 1.0 - w[ROW_FROM * LANES + l]
+        if left == 0.0:
+            break
+        # The last part takes all that is left.
+        limit_parts(w, dt if part < MOST_PARTS - 2 else 0.0)
+    if BOUNDED:
+        lane_keep(w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow_recorded(
+    w: Array,
+    drive: Array,
+    begun: float,
+    dt: float,
+    times: Array,
+    motion: Array,
+    sensor: Array,
+    row: int,
+    bend: Array,
+    bends: float,
+    until: float,
+) -> int:
+    """Steps of the hidden states along the recorded motion; the row of the motion at or before their end.
+
+    Args:
+        w: work array.
+        drive: (steps, 2, na·LANES) mean and slope of the pressures over each step [Pa].
+        begun: when they begin [s].
+        dt: [s].
+        times: as in ``put_recorded``, as what follows.
+        motion: as there.
+        sensor: as there.
+        row: as there.
+        bend: as there.
+        bends: as there.
+        until: as there.
+    """
+    for s in range(len(drive)):
+        here = begun + s * dt
+        while row < len(times) - 2 and times[row + 1] <= here:
+            row += 1
+        hidden_step(w, drive[s], here, dt, times, motion, sensor, row, bend, bends, until)
+    return row
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hidden_starts(
+    w: Array,
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    first: Array,
+    sensor: Array,
+    recorded_times: Array,
+    recorded: Array,
+    reading: float,
+    q0: Array,
+    v0: Array,
+    start: Array,
+    dt: float,
+    same: NDArray[np.bool_],
+    linear: NDArray[np.bool_],
+    out: Array,
+) -> None:
+    """The hidden states where trials of one recording start.
+
+    Just before a start, over the time over which it is read off the recording, the recorded motion bends to where the
+    trial starts: so what is hidden fits to that, and changes smoothly with it.
+
+    Args:
+        w: work array with the constants.
+        times: as in ``run_trials``, as what is not named here.
+        commands: as there.
+        before: as there.
+        valve: as there.
+        follow: as there.
+        first: (k, na) what integrators of commands begin with at the recording's start.
+        sensor: as there.
+        recorded_times: (n,) of the recorded motion [s].
+        recorded: (3, n, nj) positions, rates and accelerations then, as the sensors show them.
+        reading: over how long a start is read off [s].
+        q0: as there.
+        v0: as there.
+        start: as there.
+        dt: as there.
+        same: see ``same_as_previous``.
+        linear: as there.
+        out: (trials, nz·LANES) written, of trials that start after the recording does.
+    """
+    k, now, row = len(sensor), times[0], 0
+    drive = np.empty((min(math.ceil((start.max() - now) / dt) + 1, AT_ONCE), 2, N_ACTUATORS * LANES))
+    bend, kept, at, held = np.zeros(2 * N_JOINTS * LANES), np.empty(N_STATES * LANES), np.empty(LANES), first.copy()
+    at[:] = now
+    clear(w, 0.0)
+    put_recorded(w, recorded_times, recorded, sensor, row, at, bend, 0.0, now)
+    lane_start(w)
+    for trial in np.argsort(start):
+        until = start[trial]
+        if not until > times[0]:
+            continue
+        bends = min(reading, until - times[0])
+        # To where the motion bends, which leads on to the next trial, too; then to the trial's start.
+        for last in range(2):
+            here, end, at_row = now, (until if last == 1 else max(until - bends, now)), row
+            if last == 1:
+                for i in range(N_STATES * LANES):
+                    kept[i] = w[ROW_Z * LANES + i]
+                at[:] = until
+                put_recorded(w, recorded_times, recorded, sensor, row, at, bend, 0.0, until)
+                for l in range(LANES):  # noqa: E741
+                    own = min(l, k - 1)
+                    for j in range(N_JOINTS):
+                        bend[j * LANES + l] = q0[trial, own, j] - w[(ROW_X + j) * LANES + l]
+                        faster = v0[trial, own, j] - w[(ROW_X + N_JOINTS + j) * LANES + l]
+                        bend[(N_JOINTS + j) * LANES + l] = faster
+            while here < end:
+                steps = max(math.ceil((end - here) / dt - 1e-9), 1)
+                step, taken = (end - here) / steps, min(steps, len(drive))
+                for l in range(k):  # noqa: E741
+                    integrate(times, commands[l], before[l], valve[l], follow[l], first[l], here, dt, linear, held[l])
+                piece = drive[:taken]
+                put_commands(piece, times, commands, before, valve, follow, held, here, step, same, linear)
+                at_row = follow_recorded(
+                    w, piece, here, step, recorded_times, recorded, sensor, at_row, bend,
+                    bends if last == 1 else 0.0, until,
+                )  # fmt: skip
+                here = end if taken == steps else here + taken * step
+            if last == 0:
+                now, row = end, at_row
+        for i in range(N_STATES * LANES):
+            out[trial, i] = w[ROW_Z * LANES + i]
+            w[ROW_Z * LANES + i] = kept[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def put_hidden(w: Array, states: Array) -> None:
+    """Put hidden states (nz·LANES) into the lanes."""
+    for i in range(N_STATES * LANES):
+        w[ROW_Z * LANES + i] = states[i]

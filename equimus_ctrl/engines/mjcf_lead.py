@@ -1,0 +1,133 @@
+"""What the motion before a trial's start left of an MJCF robot's hidden states, stepped by MuJoCo.
+
+Drives that turn by themselves, states of laws and of actuators follow the commands while all joints are put, step by
+step, where they were recorded to be. ``engines.lane_hidden`` does the same without a step's error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, hermite_rate
+from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.mjcf_realised import Realised, function_address, scratch
+from equimus_ctrl.engines.motion import hermite_arrays
+from equimus_ctrl.engines.trials import Trial
+from equimus_ctrl.types import Array
+
+hermite_rates = cast("Callable[..., Array]", hermite_rate.py_func)
+"""``effects.sensors.hermite_rate`` over whole arrays."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """What no sensor shows of an MJCF robot.
+
+    Attributes:
+        rotors: (n, 2) coordinates and rates of drives that turn by themselves [rad or m, rad/s or m/s].
+        act: (na,) MuJoCo's activations.
+        states: (nj, nz) of the laws.
+    """
+
+    rotors: Array
+    act: Array
+    states: Array
+
+
+Commands = Callable[[Realised, Trial], Array]
+"""(steps, na) what acts over each physics step, see ``mjcf.commands_on``."""
+
+
+def remembers(own: Realised) -> bool:
+    """Whether a robot has states that hang on the motion before, and not on commands alone."""
+    by_commands = sum(drive.state is not None for drive in own.robot.actuators)
+    return bool(len(own.rotors) or any(law.n_states for law in own.stepped) or own.mujoco.na > by_commands)
+
+
+class Leader:
+    """Leads the hidden states of one robot along recordings to where trials start; in their order one pass is enough.
+
+    Args:
+        own: the robot.
+        kernel: that steps it, see ``engines.mjcf_kernel``.
+        commands: what acts over steps.
+        begin: the hidden states where a recording begins, with (2 nj,) coordinates and rates there.
+    """
+
+    def __init__(self, own: Realised, kernel: Any, commands: Commands, begin: Callable[[Trial, Array], Hidden]) -> None:
+        self.own, self.kernel, self.commands, self.begin = own, kernel, commands, begin
+        self.places = np.vstack([own.places[:, :2], own.others])
+        self._reached: dict[Hashable, tuple[float, Hidden]] = {}
+
+    def at(self, trial: Trial, start: Array) -> Hidden:
+        """The hidden states where a trial starts inside its recording.
+
+        Args:
+            trial: of a recorded motion, see ``Trial.led``.
+            start: (2 n,) coordinates and rates of all joints at its start.
+        """
+        recorded, first = trial.led, float(trial.times[0])
+        assert recorded is not None
+        bends = min(recorded.reading, trial.start - first)
+        now, hidden = self._reached.get(trial.history, (math.inf, None))
+        if hidden is None or now > trial.start - bends:
+            q, v = self._motion(trial, np.array([first]))
+            nj = len(self.own.places)
+            early = replace(trial, start=first)
+            now, hidden = first, self.begin(early, np.concatenate([q[0, :nj], v[0, :nj]]))
+        reached = max(trial.start - bends, now)
+        hidden = self._led(trial, hidden, now, reached, None)
+        self._reached[trial.history] = reached, hidden
+        return self._led(trial, hidden, reached, trial.start, start)
+
+    def _motion(self, trial: Trial, times: Array) -> tuple[Array, Array]:
+        """(n, nj + np + nu) coordinates and rates of the recorded motion."""
+        assert trial.led is not None
+        motion, own = trial.led.motion, self.own
+        q, v, _ = motion.at(times)
+        nj = len(own.places)
+        for j in np.flatnonzero(own.sensor[:, SENSOR_DELAY] > 0):
+            late = motion.at(times + own.sensor[j, SENSOR_DELAY])
+            q[:, j], v[:, j] = late[0][:, j], late[1][:, j]
+        q[:, :nj] = behind(own.sensor, q[:, :nj])
+        v[:, :nj] /= own.sensor[:, SCALE]
+        return q, v
+
+    def _led(self, trial: Trial, hidden: Hidden, begun: float, until: float, start: Array | None) -> Hidden:
+        """The hidden states after a part of the recording, bent to a start where one is given."""
+        if not until > begun:
+            return hidden
+        own, model = self.own, self.own.mujoco
+        usual = float(model.opt.timestep)
+        steps = max(math.ceil((until - begun) / usual - 1e-9), 1)
+        dt = (until - begun) / steps
+        q, v = self._motion(trial, np.linspace(begun, until, steps + 1))
+        if start is not None:
+            off, faster = np.split(start, 2)
+            off, faster = off - q[-1], faster - v[-1]
+            share = np.arange(steps + 1)[:, None] / steps
+            q = q + hermite_arrays(0.0, 0.0, off, faster, until - begun, share)
+            v = v + hermite_rates(0.0, 0.0, off, faster, until - begun, share)
+        data, states, nj = scratch.data(model), hidden.states.copy(), len(own.places)
+        model.dof_frictionloss[own.places[:, 1]] = own.loss
+        data.qpos[own.rotors[:, 0]], data.qvel[own.rotors[:, 1]] = hidden.rotors.T
+        data.act[:] = hidden.act
+        path = np.empty((2, steps + 1, nj))
+        try:
+            model.opt.timestep = dt
+            part = replace(trial, start=begun, sample_times=np.array([until]))
+            self.kernel.run_mjcf(
+                function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
+                np.full(nj, MAX_SPEED), self.commands(own, part), np.empty((0, nj)), states,
+                data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
+                self.places, np.ascontiguousarray(q), np.ascontiguousarray(v), *path, data.act, np.empty((0, 0)),
+            )  # fmt: skip
+        finally:
+            model.opt.timestep = usual
+        rotors = np.column_stack([data.qpos[own.rotors[:, 0]], data.qvel[own.rotors[:, 1]]])
+        return Hidden(rotors, np.array(data.act), states)
