@@ -11,6 +11,7 @@ from mjcf_models import pendulum
 
 from equimus_ctrl.effects import DahlFriction, DriveCompliance, Effect, SensorDelay, SensorOffset, SensorScale
 from equimus_ctrl.engines.batch import simulate
+from equimus_ctrl.engines.limits import REMEMBERED
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.motion import motion
 from equimus_ctrl.engines.trials import Predicted, Trial
@@ -151,6 +152,29 @@ def test_a_stiffness_is_right_where_intervals_that_begin_in_balance_are_wrong(mo
     assert led < 0.5
     monkeypatch.setattr(Trial, "led", None)
     assert error() > 5.0
+
+
+@ENGINES
+def test_what_an_interval_starts_with_depends_on_no_other(simulated: Engine) -> None:
+    model, trial = Model(ROBOT, (SOFT,)), whole(ROBOT, torque())
+    (found,) = simulated(model, [trial], None)
+    trials = [s.trial for s in intervals(model, recording(trial, found.position[0]))]
+    together = simulated(model, trials, None)
+    for own, beside in zip(trials[::3], together[::3], strict=True):
+        assert np.array_equal(simulated(model, [own], None)[0].position, beside.position)
+
+
+@ENGINES
+def test_late_in_a_long_recording_its_last_part_leads_to_a_start(simulated: Engine) -> None:
+    model, time = Model(ROBOT, (SOFT,)), np.arange(0, 64.001, 0.01)
+    command = (1.1 * np.sin(5.0 * time) + 0.5 * np.sin(13.0 * time + 1.0))[:, None]
+    trial = Trial("t", time, command, command[0], 0.0, np.array([0.3]), time, np.zeros(1), inner=True)
+    (found,) = simulated(model, [trial], None)
+    shown = Recording("t", time, command, found.position[0], ROBOT.actuator_names, ROBOT.joint_names)
+    late = [replace(s, trial=replace(s.trial, inner=True)) for s in intervals(model, shown)[-5:]]
+    assert found.motion is not None and late[0].trial.start > 2 * REMEMBERED
+    led, rested = (farthest(simulated, model, late, found.motion[0], led) for led in (True, False))
+    assert led < 0.1 * rested
 
 
 def test_a_start_bends_the_motion_smoothly_to_itself() -> None:

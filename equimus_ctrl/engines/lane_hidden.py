@@ -2,8 +2,9 @@
 
 What no sensor shows (how far a compliant drive is ahead of its joint, states of laws) hangs on the motion before. It
 follows its own equations dz/dt = g(q, v, z, u) along the motion that was recorded, and under the commands that were, as
-an input-driven observer does: from the start of the recording, so that nothing has to be said of how long a state
-remembers. One pass through a recording serves all intervals of it. Units are those of ``lane_functions``.
+an input-driven observer does. One pass through a recording serves all intervals of it. It begins with the recording, in
+long ones ``REMEMBERED`` to twice that before a start. So that what an interval starts with depends on no other, the
+pass stops on a grid alone. Units are those of ``lane_functions``.
 """
 
 from __future__ import annotations
@@ -36,14 +37,15 @@ from equimus_ctrl.engines.lane_functions import (
     lane_start,
 )
 from equimus_ctrl.engines.lane_steps import MOST_PARTS, ROUNDING, limit_parts
+from equimus_ctrl.engines.limits import REMEMBERED
 from equimus_ctrl.types import Array
 
 HIDDEN = N_STATES > 0
 """Whether there are any."""
 ROW_Z = ROW_X + 2 * N_JOINTS
 Z_AT_START, Z_SUM, Z_RATE = ROW_START + 2 * N_JOINTS, ROW_SUM + 2 * N_JOINTS, ROW_RATE + 2 * N_JOINTS
-AT_ONCE = 4096
-"""So many steps at most share one array of commands."""
+STRIDE = 64
+"""Steps of a pass from one point of its grid to the next."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -95,7 +97,7 @@ def put_recorded(
         return
     for l in range(LANES):  # noqa: E741
         share = 1.0 - (until - at[l]) / bends
-        for j in range(N_JOINTS):
+        for j in range(N_JOINTS if share > 0.0 else 0):
             off, faster = bend[j * LANES + l], bend[(N_JOINTS + j) * LANES + l]
             w[(ROW_X + j) * LANES + l] += hermite(0.0, 0.0, off, faster, bends, share)
             w[(ROW_X + N_JOINTS + j) * LANES + l] += hermite_rate(0.0, 0.0, off, faster, bends, share)
@@ -262,46 +264,50 @@ def hidden_starts(
         linear: as there.
         out: (trials, nz·LANES) written, of trials that start after the recording does.
     """
-    k, now, row = len(sensor), times[0], 0
-    drive = np.empty((min(math.ceil((start.max() - now) / dt) + 1, AT_ONCE), 2, N_ACTUATORS * LANES))
+    k, begun, stride = len(sensor), times[0], STRIDE * dt
+    size = STRIDE + math.ceil(min(reading, REMEMBERED / 2) / dt) + 1
+    drive = np.empty((size, 2, N_ACTUATORS * LANES))
     bend, kept, at, held = np.zeros(2 * N_JOINTS * LANES), np.empty(N_STATES * LANES), np.empty(LANES), first.copy()
-    at[:] = now
-    clear(w, 0.0)
-    put_recorded(w, recorded_times, recorded, sensor, row, at, bend, 0.0, now)
-    lane_start(w)
+    period, place, row = -1, 0, 0
     for trial in np.argsort(start):
         until = start[trial]
-        if not until > times[0]:
+        if not until > begun:
             continue
-        bends = min(reading, until - times[0])
-        # To where the motion bends, which leads on to the next trial, too; then to the trial's start.
-        for last in range(2):
-            here, end, at_row = now, (until if last == 1 else max(until - bends, now)), row
-            if last == 1:
-                for i in range(N_STATES * LANES):
-                    kept[i] = w[ROW_Z * LANES + i]
-                at[:] = until
-                put_recorded(w, recorded_times, recorded, sensor, row, at, bend, 0.0, until)
-                for l in range(LANES):  # noqa: E741
-                    own = min(l, k - 1)
-                    for j in range(N_JOINTS):
-                        bend[j * LANES + l] = q0[trial, own, j] - w[(ROW_X + j) * LANES + l]
-                        faster = v0[trial, own, j] - w[(ROW_X + N_JOINTS + j) * LANES + l]
-                        bend[(N_JOINTS + j) * LANES + l] = faster
-            while here < end:
-                steps = max(math.ceil((end - here) / dt - 1e-9), 1)
-                step, taken = (end - here) / steps, min(steps, len(drive))
-                for l in range(k):  # noqa: E741
-                    integrate(times, commands[l], before[l], valve[l], follow[l], first[l], here, dt, linear, held[l])
-                piece = drive[:taken]
-                put_commands(piece, times, commands, before, valve, follow, held, here, step, same, linear)
-                at_row = follow_recorded(
-                    w, piece, here, step, recorded_times, recorded, sensor, at_row, bend,
-                    bends if last == 1 else 0.0, until,
-                )  # fmt: skip
-                here = end if taken == steps else here + taken * step
-            if last == 0:
-                now, row = end, at_row
+        bends = min(reading, until - begun, REMEMBERED / 2)
+        own_period = max(int((until - begun) / REMEMBERED) - 1, 0)
+        if own_period != period:
+            period, place = own_period, int(own_period * REMEMBERED / stride)
+            at[:] = begun + place * stride
+            row = max(min(np.searchsorted(recorded_times, at[0], side="right") - 1, len(recorded_times) - 2), 0)
+            clear(w, at[0] - begun)
+            put_recorded(w, recorded_times, recorded, sensor, row, at, bend, 0.0, until)
+            lane_start(w)
+        last = int((until - bends - begun) / stride)
+        while place <= last:
+            # Whole strides, which lead on to the next trial, too; then to this trial's start.
+            leads_on, here = place < last, begun + place * stride
+            steps = STRIDE if leads_on else min(max(math.ceil((until - here) / dt - 1e-9), 1), size)
+            step = dt if leads_on else (until - here) / steps
+            for l in range(k):  # noqa: E741
+                integrate(times, commands[l], before[l], valve[l], follow[l], first[l], here, dt, linear, held[l])
+            piece = drive[:steps]
+            put_commands(piece, times, commands, before, valve, follow, held, here, step, same, linear)
+            if leads_on:
+                row = follow_recorded(w, piece, here, step, recorded_times, recorded, sensor, row, bend, 0.0, until)
+                place += 1
+                continue
+            for i in range(N_STATES * LANES):
+                kept[i] = w[ROW_Z * LANES + i]
+            at[:] = until
+            put_recorded(w, recorded_times, recorded, sensor, row, at, bend, 0.0, until)
+            for l in range(LANES):  # noqa: E741
+                own = min(l, k - 1)
+                for j in range(N_JOINTS):
+                    bend[j * LANES + l] = q0[trial, own, j] - w[(ROW_X + j) * LANES + l]
+                    faster = v0[trial, own, j] - w[(ROW_X + N_JOINTS + j) * LANES + l]
+                    bend[(N_JOINTS + j) * LANES + l] = faster
+            follow_recorded(w, piece, here, step, recorded_times, recorded, sensor, row, bend, bends, until)
+            break
         for i in range(N_STATES * LANES):
             out[trial, i] = w[ROW_Z * LANES + i]
             w[ROW_Z * LANES + i] = kept[i]

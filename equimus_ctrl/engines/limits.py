@@ -20,3 +20,7 @@ at rest decay into."""
 
 SLIDING = 1e-6
 """Rate [rad/s or m/s] above which what has dry friction slides, and may turn."""
+
+REMEMBERED = 24.0
+"""How much of a recording leads at least to a start inside of it, or all that there is [s]: three times the longest
+shooting interval, so that of a state that changes more slowly than over one a twentieth is left of how it began."""

@@ -14,12 +14,14 @@ from typing import Any, cast
 import numpy as np
 
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, hermite_rate
-from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.limits import MAX_SPEED, REMEMBERED
 from equimus_ctrl.engines.mjcf_realised import Realised, function_address, scratch
 from equimus_ctrl.engines.motion import hermite_arrays
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.types import Array
 
+STRIDE = 64
+"""Steps of a pass through a recording between what it remembers of it; see ``engines.lane_hidden.STRIDE``."""
 hermite_rates = cast("Callable[..., Array]", hermite_rate.py_func)
 """``effects.sensors.hermite_rate`` over whole arrays."""
 
@@ -62,7 +64,7 @@ class Leader:
     def __init__(self, own: Realised, kernel: Any, commands: Commands, begin: Callable[[Trial, Array], Hidden]) -> None:
         self.own, self.kernel, self.commands, self.begin = own, kernel, commands, begin
         self.places = np.vstack([own.places[:, :2], own.others])
-        self._reached: dict[Hashable, tuple[float, Hidden]] = {}
+        self._reached: dict[Hashable, tuple[int, int, Hidden]] = {}
 
     def at(self, trial: Trial, start: Array) -> Hidden:
         """The hidden states where a trial starts inside its recording.
@@ -73,17 +75,22 @@ class Leader:
         """
         recorded, first = trial.led, float(trial.times[0])
         assert recorded is not None
-        bends = min(recorded.reading, trial.start - first)
-        now, hidden = self._reached.get(trial.history, (math.inf, None))
-        if hidden is None or now > trial.start - bends:
-            q, v = self._motion(trial, np.array([first]))
+        bends = min(recorded.reading, trial.start - first, REMEMBERED / 2)
+        stride = STRIDE * float(self.own.mujoco.opt.timestep)
+        period = max(int((trial.start - first) / REMEMBERED) - 1, 0)
+        last = int((trial.start - bends - first) / stride)
+        known, place, hidden = self._reached.get(trial.history, (-1, 0, None))
+        if hidden is None or known != period or place > last:
+            place = int(period * REMEMBERED / stride)
+            early = replace(trial, start=first + place * stride)
+            q, v = self._motion(trial, np.array([early.start]))
             nj = len(self.own.places)
-            early = replace(trial, start=first)
-            now, hidden = first, self.begin(early, np.concatenate([q[0, :nj], v[0, :nj]]))
-        reached = max(trial.start - bends, now)
-        hidden = self._led(trial, hidden, now, reached, None)
-        self._reached[trial.history] = reached, hidden
-        return self._led(trial, hidden, reached, trial.start, start)
+            hidden = self.begin(early, np.concatenate([q[0, :nj], v[0, :nj]]))
+        while place < last:
+            hidden = self._led(trial, hidden, first + place * stride, first + (place + 1) * stride)
+            place += 1
+        self._reached[trial.history] = period, place, hidden
+        return self._led(trial, hidden, first + place * stride, trial.start, start, bends)
 
     def _motion(self, trial: Trial, times: Array) -> tuple[Array, Array]:
         """(n, nj + np + nu) coordinates and rates of the recorded motion."""
@@ -98,10 +105,10 @@ class Leader:
         v[:, :nj] /= own.sensor[:, SCALE]
         return q, v
 
-    def _led(self, trial: Trial, hidden: Hidden, begun: float, until: float, start: Array | None) -> Hidden:
-        """The hidden states after a part of the recording, bent to a start where one is given."""
-        if not until > begun:
-            return hidden
+    def _led(
+        self, trial: Trial, hidden: Hidden, begun: float, until: float, start: Array | None = None, bends: float = 0.0
+    ) -> Hidden:
+        """The hidden states after a part of the recording, whose end bends to a start where one is given."""
         own, model = self.own, self.own.mujoco
         usual = float(model.opt.timestep)
         steps = max(math.ceil((until - begun) / usual - 1e-9), 1)
@@ -110,9 +117,9 @@ class Leader:
         if start is not None:
             off, faster = np.split(start, 2)
             off, faster = off - q[-1], faster - v[-1]
-            share = np.arange(steps + 1)[:, None] / steps
-            q = q + hermite_arrays(0.0, 0.0, off, faster, until - begun, share)
-            v = v + hermite_rates(0.0, 0.0, off, faster, until - begun, share)
+            share = np.maximum(1.0 - (until - np.linspace(begun, until, steps + 1)[:, None]) / bends, 0.0)
+            q = q + hermite_arrays(0.0, 0.0, off, faster, bends, share)
+            v = v + hermite_rates(0.0, 0.0, off, faster, bends, share)
         data, states, nj = scratch.data(model), hidden.states.copy(), len(own.places)
         model.dof_frictionloss[own.places[:, 1]] = own.loss
         data.qpos[own.rotors[:, 0]], data.qvel[own.rotors[:, 1]] = hidden.rotors.T
