@@ -136,7 +136,7 @@ def test_hidden_states_themselves_are_those_of_the_whole_trial() -> None:
 
 
 @pytest.mark.slow
-def test_a_stiffness_is_right_where_intervals_that_begin_in_balance_are_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stiffness_is_right_where_intervals_that_begin_without_it_are_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     real = Model(ROBOT, (SOFT,))
     (found,) = reduced(real, [whole(ROBOT, torque())])
     noisy = found.position[0] + np.random.default_rng(5).normal(0, 5e-4, found.position[0].shape)

@@ -196,7 +196,7 @@ class ForceEffect(Effect):
 
     @classmethod
     def start_state(cls, x: ca.SX, rate: ca.SX, time: ca.SX, p: Parameters) -> Sequence[ca.SX]:
-        """The states where a trial or a shooting interval starts; by default those after a long rest at x.
+        """The states where a recording starts, or what is known of one; by default those after a long rest at x.
 
         Args:
             x: there.

@@ -267,8 +267,8 @@ class DahlFriction(ForceEffect):
     """−friction·z, dz/dt = (rate − |rate|·z)/distance: dry friction that gives way like a spring before it slides.
 
     Its stiffness after a reversal is friction/distance (Dahl, *A solid friction model*, 1968). Of legs' actuators it is
-    ``hysteresis``. Where a trial starts nobody has seen the way before: z is what a long motion at the rate of then,
-    of ``MOVED`` seconds from rest, makes of it.
+    ``hysteresis``. Where a recording starts nobody has seen the way before: z is what a long motion at the rate of
+    then, of ``MOVED`` seconds from rest, makes of it.
     """
 
     name = "dahl_friction"

@@ -169,7 +169,7 @@ def follow(
         ctrl: see ``commands_on``.
         force: (steps, nj) further generalised forces on the joints [N·m or N].
         leader: of the robot, see ``leader_of``: the recorded motion before the start says what hidden states are there.
-            Without, they begin in balance.
+            Without, they begin as if nothing had been before.
     """
     _, kernel = compiled.load_mjcf(own.stepped)
     model, nj = own.mujoco, len(own.places)

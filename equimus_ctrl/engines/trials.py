@@ -55,11 +55,12 @@ class Trial:
         linear: commands go along a line from each instant to the next, in place of being held.
         inner: whether the true motion at the sample times is wanted too, see ``Predicted.motion``.
         forces: whether the forces of the drives there are wanted too, see ``Predicted.forces``.
-        activation: (na,) what integrators of commands begin with; by default where their actuators are.
+        activation: (na,) what integrators of commands begin with; by default where their actuators are, at the start of
+            what was ``recorded`` where that is known.
         prescribed: how joints move whose motion is an input; they have no part in the vectors of joints above.
         supposed: how joints may move that were not measured; they begin so where nothing else is said.
         recorded: the motion that the trial is a part of, from the first command on: what no sensor shows is at the
-            start as it left it. Without, that is in balance there.
+            start as it left it. Without, it is there as if nothing had been before.
     """
 
     name: str
