@@ -57,6 +57,7 @@ class OnPaper(Search):
     """A search whose fits are looked up."""
 
     known: Known
+    torque_domain = None
 
     def __init__(self, known: Known, settings: SearchSettings | None = None) -> None:
         free = SimpleNamespace(free=[], model=object())

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from pendulum_runs import recorded
 
+from equimus_ctrl.diagnosis.alternatives import simpler_laws
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
@@ -17,7 +20,11 @@ from equimus_ctrl.diagnosis.torque_guesses import far_above_noise
 from equimus_ctrl.diagnosis.torque_screening import torque_domain
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for
 from equimus_ctrl.effects import (
+    AsymmetricFriction,
     CoulombFriction,
+    DirectionalLoadFriction,
+    Effect,
+    LoadFriction,
     PayloadMass,
     PositionDependentFriction,
     SpringTether,
@@ -52,8 +59,35 @@ def test_a_law_holds_another_at_its_places_with_more_parameters() -> None:
     assert not holds(longer, replace(tether, locations=("fore",)))
     assert not holds(*(replace(law, locations=("tip", "fore")) for law in (longer, tether)))
     assert not holds(longer, Candidate(PayloadMass, ("tip",), ()))  # another slot
+    both, same = (Candidate(law, ("pan",), ()) for law in (DirectionalLoadFriction, LoadFriction))
+    assert holds(both, same) and not holds(same, both)  # with the same share in both directions
     rough, dry = (Candidate(law, ("pan",), ()) for law in (PositionDependentFriction, CoulombFriction))
     assert holds(rough, dry)
+
+
+@pytest.mark.parametrize(
+    ("law", "simpler", "begun"),
+    [
+        (DirectionalLoadFriction, {"share": 0.1}, {"drive": 0.1, "backdrive": 0.1}),
+        (AsymmetricFriction, {"friction": 0.2}, {"forward": 0.2, "backward": 0.2}),
+        (PositionDependentFriction, {"friction": 0.2}, {"friction": 0.2, "more": 0.5, "angle": 1.0}),
+    ],
+)
+def test_a_law_begins_as_the_one_that_it_holds(
+    law: type[Effect], simpler: dict[str, float], begun: dict[str, float]
+) -> None:
+    assert (
+        law.begun_at(simpler, [dict.fromkeys(begun, 0.5) | {"angle": 1.0} if "angle" in begun else begun])[0] == begun
+    )
+
+
+def test_the_simpler_law_begins_between_the_sizes_of_the_richer_one() -> None:
+    rich, simple = (Candidate(law, ("pan",), ()) for law in (AsymmetricFriction, CoulombFriction))
+    simple = replace(simple, guesses=({"friction": 9.0},))
+    search: Any = SimpleNamespace(allowed_candidates=lambda tried: [rich, simple])
+    state: Any = SimpleNamespace(tried=None)
+    (part,) = simpler_laws(search, state, Part(rich, {"forward": 0.1, "backward": 0.3}))
+    assert part.candidate.effect is CoulombFriction and part.values == {"friction": pytest.approx(0.2)}
 
 
 @lru_cache(maxsize=1)

@@ -376,10 +376,11 @@ def _shared_values(part: Part, other: Candidate) -> dict[str, float]:
     """Values of a part for another candidate at its places, of parameters that both have; means where it has one."""
     shared: dict[str, float] = {}
     for own in other.parameters:
+        alike = part.candidate.effect.special_cases.get(own.key, (own.key,))
         values = [
             part.values[p.name]
             for p in part.candidate.parameters
-            if p.key == own.key and p.group == own.group and set(p.places) & set(own.places)
+            if p.key in alike and p.group == own.group and set(p.places) & set(own.places)
         ]
         if values:
             shared[own.name] = float(np.mean(values))

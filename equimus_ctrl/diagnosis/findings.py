@@ -219,8 +219,9 @@ def _equivalent(
 ) -> tuple[tuple[Equivalent, ...], SearchHistory]:
     """Alternatives that fit as well; none with more parameters, which reproduces anything simpler.
 
-    Close ones are compared with short steps: where commands jump, discretisation errors can separate equivalent
-    effects.
+    What a parameter does that others do as well makes a law no richer, see ``Data.dimensions``: a spring to a point of
+    the room has four, of which one hinge shows one. Close ones are compared with short steps: where commands jump,
+    discretisation errors can separate equivalent effects.
     """
     thresholds, gain = search.data.thresholds, end.without[k].deviance - end.best.deviance
 
@@ -231,24 +232,28 @@ def _equivalent(
         return margin(t) + t.step_scatter
 
     def within(alternative: Fitted, best: Fitted, most: Callable[[Thresholds], float]) -> bool:
-        more = search.score(alternative) - search.score(best)
+        fewer = max(best.n_parameters - alternative.n_parameters, 0)
+        more = alternative.deviance - best.deviance - fewer * math.log(search.data.n)
         return thresholds.decides(lambda t: more < most(t))
+
+    def richer(alternative: Fitted, part: Part) -> bool:
+        own = part.candidate.n_parameters
+        room = end.best.n_parameters - (alternative.n_parameters - own)
+        return own > room and search.data.dimensions(alternative, alternative.hypothesis.index(part), room) > room
 
     label = end.best.hypothesis[k].candidate.label
     others: dict[str, Equivalent] = {}
     alternatives, tried = in_place(search, end, k, within_scatter)
     for alternative in sorted(alternatives, key=search.score):
         part = replacement(alternative, end.without[k])
-        if (
-            alternative.n_parameters > end.best.n_parameters
-            or part is None
-            or not within(alternative, end.best, within_scatter)
-        ):
+        if part is None or not within(alternative, end.best, within_scatter):
             continue
         other = part.candidate.label
         if named_part(part) == named_part(end.best.hypothesis[k]):  # in other groups of trials
             continue
-        if other != label and other not in others and within(finely(alternative), finely(end.best), margin):
+        if other == label or other in others or richer(alternative, part):
+            continue
+        if within(finely(alternative), finely(end.best), margin):
             others[other] = Equivalent(named_part(part), alternative)
     return tuple(others.values()), tried
 

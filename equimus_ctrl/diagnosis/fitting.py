@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtri
 
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.budget import Budget
-from equimus_ctrl.diagnosis.hypothesis import Hypothesis, parameters_of, refined
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part, parameters_of, refined
 from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
@@ -290,6 +292,37 @@ class Data:
         blind = (t for t in fitted.fit.uncertainty.trade_offs if t.correlation is None)
         return sum(bool(counted & t.weights.keys()) for t in blind) >= len(counted)
 
+    def dimensions(self, fitted: Fitted, k: int, most: int) -> int:
+        """In how many directions a part's parameters change what is seen, beside all that others can do.
+
+        The rank of their Fisher information: Schwarz's cost is of dimensions, not of names. Looked at is the law as
+        fits of it begin, for where one ended it may have degenerated to a simpler one. A direction counts along which
+        parameters as large as there change −2 log likelihood by what makes hypotheses distinguishable. Of discontinuous
+        parameters derivatives say nothing; they all count.
+
+        Args:
+            fitted: the hypothesis.
+            k: place of the part.
+            most: so many and one more are told apart, no larger numbers.
+        """
+        part, found = fitted.hypothesis[k], 0
+        if self.discontinuous((part,)):
+            return part.candidate.n_parameters
+        others = (*fitted.hypothesis[:k], *fitted.hypothesis[k + 1 :])
+        for values in (part.values, *part.candidate.guesses):
+            hypothesis = (*others, Part(part.candidate, values))
+            begin = (self.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
+            with suppress(SimulationDiverged):  # so nothing is seen there
+                at = self._fit(hypothesis, [begin], fitted.noise, NO_STEP, GridScan(0, 0))
+                slopes = whiten_fit(self.times, at, fitted.noise).slopes
+                first = slopes.shape[1] - part.candidate.n_parameters
+                own = Nuisance.of(slopes[:, :first]).project_out(slopes[:, first:])
+                gains = np.linalg.svd(own, compute_uv=False) ** 2
+                found = max(found, sum(self.thresholds.decides(partial(_distinguishable, gain)) for gain in gains))
+            if found > most:
+                break
+        return found
+
     def may_be_nothing(self, fitted: Fitted, k: int) -> bool:
         """Whether what is known of a part's sizes, at all its places, holds that it does nothing.
 
@@ -425,6 +458,10 @@ class Data:
     def _first_noise(self) -> Noise:
         """White, as large as the motion: each joint or channel counts in units of how far it moves."""
         return white_noise([s.outputs - s.outputs.mean(axis=0) for s in self.segments])
+
+
+def _distinguishable(gain: float, t: Thresholds) -> bool:
+    return gain > t.indistinguishable
 
 
 def chi_squared(noise: Noise, times: Sequence[Array], values: Sequence[Array]) -> float:

@@ -36,5 +36,6 @@ def holds(rich: Candidate, simple: Candidate) -> bool:
     """Whether a law is another with further parameters, at the same place alone."""
     same = rich.effect.exclusive == simple.effect.exclusive is not None and rich.locations == simple.locations
     same = same and len(simple.locations) == 1
-    names, fewer = ({own.name for own in law.parameters} for law in (rich, simple))
-    return same and fewer < names
+    names, alike = {own.name for own in rich.parameters}, rich.effect.special_cases
+    as_its_own = {name for own in simple.parameters for name in alike.get(own.name, (own.name,))}
+    return same and as_its_own <= names and simple.n_parameters < rich.n_parameters

@@ -13,6 +13,7 @@ The moves:
     enrich     a law → one that holds it as a special case                 ``extensions``, where minima are many
     narrow     a law alike at several places → at one place less           ``narrowed``, ``exchanged_beside_fewer``
     prune      a law with its own parameters at each place → where needed  ``pruned``
+    unite      several laws → one that explains as much              ``with_fewer_laws``
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
 
 A search of an MJCF robot begins with the laws that its measured torques ask for (``begun_in_torques``), each enriched
@@ -46,6 +47,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from equimus_ctrl.diagnosis.alternatives import contested, exchanged_beside_fewer, narrowed, pruned, simplified
+from equimus_ctrl.diagnosis.fewer_laws import with_fewer_laws
 from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
@@ -172,8 +174,8 @@ class Search(HypothesisMoves):
         yield self._finished(replace(forward.last_accepted, base=last.base, tried=last.tried, stopped=stopped))
 
     def _finished(self, state: SearchState) -> SearchState:
-        """The end: each part the best in its place, at the fewest places."""
-        return narrowed(self, exchanged_beside_fewer(self, contested(self, state)))
+        """The end: each part the best in its place, at the fewest places, and as few of them as explain as much."""
+        return with_fewer_laws(self, narrowed(self, exchanged_beside_fewer(self, contested(self, state))))
 
     def _round(self, forward: _Forward) -> _Forward:
         """One more part, or the reason to stop."""

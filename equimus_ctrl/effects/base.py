@@ -75,6 +75,9 @@ class Effect:
     of its own, or acts on a coordinate of its own."""
     exclusive: ClassVar[str | None] = None
     """Of effects that share this word one place can have only one; see ``slot``."""
+    special_cases: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """Parameter of a law that it excludes → its own that all have that value where it is that law. Where there is none
+    of these, both call it by the same name."""
     leg_sizes: ClassVar[tuple[Size, ...]] = ()
     """What a proof draws on the nominal leg: a size for each parameter at each place; none where it draws it not."""
     leg_alike: ClassVar[bool] = False
@@ -147,7 +150,8 @@ class Effect:
             simpler: values of that law's parameters.
             guesses: see ``guesses``.
         """
-        return [{**guess, **simpler} for guess in guesses]
+        same = {own: value for key, value in simpler.items() for own in cls.special_cases.get(key, (key,))}
+        return [{**guess, **same} for guess in guesses]
 
     @classmethod
     def guesses(cls, excitation: Excitation) -> list[dict[str, float]]:

@@ -220,6 +220,7 @@ class AsymmetricFriction(ForceEffect):
     summary = "dry friction that differs between the two directions"
     alike = False
     exclusive = "dry friction"
+    special_cases = {"friction": ("forward", "backward")}  # noqa: RUF012
     neutral = {"forward": 0.0, "backward": 0.0}  # noqa: RUF012
     mjcf_sizes = (
         Share("forward", 0.003, 0.3),
@@ -363,6 +364,7 @@ class DirectionalLoadFriction(ForceEffect):
     summary = "dry friction in proportion to the drive's force, another share when it is driven backwards"
     alike = False
     exclusive = "load friction"
+    special_cases = {"share": ("drive", "backdrive")}  # noqa: RUF012
     in_torques = False  # in part it is a gain: least squares would prefer it to noise, with smaller masses
     neutral = {"drive": 0.0, "backdrive": 0.0}  # noqa: RUF012
     mjcf_sizes = (Share("drive", 0.02, 0.2), Share("backdrive", 0.1, 0.6))
