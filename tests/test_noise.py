@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.identification.noise import (
+    LONGEST,
     JointNoise,
     estimate_noise,
+    largest_noise,
     log_likelihood,
     noise_of_differences,
     white_noise,
@@ -82,3 +84,37 @@ def test_rough_sizes_do_not_see_slow_motion() -> None:
     for own in noise_of_differences(moving):
         assert own.white == pytest.approx(2e-3, rel=0.1)
     assert white_noise(residuals)[0].white == pytest.approx(2e-3, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("white", "coloured", "time"), [(2e-3, 0.0, 0.01), (0.0, 3e-3, LONGEST), (1e-3, 2e-3, 0.03), (0.0, 1e-3, 0.01)]
+)
+def test_noise_is_within_what_its_second_differences_allow(white: float, coloured: float, time: float) -> None:
+    times, residuals = series(white, coloured, time)
+    ratio = largest_noise(times, residuals, 1e-3) / math.hypot(white, coloured)
+    assert np.all(ratio > 1.0) and np.all(ratio < 2.0)
+
+
+@pytest.mark.parametrize("count", [1, 4, 20])
+def test_the_bound_holds_on_short_recordings_of_the_slowest_noise(count: int) -> None:
+    short = [series(0.0, 1e-3, LONGEST, seed, count=1) for seed in range(200)]
+    cut = 36 * count  # so many disjoint second differences over the longest lag
+    bounds = np.array([largest_noise([t[0][:cut]], [r[0][:cut]], 1e-3) for t, r in short])
+    assert np.mean(bounds < 1e-3) < 0.01
+
+
+def test_what_is_slower_than_noise_hardly_raises_the_bound_however_it_is_sampled() -> None:
+    times, residuals = series(1e-3, 0.0, 0.01, count=3)
+    wrong = [0.014 * np.sin(3.0 * t)[:, None] + r for t, r in zip(times, residuals, strict=True)]
+    taken_for_noise = np.array([own.sigma for own in estimate_noise(times, wrong)])
+    bound = largest_noise(times, wrong, 1e-3)
+    assert np.all(taken_for_noise > 2 * bound) and np.all(bound < 2e-3)
+    fewer = [slice(None, None, 5)] * 3
+    bound = largest_noise(
+        [t[s] for t, s in zip(times, fewer, strict=True)], [r[s] for r, s in zip(wrong, fewer, strict=True)], 1e-3
+    )
+    assert np.all(bound < 2e-3)
+
+
+def test_series_too_short_for_a_second_difference_do_not_bound_noise() -> None:
+    assert np.all(np.isinf(largest_noise([np.array([0.0, 0.01])], [np.zeros((2, 3))], 1e-3)))

@@ -215,6 +215,13 @@ class Thresholds:
         "convention",
         "a normalised RMSE of 2",
     )
+    noise_bound: float = _decides(
+        1e-3,
+        "",
+        "probability that a joint's noise is larger than the second differences of its residuals are taken to allow",
+        "theory",
+        "upper confidence limit of a variance: χ² of as many second differences as share no samples",
+    )
     outdone: float = _decides(
         0.5,
         "",

@@ -35,6 +35,7 @@ from equimus_ctrl.diagnosis.findings import (
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
+from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Residuals, Unexplained
@@ -373,7 +374,8 @@ def report(state: State) -> Diagnosis:
     """The findings with evidence and intervals, and the rest of the report, which no budget ends."""
     state = tested(replace(state, search=replace(state.search, data=replace(state.data, budget=Budget()))))
     inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
-    data, split, model, noise = state.data, inputs.split, inputs.nominal, end.best.noise
+    data, split, model = state.data, inputs.split, inputs.nominal
+    sigma = noise_sizes(data.segments, end.best, data.thresholds)[: len(end.best.fit.rmse)]
     holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
     told = findings(search, end, holdout, equivalent)
     if state.failed:
@@ -394,7 +396,8 @@ def report(state: State) -> Diagnosis:
         validation=split.validation,
         test=split.test,
         residuals=residuals,
-        where=localise(model, split.train, end.base.fit.residuals, noise),
+        sigma=sigma,
+        where=localise(model, split.train, end.base.fit.residuals, sigma),
         findings=tuple(named),
         undetermined=tuple(undetermined),
         unexplained=unexplained,
@@ -402,10 +405,7 @@ def report(state: State) -> Diagnosis:
         ranking=state.ranking or ranking(search, end),
         detectable=() if told or unexplained or state.ended_in else detectable(search, end),
         experiment=None if state.ended_in else separating(data, end, named, equivalent, inputs.designs),
-        excess_variance={
-            name: float(excess_variances(residuals[name].train, noise[: len(end.best.fit.rmse)]).mean())
-            for name in STATES
-        },
+        excess_variance={name: float(excess_variances(residuals[name].train, sigma).mean()) for name in STATES},
         notes=(
             *notes(end, split, inputs.settings.exclude, [stage.decides for stage in skipped(state)]),
             *beyond_range(model, split),

@@ -153,7 +153,7 @@ def _size(diagnosis: Diagnosis) -> str:
     states, parts = diagnosis_text.states(diagnosis), [part for part in SETS if getattr(diagnosis, part)]
     groups = [(diagnosis_text.PARTS[part], [WORDS[state] for state in states]) for part in parts]
     sizes = [diagnosis.rmse(state, part) * factors for part in parts for state in states]
-    sigma = np.array([own.sigma for own in diagnosis.noise]) * factors
+    sigma = diagnosis.sigma * factors
     rows = [
         (joint if alike else f"{joint} [{unit.unit}]", *(number(v[j]) for v in sizes), number(float(sigma[j])))
         for j, (joint, unit) in enumerate(zip(diagnosis.joints, shown, strict=True))
