@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from equimus_ctrl.identification.noise import (
     LONGEST,
@@ -114,6 +115,12 @@ def test_what_is_slower_than_noise_hardly_raises_the_bound_however_it_is_sampled
         [t[s] for t, s in zip(times, fewer, strict=True)], [r[s] for r, s in zip(wrong, fewer, strict=True)], 1e-3
     )
     assert np.all(bound < 2e-3)
+
+
+def test_noise_of_filtered_measurements_is_not_far_above_the_bound() -> None:
+    white = np.random.default_rng(4).normal(size=(20_000, 1))
+    filtered = sosfiltfilt(butter(2, 6.0, fs=500.0, output="sos"), white, axis=0)
+    assert largest_noise([np.arange(20_000) / 500], [filtered], 1e-3)[0] > filtered.std() / 2
 
 
 def test_series_too_short_for_a_second_difference_do_not_bound_noise() -> None:

@@ -164,6 +164,13 @@ class Thresholds:
         "calibration",
         PROOFS,
     )
+    smooth_trace: float = _decides(
+        0.01,
+        "of the gain",
+        "a smooth force beside named laws is not reported below this share of −2Δln L of all that these and it explain",
+        "convention",
+        "a hundredth of the evidence; each of the two is judged by the noise that it leaves itself",
+    )
     replaces_one: float = _decides(
         0.85,
         "",

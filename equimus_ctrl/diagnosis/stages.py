@@ -40,9 +40,9 @@ from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Residuals, Unexplained
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis
-from equimus_ctrl.diagnosis.smooth_laws import analysed
+from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, State
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test
+from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.residuals import residuals_of
@@ -178,18 +178,17 @@ def explain_residuals(state: State) -> State:
     further = search.settings.again
     analysis = analysed(search, end, state.inputs.split)
     while analysis.redundant:
-        dropped = {end.best.hypothesis[k]: reason for k, reason in analysis.redundant.items()}
+        dropped = analysis.rejected(end.best.hypothesis)
         rejected += tuple(named_part(part) for part in dropped)
         reasons |= {part.candidate.label: reason for part, reason in dropped.items()}
-        end = without_parts(search, end, tuple(analysis.redundant))
+        labels = [end.best.hypothesis[k].candidate.label for k in analysis.redundant]
+        labels += [part.candidate.label for part in dropped if part.candidate.label not in labels]
+        end = without_parts(search, end, tuple(analysis.redundant), analysis.fewer)
         if end.best.hypothesis:
-            labels = [part.candidate.label for part in dropped]
             end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
             search, end = still_apart(search, end, state.inputs.split)
             further -= 1
-        beside, analysis = analysis, analysed(search, end, state.inputs.split)
-        if not end.best.hypothesis and not analysis.unexplained:
-            analysis = ResidualAnalysis(beside.unexplained)
+        analysis = analysed_without(search, end, state.inputs.split, analysis)
     after = replace(
         state,
         search=search,
@@ -238,8 +237,11 @@ def take_off_step_error(state: State) -> State:
         end=exact.end,
         nominal=nominal_residuals(state.inputs, exact.search.data),
         analysis=exact.analysis,
+        rejected=(*state.rejected, *map(named_part, exact.rejected)),
         coarse=exact.sentence,
     )
+    for part, reason in exact.rejected.items():
+        after = after.decided("discretization", f"{part.candidate.label} rejected", reason)
     return after.decided("discretization", "worked out without the step's error", exact.sentence)
 
 

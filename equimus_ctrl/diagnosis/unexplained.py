@@ -13,6 +13,7 @@ from equimus_ctrl.diagnosis.confounding import confounded, generalises, restates
 from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
 from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
@@ -69,10 +70,20 @@ class ResidualAnalysis:
     Attributes:
         unexplained: forces, or joints, that nothing named explains, strongest first.
         redundant: places of parts of the hypothesis that are to be rejected, with the reason.
+        fewer: of those the laws with a size of their own at each place that are rejected at some alone, with the
+            places at which they stay.
     """
 
     unexplained: tuple[Unexplained, ...] = ()
     redundant: Mapping[int, str] = field(default_factory=dict)
+    fewer: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+
+    def rejected(self, hypothesis: Hypothesis) -> dict[Part, str]:
+        """The parts of the hypothesis that are rejected, or what is rejected of them, with the reason."""
+        parts = {k: hypothesis[k] for k in self.redundant}
+        for k, stay in self.fewer.items():
+            parts[k] = parts[k].narrowed(tuple(p for p in parts[k].candidate.locations if p not in stay))
+        return {parts[k]: reason for k, reason in self.redundant.items()}
 
 
 def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted]) -> ResidualAnalysis:

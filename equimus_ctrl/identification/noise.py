@@ -27,8 +27,9 @@ LONGEST = 0.12
 SHORTEST = 2e-3
 """Shortest; at the rates of motion capture it is as good as white [s]."""
 LAGS = (LONGEST / 4, LONGEST / 2, LONGEST)
-"""Over these, second differences bound noise [s]. The shortest is long enough for the noise of measurements that were
-low-passed at 5 Hz or more to have forgotten itself."""
+"""Over these, second differences bound noise [s]. Shorter ones would see more, but noise of measurements that were
+low-passed is smooth: of a Butterworth filter of second order at 6 Hz, run both ways, as motion capture has it, the
+shortest gives 0.37 of the true variance, half of it 0.07."""
 LEAST = 1e-7
 """Least noise [rad]: a simulation's recording may have none."""
 SAME = 1e-9

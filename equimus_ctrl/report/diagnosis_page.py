@@ -167,7 +167,9 @@ def _size(diagnosis: Diagnosis) -> str:
         for joint, own, u in zip(diagnosis.joints, diagnosis.noise, shown, strict=True)
         if own.coloured > 0
     ]
-    coloured = f"<p>The noise is coloured.</p>{_list(colour)}" if colour else ""
+    coloured = f"<p>The noise is coloured, as fitted to the residuals.</p>{_list(colour)}" if colour else ""
+    if any(own.sigma > size for own, size in zip(diagnosis.noise, diagnosis.sigma, strict=True)):
+        coloured += "<p>Second differences of the residuals allow no more noise than the table has.</p>"
     first = f"RMSE in {shown[0].unit}" if alike else "RMSE"
     channels = _list(diagnosis_text.of_channels(diagnosis)) if diagnosis.channels else ""
     return f"<p>{escape(text)}</p>{_grouped(first, [*groups, ('noise', [''])], rows)}{coloured}{channels}"
