@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
+from equimus_ctrl.diagnosis.noise_size import noise_sizes
+from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.identification.noise import (
     LONGEST,
     JointNoise,
@@ -125,3 +129,34 @@ def test_noise_of_filtered_measurements_is_not_far_above_the_bound() -> None:
 
 def test_series_too_short_for_a_second_difference_do_not_bound_noise() -> None:
     assert np.all(np.isinf(largest_noise([np.array([0.0, 0.01])], [np.zeros((2, 3))], 1e-3)))
+
+
+def judged(time: Array, measured: Array, true: Array) -> tuple[float, float]:
+    """How large noise is taken to be, and root mean square residuals, where a model predicts the true motion."""
+    residuals = [(measured - true)[:, None]]
+    segment: Any = SimpleNamespace(trial=SimpleNamespace(sample_times=time), outputs=measured[:, None])
+    fitted: Any = SimpleNamespace(fit=SimpleNamespace(residuals=residuals), noise=estimate_noise([time], residuals))
+    return float(noise_sizes([segment], fitted, Thresholds())[0]), float(np.sqrt(np.mean(residuals[0] ** 2)))
+
+
+@pytest.mark.parametrize("reach", [2.0, 40.0], ids=["few values", "many values"])
+def test_an_encoders_steps_are_noise_however_slowly_a_joint_moves(reach: float) -> None:
+    """Reach in steps. The error of a step lasts as long as the joint rests within it, far longer than noise."""
+    time, step = np.arange(0.0, 60.0, 0.01), 1e-3
+    true = step * (0.3 + reach * np.sin(0.05 * time))
+    sigma, left = judged(time, step * np.round(true / step), true)
+    assert 0 < left < 2 * sigma < 2 * step
+
+
+def test_of_a_measurement_that_never_changes_the_estimate_is_taken() -> None:
+    time = np.arange(0.0, 9.0, 0.01)
+    true = 0.3 * np.sin(2.0 * time)
+    estimated = estimate_noise([time], [-true[:, None]])[0].sigma
+    assert judged(time, np.zeros_like(time), true)[0] == estimated
+
+
+def test_what_a_model_leaves_out_is_not_noise() -> None:
+    time = np.arange(0.0, 30.0, 0.01)
+    measured = np.sin(2.0 * time) + 1e-3 * np.random.default_rng(2).normal(size=len(time))
+    sigma, left = judged(time, measured, np.sin(2.0 * time) + 0.01 * np.sin(5.0 * time))
+    assert 1e-3 < sigma < 2.5e-3 and left > 6e-3

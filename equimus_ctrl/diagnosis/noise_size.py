@@ -19,7 +19,8 @@ def noise_sizes(segments: Sequence[Segment], fitted: Fitted, thresholds: Thresho
 
     It is as a fit estimates it from the residuals it leaves, of which slow ones pass for coloured noise; but no larger
     than their second differences allow, see ``largest_noise``. What comes in steps of q is off by up to q/2 and, at
-    rest, for as long as one likes: the noise is at least q/√12, of which q/2 is less than twice.
+    rest, for as long as one likes: the noise is no less than q/√12, of which q/2 is less than twice. A measurement that
+    never changes allows anything.
 
     Args:
         segments: what was fitted.
@@ -31,7 +32,9 @@ def noise_sizes(segments: Sequence[Segment], fitted: Fitted, thresholds: Thresho
     measured = np.concatenate([segment.outputs for segment in segments])
     steps = np.array([_step(column) for column in measured.T])
     estimated = np.array([own.sigma for own in fitted.noise])
-    return np.asarray(np.minimum(estimated, np.maximum(largest, np.maximum(steps / math.sqrt(12), LEAST))))
+    allowed = np.where(steps < math.inf, np.maximum(largest, LEAST), math.inf)
+    least = np.where(steps < math.inf, steps / math.sqrt(12), 0.0)
+    return np.asarray(np.maximum(np.minimum(estimated, allowed), least))
 
 
 def _step(values: Array) -> float:
