@@ -86,7 +86,7 @@ def diagnosed_arm(spring: bool = False) -> Diagnosis:
         found.append(Finding(other, estimates, replace(evidence, gain=900.0, share=0.12)))
     whole = Named("coulomb_friction", JOINTS, each=True)
     names = [whole, replace(whole, each=False), *(Named("asymmetric_friction", (joint,)) for joint in JOINTS)]
-    noise = best.noise
+    sigma = np.array([own.sigma for own in best.noise])
     return Diagnosis(
         verdict="explained",
         model=nominal,
@@ -98,14 +98,15 @@ def diagnosed_arm(spring: bool = False) -> Diagnosis:
         validation=heldout,
         test=(),
         residuals=residuals,
-        where=localise(nominal, train, residuals["refitted"].train, noise),
+        sigma=sigma,
+        where=localise(nominal, train, residuals["refitted"].train, sigma),
         findings=tuple(found),
         unexplained=(),
         rejected=(),
         ranking=tuple(Ranked(named, 900.0 / k, 5e4 / k, 74.0) for k, named in enumerate(names, 1)),
         detectable=(),
         experiment=None,
-        excess_variance={s: float(excess_variances(r.train, noise).mean()) for s, r in residuals.items()},
+        excess_variance={s: float(excess_variances(r.train, sigma).mean()) for s, r in residuals.items()},
         notes=(),
         seconds=60.0,
     )

@@ -129,7 +129,7 @@ def assembled(
         Ranked(other, 430.0, 806.0, 35.0),
         *(Ranked(Named(name, locations), 90.0 / k, None, 35.0) for k, (name, (locations, _)) in enumerate(PLAUSIBLE.items(), 1)),
     ]  # fmt: skip
-    noise = best.noise
+    sigma = np.array([own.sigma for own in best.noise])
     return Diagnosis(
         verdict="partly_explained",
         model=nominal,
@@ -141,6 +141,7 @@ def assembled(
         validation=heldout,
         test=(),
         residuals=residuals,
+        sigma=sigma,
         where=(
             ResidualLocation(
                 "knee", 0.83, "at rest (91% of the excess error in 47% of the samples)", "commands of baa of 0 to 4 kPa"
@@ -153,7 +154,7 @@ def assembled(
         ranking=tuple(ranking),
         detectable=(),
         experiment=Experiment("hold", {"p1": 12.0, "p2": 2.5}, (found.named, other), 6.2),
-        excess_variance={s: float(excess_variances(r.train, noise).mean()) for s, r in residuals.items()},
+        excess_variance={s: float(excess_variances(r.train, sigma).mean()) for s, r in residuals.items()},
         notes=("maa.damping ended at a bound & more.",),
         seconds=21.3,
     )

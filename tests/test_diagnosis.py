@@ -25,7 +25,6 @@ from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.effects.base import REGISTRY, Effect, catalogue, parse
-from equimus_ctrl.identification.noise import JointNoise
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.report.diagnosis_text import remains
@@ -346,13 +345,12 @@ def test_an_experiment_separates_a_finding_from_the_fit_of_its_equivalent() -> N
 def test_where_says_which_joint_phase_and_region() -> None:
     model = nominal_model()
     parts = split(model, recordings((), count=2))
-    noise = (JointNoise(1e-3), JointNoise(1e-3))
     residuals: list[Array] = []
     for s in parts.train:
         r = np.zeros_like(s.measured)
         r[s.measured[:, 1] > np.quantile(s.measured[:, 1], 0.7), 1] = 0.02
         residuals.append(r)
-    first, second = localise(model, parts.train, residuals, noise)
+    first, second = localise(model, parts.train, residuals, np.full(2, 1e-3))
     assert (first.location, second.location) == ("knee", "hip")
     assert first.share > 0.99
     assert "knee angles" in first.region

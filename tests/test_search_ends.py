@@ -54,6 +54,16 @@ def test_of_two_missing_effects_the_first_need_not_be_the_best_alone(alone: floa
     assert Both(replace(known, same=[frozenset({DEAD, FULL})])).run(known()).best.labels == {DEAD, RUB}
 
 
+def test_what_leaves_the_same_as_the_best_takes_no_other_firsts_place() -> None:
+    deviances = {(): 5000.0, (DEAD,): 1500.0, (STICK,): 1510.0, (FULL,): 1700.0, (OFF,): 4000.0, (RUB,): 4000.0}
+    known = Known({**deviances, (DEAD, RUB): 1000.0, (FULL, OFF): 200.0}, same=[frozenset({DEAD, STICK})])
+
+    class Both(OnPaper):
+        _beside_runners_up = Search._beside_runners_up
+
+    assert Both(known, SearchSettings(runners_up=1)).run(known()).best.labels == {FULL, OFF}
+
+
 @pytest.mark.parametrize(
     ("apart", "many_minima", "same"),
     [(0.9, False, True), (1.1, False, False), (0.0, True, False)],

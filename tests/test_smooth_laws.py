@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,25 +13,30 @@ import pytest
 from pendulum_runs import MOTOR, PENDULUM, recorded
 from scipy.interpolate import BSpline
 
+from equimus_ctrl.diagnosis import smooth_laws
+from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.candidates import candidates
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split, split
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part, default_free_parameters, parameters_of
-from equimus_ctrl.diagnosis.policy import SearchSettings
+from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.residuals import ResidualForce
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
-from equimus_ctrl.diagnosis.smooth_laws import SHAPES, analysed, beside, redundant
-from equimus_ctrl.diagnosis.unexplained import GENERALISED
+from equimus_ctrl.diagnosis.smooth_laws import SHAPES, SmoothLaw, analysed, beside, redundant
+from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis
 from equimus_ctrl.effects import (
+    REGISTRY,
     AsymmetricDamping,
     ConstantForce,
     CoulombFriction,
     Effect,
     QuadraticDamping,
     ViscousFriction,
+    register,
 )
 from equimus_ctrl.effects.smooth import SmoothForce, splines
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.simulators import reduced_simulator
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.proof.outside import AngleDamping
@@ -103,12 +110,93 @@ def test_given_parameters_are_not_estimated_and_keep_their_places() -> None:
     assert len(parameters_of(free, (part,)).free) == len(free.free) + 6
 
 
+def test_its_name_is_kept() -> None:
+    with pytest.raises(ConfigError, match="name is 'smooth_force', which is kept for a diagnosis; expected another"):
+        register(SmoothForce)
+    assert SmoothForce.name not in REGISTRY
+
+
+VISCOUS = Candidate(ViscousFriction, ("shoulder", "elbow", "wrist"), (), each=True)
+"""Viscous friction with a size of its own at each of three joints."""
+
+
+def at_three_joints() -> Part:
+    return Part(
+        VISCOUS, {f"{joint}.damping": size for joint, size in zip(VISCOUS.locations, (0.1, 0.2, 0.3), strict=True)}
+    )
+
+
+@pytest.mark.parametrize(
+    ("smooth", "each", "rejected"),
+    [
+        (["elbow"], True, {(0, "elbow")}),
+        (["elbow", "wrist"], True, {(0, "elbow"), (0, "wrist")}),
+        (["elbow"], False, set()),  # of one size for all, no joint can be left out
+        (["hand"], True, set()),
+    ],
+)
+def test_a_law_with_a_size_at_each_joint_is_rejected_where_a_smooth_force_stands_for_it(
+    smooth: Sequence[str], each: bool, rejected: set[tuple[int, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = at_three_joints()
+    if not each:
+        part = Part(replace(VISCOUS, each=False), {"damping": 0.1})
+    fitted: Any = SimpleNamespace(hypothesis=(part,))
+    search: Any = SimpleNamespace(data=SimpleNamespace(thresholds=Thresholds()), accepts=lambda simple, rich: False)
+    laws = [SmoothLaw(joint, SHAPES[0], fitted, 900.0) for joint in smooth]
+    monkeypatch.setattr(smooth_laws, "_not_drawn", lambda *given: 0.5)
+    monkeypatch.setattr(smooth_laws, "_without", lambda search, law, k: law.fitted)
+    found = redundant(search, SearchState(fitted, fitted), laws)
+    assert set(found) == rejected
+
+
+def test_at_the_other_joints_it_stays() -> None:
+    part = at_three_joints()
+    analysis = ResidualAnalysis(redundant={0: GENERALISED}, fewer={0: ("shoulder", "wrist")})
+    ((gone, reason),) = analysis.rejected((part,)).items()
+    assert (gone.candidate.label, gone.values, reason) == ("viscous_friction:elbow", {"damping": 0.2}, GENERALISED)
+    known: Any = SimpleNamespace(hypothesis=(part,))
+    kept: list[Part] = []
+    search: Any = SimpleNamespace(
+        refit=lambda tried, fitted, hypothesis: (kept.extend(hypothesis), (known, tried))[1],
+        moved=lambda state, fit: state,
+    )
+    without_parts(search, SearchState(known, known), [0], analysis.fewer)
+    (left,) = kept
+    assert left.candidate.label == "viscous_friction:shoulder,wrist"
+    assert left.values == {"shoulder.damping": 0.1, "wrist.damping": 0.3}
+
+
+def test_a_joint_whose_law_was_rejected_is_asked_again_beside_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not where a force is found there to first order."""
+    part = at_three_joints().narrowed(("wrist",))
+    state: Any = SimpleNamespace(best=SimpleNamespace(hypothesis=(part,)), base=None, without=())
+    search: Any = SimpleNamespace(
+        data=SimpleNamespace(
+            free=SimpleNamespace(
+                model=SimpleNamespace(robot=SimpleNamespace(traits=SimpleNamespace(held_in_place=False)))
+            )
+        )
+    )
+
+    def force(joint: str) -> ResidualForce:
+        nothing = np.empty(0)
+        return ResidualForce(joint, 1.0, (), (joint,), 90.0, 40.0, "N·m", None, "", nothing, nothing, nothing)
+
+    asked: list[set[str]] = []
+    monkeypatch.setattr(smooth_laws, "beside", lambda search, state, split, also: asked.append(set(also)) or ())
+    for known in ((), (force("elbow"),)):
+        monkeypatch.setattr(smooth_laws, "residual_analysis", lambda *given, known=known: ResidualAnalysis(known))
+        analysed(search, state, Split((), ()), [force("elbow")])
+    assert asked == [{"elbow"}, set()]
+
+
 @pytest.mark.slow
 def test_a_law_that_depends_on_more_than_it_says_is_redundant_beside_a_smooth_force() -> None:
     search, state, parts = fitted_law(OUTSIDE)
     (law,) = beside(search, state, parts)
     assert (law.joint, law.shape) == ("hinge", SHAPES[2])
-    assert list(redundant(search, state, [law])) == [0]
+    assert list(redundant(search, state, [law])) == [(0, "hinge")]
     analysis = analysed(search, state, parts)
     assert analysis.redundant == {0: GENERALISED}
     (force,) = analysis.unexplained

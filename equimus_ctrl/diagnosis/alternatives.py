@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -387,10 +387,25 @@ def _shared_values(part: Part, other: Candidate) -> dict[str, float]:
     return shared
 
 
-def without_parts(search: HypothesisMoves, state: SearchState, places: Sequence[int]) -> SearchState:
-    """The search's end without some parts, and without those that are accepted no more then."""
+def without_parts(
+    search: HypothesisMoves,
+    state: SearchState,
+    places: Sequence[int],
+    fewer: Mapping[int, tuple[str, ...]] | None = None,
+) -> SearchState:
+    """The search's end without some parts, and without those that are accepted no more then.
+
+    Args:
+        search: that ended.
+        state: the end.
+        places: of the parts.
+        fewer: of those the ones that stay at some of their locations, with these.
+    """
+    stay = dict(fewer or {})
     while places:
-        kept = tuple(p for k, p in enumerate(state.best.hypothesis) if k not in places)
+        hypothesis = enumerate(state.best.hypothesis)
+        kept = tuple(p.narrowed(stay[k]) if k in stay else p for k, p in hypothesis if k in stay or k not in places)
+        stay = {}
         fit, tried = search.refit(state.tried, state.best, kept) if kept else (state.base, state.tried)
         state = search.moved(replace(state, tried=tried), fit)
         pairs = enumerate(state.without)

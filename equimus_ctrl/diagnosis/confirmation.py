@@ -16,6 +16,7 @@ from equimus_ctrl.diagnosis.holdout import Split, kind_of
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves, extra_parameters
 from equimus_ctrl.diagnosis.localization import excess_variances
+from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
@@ -313,6 +314,7 @@ class HoldoutResiduals:
 
     def __init__(self, data: Data, split: Split, state: SearchState) -> None:
         self.data, self.split, self.noise = data, split, state.best.noise
+        self._best = state.best
         self._known: dict[Model, list[Array]] = {}
 
     @property
@@ -394,5 +396,6 @@ class HoldoutResiduals:
         """Share of the excess residual variance of ``base`` by which ``rich`` has less than ``simple``."""
         if not simple:
             return math.nan
-        before, after, whole = (float(excess_variances(r, self.noise).mean()) for r in (simple, rich, base))
+        sigma = noise_sizes(self.data.segments, self._best, self.data.thresholds)
+        before, after, whole = (float(excess_variances(r, sigma).mean()) for r in (simple, rich, base))
         return float(np.clip((before - after) / whole, -1.0, 1.0)) if whole > 0 else 0.0

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.hypothesis_moves import extra_parameters
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
-from equimus_ctrl.diagnosis.smooth_laws import analysed
+from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.engines.base import Discretisation
 from equimus_ctrl.errors import SimulationDiverged
@@ -30,12 +32,14 @@ class WithoutStepError:
         end: of the search.
         analysis: of the residuals.
         sentence: on the step.
+        rejected: what residual forces make redundant then, with the reason.
     """
 
     search: Search
     end: SearchState
     analysis: ResidualAnalysis
     sentence: str
+    rejected: Mapping[Part, str] = field(default_factory=dict)
 
 
 def without_step_error(
@@ -74,10 +78,15 @@ def without_step_error(
     exact = without_parts(exact_search, exact, needless[:1])
     if exact.best.deviance - best.deviance > search.threshold(extra_parameters(exact.best, best)):
         return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
-    after = analysed(exact_search, exact, split)
+    after, rejected = analysed(exact_search, exact, split, analysis.unexplained), dict[Part, str]()
+    while after.redundant:
+        rejected |= after.rejected(exact.best.hypothesis)
+        exact = without_parts(exact_search, exact, tuple(after.redundant), after.fewer)
+        exact = exact.rejecting(part.candidate.label for part in rejected)
+        after = analysed_without(exact_search, exact, split, after)
     if not needless and after.unexplained:
         return None
-    return WithoutStepError(exact_search, exact, after, _sentence(step))
+    return WithoutStepError(exact_search, exact, after, _sentence(step), rejected)
 
 
 def _parts_of_the_step(data: Data, exact: Simulator, end: SearchState) -> list[int] | None:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from equimus_ctrl.diagnosis import units
 from equimus_ctrl.diagnosis.residuals import ResidualLocation
 from equimus_ctrl.diagnosis.units import Reading
-from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.models.model import Model
@@ -45,14 +44,18 @@ class Class:
     chosen: tuple[NDArray[np.bool_], ...]
 
 
-def excess_variances(residuals: Sequence[Array], noise: Noise) -> Array:
-    """(nj + ne,) excess residual variance: mean squared residual over the noise's variance, minus 1, at least 0."""
-    sigma = np.array([joint_noise.sigma for joint_noise in noise])
+def excess_variances(residuals: Sequence[Array], sigma: Array) -> Array:
+    """(nj + ne,) excess residual variance: mean squared residual over the noise's variance, minus 1, at least 0.
+
+    Args:
+        residuals: for each segment (m, nj + ne).
+        sigma: (nj + ne,) standard deviation of the noise, see ``noise_size.noise_sizes``.
+    """
     return np.asarray(np.maximum((np.concatenate(residuals) ** 2).mean(axis=0) / sigma**2 - 1.0, 0.0))
 
 
 def localise(
-    model: Model, segments: Sequence[Segment], residuals: Sequence[Array], noise: Noise
+    model: Model, segments: Sequence[Segment], residuals: Sequence[Array], sigma: Array
 ) -> tuple[ResidualLocation, ...]:
     """Joints by their share of the excess residual variance, each with the phase and the region where it is densest.
 
@@ -60,11 +63,10 @@ def localise(
         model: the nominal model, for names and units.
         segments: what was measured.
         residuals: of the refitted model, for each segment (m, nj) [rad or m].
-        noise: of the joints.
+        sigma: (nj,) standard deviation of the joints' noise, and of channels behind them, if any [rad or m].
     """
     joints = model.robot.joint_names
-    sigma = np.array([joint_noise.sigma for joint_noise in noise])
-    per_joint = excess_variances(residuals, noise)[: len(joints)]
+    per_joint = excess_variances(residuals, sigma)[: len(joints)]
     whole = float(per_joint.sum())
     locations = []
     for j in np.argsort(-per_joint):

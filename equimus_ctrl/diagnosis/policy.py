@@ -164,6 +164,13 @@ class Thresholds:
         "calibration",
         PROOFS,
     )
+    smooth_trace: float = _decides(
+        0.01,
+        "of the gain",
+        "a smooth force beside named laws is not reported below this share of −2Δln L of all that these and it explain",
+        "convention",
+        "a hundredth of the evidence; each of the two is judged by the noise that it leaves itself",
+    )
     replaces_one: float = _decides(
         0.85,
         "",
@@ -214,6 +221,13 @@ class Thresholds:
         "excess residual variance of a joint from which on it is unexplained, whatever it depends on",
         "convention",
         "a normalised RMSE of 2",
+    )
+    noise_bound: float = _decides(
+        1e-3,
+        "",
+        "probability that a joint's noise is larger than the second differences of its residuals are taken to allow",
+        "theory",
+        "upper confidence limit of a variance: χ² of as many second differences as share no samples",
     )
     outdone: float = _decides(
         0.5,

@@ -25,7 +25,7 @@ from equimus_ctrl.engines.predict import SET, TIMES, noted
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.identification.channels import channels_of, require_alike
-from equimus_ctrl.identification.noise import noise_of_differences
+from equimus_ctrl.identification.noise import noise_of_differences, resolution
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.mjcf.actuators import moments_at
@@ -50,10 +50,6 @@ COARSE = 2.0
 are of 0.29 steps."""
 POWER = 1e-3
 """So near to a whole number of bits a turn an encoder has that many."""
-SAME = 1e-9
-"""Of the largest value: nearer values are the same but for rounding."""
-LEAST_STEPS = 10
-"""Fewer different values say nothing of a step."""
 FEW = 10
 """Poses of a recording in which actuators that drive a joint are looked for."""
 
@@ -81,7 +77,7 @@ def coarse_steps(robot: Robot, recordings: Sequence[Recording]) -> list[str]:
     """
     noise, found = noise_of_differences([np.array(r.position) for r in recordings]), dict[str, list[str]]()
     for j, name in enumerate(robot.joint_names):
-        step = _step(np.concatenate([r.position[:, j] for r in recordings]))
+        step = resolution(np.concatenate([r.position[:, j] for r in recordings]))
         if step >= COARSE * noise[j].sigma:
             found.setdefault(_in_words(step, robot.slides(name)), []).append(f"pos.{name}")
     return [f"{', '.join(names)}: {words}" for words, names in found.items()]
@@ -119,19 +115,6 @@ def _in_words(step: float, slides: bool) -> str:
     return (
         f"measured in steps of {size}, which are most of the noise: whatever the model, an error of {error} is theirs"
     )
-
-
-def _step(values: Array) -> float:
-    """What differences of values are whole multiples of, as far as they say; 0 where there is no such step."""
-    differences = np.diff(np.unique(values))
-    differences = differences[differences > SAME * np.abs(values).max(initial=1e-300)]
-    if len(differences) < LEAST_STEPS:
-        return 0.0
-    step = float(np.quantile(differences, 0.1))
-    counts = differences / step
-    step = float(np.median(differences[counts < 1.5]))
-    even = np.abs(differences / step - np.round(differences / step)) < 0.05
-    return step if even.mean() > 0.95 else 0.0
 
 
 def _check_angles(robot: Robot, recordings: Sequence[Recording]) -> None:

@@ -18,6 +18,7 @@ from equimus_ctrl.diagnosis.group_splits import with_groups
 from equimus_ctrl.diagnosis.groups import Apart, told_apart
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.localization import excess_variances
+from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, Progress, State
@@ -62,7 +63,8 @@ def refit(inputs: DiagnosisInputs) -> State:
     state = State(
         inputs, search, SearchState(base, base), short, nominal_residuals(inputs, data), notes=inputs.settings.notes
     )
-    excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, base.noise), strict=False)
+    sigma = noise_sizes(search.data.segments, base, data.thresholds)
+    excess = zip(model.robot.joint_names, excess_variances(base.fit.residuals, sigma), strict=False)
     said = ", ".join(f"{joint} {variance:.3g}" for joint, variance in excess)
     return state.decided("refit", f"{len(search.data.free.free)} parameters refitted", f"excess variance: {said}")
 

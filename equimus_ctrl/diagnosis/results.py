@@ -227,6 +227,7 @@ class Diagnosis:
         validation: segments that were not fitted, and by which effects were confirmed or rejected.
         test: segments that took no part in any fit or choice.
         residuals: of each of ``STATES``.
+        sigma: (nj,) standard deviation of each joint's noise [rad or m], see ``noise_size.noise_sizes``.
         where: the refitted model's residuals are, largest first.
         findings: strongest first.
         unexplained: what none of them explains, strongest first.
@@ -256,6 +257,7 @@ class Diagnosis:
     validation: tuple[Segment, ...]
     test: tuple[Segment, ...]
     residuals: Mapping[str, Residuals]
+    sigma: Array
     where: tuple[ResidualLocation, ...]
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...]
@@ -302,9 +304,8 @@ class Diagnosis:
 
     def explained(self, part: Set) -> float:
         """Share of the excess residual variance that all effects together explain; nan where there are no trials."""
-        sigma = np.array([own.sigma for own in self.noise])
         before, after = (
-            float(np.maximum((self.rmse(state, part) / sigma) ** 2 - 1.0, 0.0).mean()) for state in STATES[1:]
+            float(np.maximum((self.rmse(state, part) / self.sigma) ** 2 - 1.0, 0.0).mean()) for state in STATES[1:]
         )
         return (before - after) / before if before > 0 else math.nan if math.isnan(before) else 0.0
 
@@ -326,7 +327,7 @@ class Diagnosis:
             "undetermined": [finding.to_dict() for finding in self.undetermined],
             "unexplained": [residual.to_dict() for residual in self.unexplained],
             "rejected": [named.to_dict() for named in self.rejected],
-            "noise_rad": {j: n.sigma for j, n in zip(self.joints, self.noise, strict=True)},
+            "noise_rad": self._by_joint(self.sigma),
             "noise_correlation_s": {
                 j: n.time if n.coloured > 0 else 0.0 for j, n in zip(self.joints, self.noise, strict=True)
             },

@@ -45,6 +45,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 
 from equimus_ctrl.diagnosis.alternatives import contested, exchanged_beside_fewer, narrowed, pruned, simplified
 from equimus_ctrl.diagnosis.fewer_laws import with_fewer_laws
@@ -273,9 +274,8 @@ class Search(HypothesisMoves):
 
         close = [option for option in sorted(state.alternatives[0], key=self.score) if near_the_best(option)]
         options: list[Fitted] = []
-        for alternative in close[: self.settings.runners_up]:
-            if self._leaves_the_same(state.best, alternative):
-                continue
+        others = (option for option in close if not self._leaves_the_same(state.best, option))
+        for alternative in islice(others, self.settings.runners_up):
             self.notify("a second effect beside another", alternative.label)
             more, tried = self.challenge(tried, alternative)
             options += self._small(more)

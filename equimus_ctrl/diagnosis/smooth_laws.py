@@ -12,7 +12,7 @@ Where there is a torque domain, only what it asks for is simulated.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, cast
@@ -84,44 +84,93 @@ class SmoothLaw:
     gain: float
 
 
-def analysed(search: Search, state: SearchState, split: Split) -> ResidualAnalysis:
+def analysed(search: Search, state: SearchState, split: Split, before: Sequence[Unexplained] = ()) -> ResidualAnalysis:
     """The analysis of the residuals that a search's end leaves, with smooth forces beside its laws.
 
     Where robots are held in place, residual forces say as much to first order. Where the budget ends, what they say.
+
+    Args:
+        search: that ended.
+        state: the end.
+        split: with the validation trials.
+        before: what was left beside laws of which some were rejected: its joints are asked again, with or without
+            other laws, where no force is found at them to first order.
     """
     own = residual_analysis(search.data, state.base, state.best, state.without)
-    if own.redundant or not state.best.hypothesis or search.data.free.model.robot.traits.held_in_place:
+    also = _places(before) - _places(own.unexplained)
+    if own.redundant or not (state.best.hypothesis or also) or search.data.free.model.robot.traits.held_in_place:
         return own
     try:
-        laws = beside(search, state, split)
+        laws = beside(search, state, split, also)
         replaced = redundant(search, state, laws)
     except BudgetSpent:
         return own
     told = {law.joint: law for law in (*laws, *replaced.values())}
     forces = [_residual_force(search, law) for law in told.values()]
-    return ResidualAnalysis(_together(own.unexplained, forces), dict.fromkeys(sorted(replaced), GENERALISED))
+    places: dict[int, set[str]] = {}
+    for k, joint in sorted(replaced):
+        places.setdefault(k, set()).add(joint)
+    stay = {k: _others(state.best.hypothesis[k], joints) for k, joints in places.items()}
+    return ResidualAnalysis(
+        _together(own.unexplained, forces),
+        dict.fromkeys(places, GENERALISED),
+        {k: locations for k, locations in stay.items() if locations},
+    )
+
+
+def analysed_without(search: Search, state: SearchState, split: Split, beside: ResidualAnalysis) -> ResidualAnalysis:
+    """The analysis of what is left once parts that were redundant are rejected.
+
+    What was left beside them stays where nothing else is: something is missing there, whatever it is.
+
+    Args:
+        search: that ended.
+        state: the end without these parts.
+        split: with the validation trials.
+        beside: the analysis with them.
+    """
+    analysis = analysed(search, state, split, beside.unexplained)
+    if state.best.hypothesis or analysis.unexplained:
+        return analysis
+    return ResidualAnalysis(beside.unexplained)
+
+
+def _places(unexplained: Sequence[Unexplained]) -> set[str]:
+    """Of residual forces."""
+    return {force.location for force in unexplained if isinstance(force, ResidualForce)}
+
+
+def _others(part: Part, joints: Collection[str]) -> tuple[str, ...]:
+    """The places of a part but some."""
+    return tuple(place for place in part.candidate.locations if place not in joints)
 
 
 def _together(known: Sequence[Unexplained], smooth: Sequence[ResidualForce]) -> tuple[Unexplained, ...]:
     """Residual forces to first order, and smooth ones at other joints, the strongest first; then other joints' rest."""
     forces = [force for force in known if isinstance(force, ResidualForce)]
-    forces += [force for force in smooth if force.location not in {own.location for own in forces}]
+    forces += [force for force in smooth if force.location not in _places(known)]
     total = sum(force.gain for force in forces)
     shared = [replace(force, share=force.gain / total) for force in sorted(forces, key=lambda f: -f.gain)]
-    places = {force.location for force in forces}
+    places = _places(forces)
     return (*shared, *(own for own in known if not isinstance(own, ResidualForce) and own.location not in places))
 
 
-def beside(search: Search, state: SearchState, split: Split) -> tuple[SmoothLaw, ...]:
+def beside(search: Search, state: SearchState, split: Split, also: Collection[str] = ()) -> tuple[SmoothLaw, ...]:
     """The smooth forces that the best hypothesis leaves unexplained, of each joint the one that gains most.
 
     A force counts where its gain exceeds the acceptance threshold and more than a trace of what the hypothesis
     explains, and where validation trials confirm it.
+
+    Args:
+        search: that ended.
+        state: the end.
+        split: with the validation trials.
+        also: joints that are asked though the hypothesis may have no law there.
     """
     best = state.best
     whole = state.base.deviance - best.deviance
     found: dict[str, SmoothLaw] = {}
-    for joint, shape, candidate in _asked_for(search, best):
+    for joint, shape, candidate in _asked_for(search, best, also):
         law = _fitted(search, best, joint, shape, candidate)
         if law is None:
             continue
@@ -138,20 +187,22 @@ def beside(search: Search, state: SearchState, split: Split) -> tuple[SmoothLaw,
 
 
 def _but_a_trace(gain: float, whole: float, t: Thresholds) -> bool:
-    return gain < t.trace * (whole + gain)
+    return gain < t.smooth_trace * (whole + gain)
 
 
-def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> dict[int, SmoothLaw]:
-    """Places of friction laws that a smooth force at their joint shows not to be the right ones, and that force.
+def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> dict[tuple[int, str], SmoothLaw]:
+    """Friction laws, by place and joint, that a smooth force at this joint shows not to be the right ones; that force.
 
     A law that the force could not draw by itself is none where it explains nothing more beside the force. One that it
     could, viscous friction where the force is the speed times a function of the angle, is another law where that
-    function without it is no constant. Other parts stay: what is left is then another thing.
+    function without it is no constant. Other parts stay: what is left is then another thing. So do the other joints of
+    a law with a size of its own at each.
     """
-    found: dict[int, SmoothLaw] = {}
+    found: dict[tuple[int, str], SmoothLaw] = {}
     for law in laws:
         for k, part in enumerate(state.best.hypothesis):
-            if part.candidate.locations != (law.joint,) or not _rubs(part):
+            places = part.candidate.locations
+            if law.joint not in places or not (part.candidate.each or len(places) == 1) or not _rubs(part):
                 continue
             share = _not_drawn(search, law, part)
             drawn = search.data.thresholds.decides(partial(_could_be_drawn, share))
@@ -162,7 +213,7 @@ def redundant(search: Search, state: SearchState, laws: Sequence[SmoothLaw]) -> 
                 continue
             other = replace(law, fitted=alone)
             if not drawn or search.data.thresholds.decides(partial(_another_law, _beyond(search, other, part))):
-                found.setdefault(k, other)
+                found.setdefault((k, law.joint), other)
     return found
 
 
@@ -222,9 +273,12 @@ def _beyond(search: Search, law: SmoothLaw, part: Part) -> float:
 
 
 def _without(search: Search, law: SmoothLaw, k: int) -> Fitted | None:
-    """A hypothesis with a smooth force and without one of its other parts; None where it diverges."""
+    """A hypothesis with a smooth force and without one of its other parts at its joint; None where it diverges."""
     data, fitted = search.data, law.fitted
-    hypothesis = (*fitted.hypothesis[:k], *fitted.hypothesis[k + 1 :])
+    part = fitted.hypothesis[k]
+    stay = _others(part, (law.joint,))
+    rest = (part.narrowed(stay),) if stay else ()
+    hypothesis = (*fitted.hypothesis[:k], *rest, *fitted.hypothesis[k + 1 :])
     begin = (data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
     try:
         simpler = data.coarse_fit(hypothesis, [begin], fitted.noise, search.settings.long_steps)
@@ -233,9 +287,9 @@ def _without(search: Search, law: SmoothLaw, k: int) -> Fitted | None:
         return None
 
 
-def _joints(search: Search, best: Fitted) -> list[str]:
-    """At which a hypothesis has parts, in the robot's order."""
-    own = {joint for part in best.hypothesis for joint in _joints_of(search, part)}
+def _joints(search: Search, best: Fitted, also: Collection[str]) -> list[str]:
+    """At which a hypothesis has parts, and others, in the robot's order."""
+    own = {joint for part in best.hypothesis for joint in _joints_of(search, part)}.union(also)
     return [name for name in search.data.free.model.robot.joint_names if name in own]
 
 
@@ -246,13 +300,13 @@ def _joints_of(search: Search, part: Part) -> set[str]:
     return places.intersection(robot.joint_names).union(*driven)
 
 
-def _asked_for(search: Search, best: Fitted) -> Iterator[tuple[str, Shape, Candidate]]:
+def _asked_for(search: Search, best: Fitted, also: Collection[str]) -> Iterator[tuple[str, Shape, Candidate]]:
     """Smooth forces that the torque domain asks for at a hypothesis' joints; all there where there is none."""
     data, domain = search.data, search.torque_domain
     excitation = excitation_of(data.free.model, data.segments)
     every = [
         (joint, shape, _candidate(joint, shape, excitation[joint]))
-        for joint in _joints(search, best)
+        for joint in _joints(search, best, also)
         for shape in SHAPES
     ]
     gains: dict[Candidate, float] = {}

@@ -35,13 +35,14 @@ from equimus_ctrl.diagnosis.findings import (
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
+from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Residuals, Unexplained
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis
-from equimus_ctrl.diagnosis.smooth_laws import analysed
+from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, State
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test
+from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.residuals import residuals_of
@@ -177,18 +178,17 @@ def explain_residuals(state: State) -> State:
     further = search.settings.again
     analysis = analysed(search, end, state.inputs.split)
     while analysis.redundant:
-        dropped = {end.best.hypothesis[k]: reason for k, reason in analysis.redundant.items()}
+        dropped = analysis.rejected(end.best.hypothesis)
         rejected += tuple(named_part(part) for part in dropped)
         reasons |= {part.candidate.label: reason for part, reason in dropped.items()}
-        end = without_parts(search, end, tuple(analysis.redundant))
+        labels = [end.best.hypothesis[k].candidate.label for k in analysis.redundant]
+        labels += [part.candidate.label for part in dropped if part.candidate.label not in labels]
+        end = without_parts(search, end, tuple(analysis.redundant), analysis.fewer)
         if end.best.hypothesis:
-            labels = [part.candidate.label for part in dropped]
             end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
             search, end = still_apart(search, end, state.inputs.split)
             further -= 1
-        beside, analysis = analysis, analysed(search, end, state.inputs.split)
-        if not end.best.hypothesis and not analysis.unexplained:
-            analysis = ResidualAnalysis(beside.unexplained)
+        analysis = analysed_without(search, end, state.inputs.split, analysis)
     after = replace(
         state,
         search=search,
@@ -237,8 +237,11 @@ def take_off_step_error(state: State) -> State:
         end=exact.end,
         nominal=nominal_residuals(state.inputs, exact.search.data),
         analysis=exact.analysis,
+        rejected=(*state.rejected, *map(named_part, exact.rejected)),
         coarse=exact.sentence,
     )
+    for part, reason in exact.rejected.items():
+        after = after.decided("discretization", f"{part.candidate.label} rejected", reason)
     return after.decided("discretization", "worked out without the step's error", exact.sentence)
 
 
@@ -373,7 +376,8 @@ def report(state: State) -> Diagnosis:
     """The findings with evidence and intervals, and the rest of the report, which no budget ends."""
     state = tested(replace(state, search=replace(state.search, data=replace(state.data, budget=Budget()))))
     inputs, search, end, unexplained = state.inputs, state.search, state.end, state.analysis.unexplained
-    data, split, model, noise = state.data, inputs.split, inputs.nominal, end.best.noise
+    data, split, model = state.data, inputs.split, inputs.nominal
+    sigma = noise_sizes(data.segments, end.best, data.thresholds)[: len(end.best.fit.rmse)]
     holdout, equivalent = HoldoutResiduals(data, split, end), state.equivalent or ()
     told = findings(search, end, holdout, equivalent)
     if state.failed:
@@ -394,7 +398,8 @@ def report(state: State) -> Diagnosis:
         validation=split.validation,
         test=split.test,
         residuals=residuals,
-        where=localise(model, split.train, end.base.fit.residuals, noise),
+        sigma=sigma,
+        where=localise(model, split.train, end.base.fit.residuals, sigma),
         findings=tuple(named),
         undetermined=tuple(undetermined),
         unexplained=unexplained,
@@ -402,10 +407,7 @@ def report(state: State) -> Diagnosis:
         ranking=state.ranking or ranking(search, end),
         detectable=() if told or unexplained or state.ended_in else detectable(search, end),
         experiment=None if state.ended_in else separating(data, end, named, equivalent, inputs.designs),
-        excess_variance={
-            name: float(excess_variances(residuals[name].train, noise[: len(end.best.fit.rmse)]).mean())
-            for name in STATES
-        },
+        excess_variance={name: float(excess_variances(residuals[name].train, sigma).mean()) for name in STATES},
         notes=(
             *notes(end, split, inputs.settings.exclude, [stage.decides for stage in skipped(state)]),
             *beyond_range(model, split),

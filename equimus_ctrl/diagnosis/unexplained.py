@@ -13,13 +13,14 @@ from equimus_ctrl.diagnosis.confounding import confounded, generalises, restates
 from equimus_ctrl.diagnosis.explained_variance import Explained
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.force_basis import Axis, Group
+from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
 from equimus_ctrl.diagnosis.localization import excess_variances
+from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.residual_force import ForceCandidate, LinearisedFit, force_candidates, judged, linearise_fit
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, ResidualForce, Unexplained
 from equimus_ctrl.errors import SimulationDiverged
-from equimus_ctrl.identification.noise import Noise
 from equimus_ctrl.identification.parameters import place_unit
 from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
@@ -69,10 +70,20 @@ class ResidualAnalysis:
     Attributes:
         unexplained: forces, or joints, that nothing named explains, strongest first.
         redundant: places of parts of the hypothesis that are to be rejected, with the reason.
+        fewer: of those the laws with a size of their own at each place that are rejected at some alone, with the
+            places at which they stay.
     """
 
     unexplained: tuple[Unexplained, ...] = ()
     redundant: Mapping[int, str] = field(default_factory=dict)
+    fewer: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+
+    def rejected(self, hypothesis: Hypothesis) -> dict[Part, str]:
+        """The parts of the hypothesis that are rejected, or what is rejected of them, with the reason."""
+        parts = {k: hypothesis[k] for k in self.redundant}
+        for k, stay in self.fewer.items():
+            parts[k] = parts[k].narrowed(tuple(p for p in parts[k].candidate.locations if p not in stay))
+        return {parts[k]: reason for k, reason in self.redundant.items()}
 
 
 def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[Fitted]) -> ResidualAnalysis:
@@ -99,7 +110,8 @@ def residual_analysis(data: Data, base: Fitted, best: Fitted, without: Sequence[
     if not held_in_place and forces and _reproduced(data, base, best):
         return reproduced
     redundant = redundant_parts(data, at, without, together, forces)
-    return ResidualAnalysis(_residual_forces(data, at, forces) or _much(data, best), redundant)
+    unexplained = _residual_forces(data, at, forces) or _far_above_noise(data, best, best.fit.residuals)
+    return ResidualAnalysis(unexplained, redundant)
 
 
 def select_forces(data: Data, at: LinearisedFit, together: float) -> list[SelectedForce]:
@@ -187,16 +199,6 @@ def _but_a_trace(fall: float, gain: float, whole: float, n: int, t: Thresholds) 
     return fall < _least(n, t) or gain < t.trace * whole
 
 
-def _much(data: Data, best: Fitted) -> tuple[ResidualAboveNoise, ...]:
-    """Joints whose residuals are far above the noise, though no residual force that was tried explains them.
-
-    Where a robot is held in place, some force explains all missing physics to first order.
-    """
-    if data.free.model.robot.traits.held_in_place:
-        return ()
-    return _far_above_noise(data, best.fit.residuals, best.noise)
-
-
 def not_confirmed(
     data: Data, best: Fitted, validation: Sequence[Segment], residuals: Sequence[Array]
 ) -> ResidualAnalysis:
@@ -210,7 +212,7 @@ def not_confirmed(
         validation: what was not.
         residuals: for each of these (m, nj) what the hypothesis leaves there [rad or m].
     """
-    if not validation or not _far_above_noise(data, residuals, best.noise):
+    if not validation or not _far_above_noise(data, best, residuals):
         return ResidualAnalysis()
     whole = replace(data, segments=[*data.segments, *validation])
     starts, _ = followed(best.fit.model, validation, data.simulator)
@@ -221,7 +223,7 @@ def not_confirmed(
         remaining = residuals
     else:
         remaining = refitted.fit.residuals[len(data.segments) :]
-    return ResidualAnalysis(_far_above_noise(data, remaining, best.noise, "validation"))
+    return ResidualAnalysis(_far_above_noise(data, best, remaining, "validation"))
 
 
 def not_on_test(data: Data, best: Fitted, test: Sequence[Segment], residuals: Sequence[Array]) -> ResidualAnalysis:
@@ -233,16 +235,18 @@ def not_on_test(data: Data, best: Fitted, test: Sequence[Segment], residuals: Se
         test: what took no part.
         residuals: for each of these (m, nj) what the hypothesis leaves there [rad or m].
     """
-    if not test or not _far_above_noise(data, residuals, best.noise):
+    if not test or not _far_above_noise(data, best, residuals):
         return ResidualAnalysis()
     _, remaining = followed(best.fit.model, test, data.simulator)
-    return ResidualAnalysis(_far_above_noise(data, remaining, best.noise, "test"))
+    return ResidualAnalysis(_far_above_noise(data, best, remaining, "test"))
 
 
 def _far_above_noise(
-    data: Data, residuals: Sequence[Array], noise: Noise, only_on: Literal["", "validation", "test"] = ""
+    data: Data, best: Fitted, residuals: Sequence[Array], only_on: Literal["", "validation", "test"] = ""
 ) -> tuple[ResidualAboveNoise, ...]:
-    whole, thresholds = excess_variances(residuals, noise), data.thresholds
+    """Joints at which residuals are far above the noise, though nothing that was tried explains them."""
+    thresholds = data.thresholds
+    whole = excess_variances(residuals, noise_sizes(data.segments, best, thresholds))
     joints = data.free.model.robot.joint_names
     excess = whole[: len(joints)].copy()
     for k, j in enumerate(data.segments[0].channels.joints(data.free.model.robot)):

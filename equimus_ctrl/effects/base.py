@@ -285,6 +285,8 @@ class Effect:
 
 
 REGISTRY: dict[str, type[Effect]] = {}
+RESERVED = ("smooth_force",)
+"""Names of laws that are fitted beside effects and never named, see ``effects.smooth``."""
 
 
 def catalogue(robots: Robots) -> dict[str, type[Effect]]:
@@ -300,9 +302,13 @@ def register(cls: E) -> E:
     """Class decorator: make an effect known by its name.
 
     Raises:
-        ConfigError: where the class is no whole effect, or its name is another's.
+        ConfigError: where the class is no whole effect, or its name is another's, or one of ``RESERVED``.
     """
     cls.check_class()
+    if cls.name in RESERVED:
+        raise ConfigError(
+            f"effect class {cls.__name__}: name is {cls.name!r}, which is kept for a diagnosis; expected another"
+        )
     if cls.name in REGISTRY:
         raise ConfigError(f"effect {cls.name}: there is one of that name already, in {REGISTRY[cls.name].__module__}")
     REGISTRY[cls.name] = cls

@@ -90,15 +90,11 @@ def _residual(diagnosis: Diagnosis, state: str, k: int) -> Array:
     return values
 
 
-def _sigma(diagnosis: Diagnosis) -> Array:
-    return np.array([own.sigma for own in diagnosis.noise])
-
-
 def _worst(diagnosis: Diagnosis) -> list[int]:
     """The trials of which the refitted model is worst, worst first; of many joints fewer."""
     part, segments = _part(diagnosis)
     most = max(MOST_TRIALS // _rows(diagnosis), 1)
-    squares = [((r / _sigma(diagnosis)) ** 2).mean() for r in getattr(diagnosis.residuals["refitted"], part)]
+    squares = [((r / diagnosis.sigma) ** 2).mean() for r in getattr(diagnosis.residuals["refitted"], part)]
     return [int(k) for k in np.argsort(squares)[::-1][: min(most, len(segments))]]
 
 
@@ -127,7 +123,7 @@ def _draw_angles(axes: Axes, diagnosis: Diagnosis, k: int, j: int, states: Seque
 
 def _draw_residuals(axes: Axes, diagnosis: Diagnosis, k: int, j: int) -> None:
     factor = units.error(diagnosis.model, diagnosis.joints[j]).factor
-    time, sigma = _part(diagnosis)[1][k].trial.sample_times, _sigma(diagnosis)[j] * factor
+    time, sigma = _part(diagnosis)[1][k].trial.sample_times, diagnosis.sigma[j] * factor
     axes.axhspan(-2 * sigma, 2 * sigma, color=style.SHADE, linewidth=0)
     top = 3 * sigma
     for state in diagnosis_text.states(diagnosis)[1:]:
@@ -230,7 +226,7 @@ def residuals_figure(diagnosis: Diagnosis) -> Figure:
         height_ratios=[1.3, 1] * len(joints),
     )
     for j, joint in enumerate(joints):
-        unit, sigma = units.error(model, joint), _sigma(diagnosis)[j]
+        unit, sigma = units.error(model, joint), diagnosis.sigma[j]
         of_joint = {state: r[:, j] * unit.factor for state, r in residuals.items()}
         for c, (label, values) in enumerate(columns[joint]):
             top, bottom = grid[2 * j, c], grid[2 * j + 1, c]
@@ -388,7 +384,7 @@ def _most_telling(diagnosis: Diagnosis) -> tuple[int, int]:
             [(getattr(diagnosis.residuals[state], part)[k] ** 2).mean(axis=0) for k in range(len(segments))]
         )
 
-    shown = (squares(better) if nothing_named else squares(worse) - squares(better)) / _sigma(diagnosis) ** 2
+    shown = (squares(better) if nothing_named else squares(worse) - squares(better)) / diagnosis.sigma**2
     if nothing_named and (at := diagnosis.unexplained[0].location) in diagnosis.joints:
         shown[:, [j for j, joint in enumerate(diagnosis.joints) if joint != at]] = -np.inf
     best = np.unravel_index(int(np.argmax(shown)), shown.shape)
@@ -430,7 +426,7 @@ def _draw_against_noise(axes: Axes, diagnosis: Diagnosis) -> None:
     for s, state in enumerate(STATES[:2]):
         errors = diagnosis.rmse(state, part) * factors  # type: ignore[arg-type]
         axes.barh(rows + 0.36 * (s - 0.5), errors, height=0.34, color=COLOURS[state], label=WORDS[state])
-    for row, sigma in enumerate(_sigma(diagnosis) * factors):
+    for row, sigma in enumerate(diagnosis.sigma * factors):
         axes.vlines(sigma, row - 0.4, row + 0.4, color=style.INK, linewidth=1.4, linestyle=":")
     axes.set_yticks(rows, diagnosis.joints)
     axes.invert_yaxis()

@@ -153,7 +153,7 @@ def _size(diagnosis: Diagnosis) -> str:
     states, parts = diagnosis_text.states(diagnosis), [part for part in SETS if getattr(diagnosis, part)]
     groups = [(diagnosis_text.PARTS[part], [WORDS[state] for state in states]) for part in parts]
     sizes = [diagnosis.rmse(state, part) * factors for part in parts for state in states]
-    sigma = np.array([own.sigma for own in diagnosis.noise]) * factors
+    sigma = diagnosis.sigma * factors
     rows = [
         (joint if alike else f"{joint} [{unit.unit}]", *(number(v[j]) for v in sizes), number(float(sigma[j])))
         for j, (joint, unit) in enumerate(zip(diagnosis.joints, shown, strict=True))
@@ -167,7 +167,9 @@ def _size(diagnosis: Diagnosis) -> str:
         for joint, own, u in zip(diagnosis.joints, diagnosis.noise, shown, strict=True)
         if own.coloured > 0
     ]
-    coloured = f"<p>The noise is coloured.</p>{_list(colour)}" if colour else ""
+    coloured = f"<p>The noise is coloured, as fitted to the residuals.</p>{_list(colour)}" if colour else ""
+    if any(own.sigma > size for own, size in zip(diagnosis.noise, diagnosis.sigma, strict=True)):
+        coloured += "<p>Second differences of the residuals allow no more noise than the table has.</p>"
     first = f"RMSE in {shown[0].unit}" if alike else "RMSE"
     channels = _list(diagnosis_text.of_channels(diagnosis)) if diagnosis.channels else ""
     return f"<p>{escape(text)}</p>{_grouped(first, [*groups, ('noise', [''])], rows)}{coloured}{channels}"

@@ -161,14 +161,14 @@ def against_noise(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.findings:
         text += f", augmented {number(sizes['corrected'])}"
     lines = [f"{text}."]
-    for j, (joint, own) in enumerate(zip(diagnosis.joints, diagnosis.noise, strict=True)):
+    for j, (joint, sigma) in enumerate(zip(diagnosis.joints, diagnosis.sigma, strict=True)):
         unit = units.error(diagnosis.model, joint)
         said = []
         for part in SETS:
             if getattr(diagnosis, part):
                 shown = (number(diagnosis.rmse(state, part)[j] * unit.factor) for state in states(diagnosis)[-2:])
                 said.append(f"{PARTS[part]} {' → '.join(shown)}")
-        said.append(f"noise {number(own.sigma * unit.factor)}")
+        said.append(f"noise {number(float(sigma) * unit.factor)}")
         lines.append(f"{joint}: RMSE in {unit.unit}: {', '.join(said)}")
     return [*lines, *of_channels(diagnosis)]
 
@@ -245,7 +245,7 @@ def headline(diagnosis: Diagnosis) -> str:
     else:
         of = zip(diagnosis.joints, before, shown, strict=True)
         parts = [f"{number(size * unit.factor)} {unit.unit} at the {joint}" for joint, size, unit in of]
-        size = before / np.array([own.sigma for own in diagnosis.noise])
+        size = before / diagnosis.sigma
     what = listed(parts)
     if len(parts) >= MANY:  # the table has all of them
         what = f"{parts[int(np.argmin(size))]} to {parts[int(np.argmax(size))]}"

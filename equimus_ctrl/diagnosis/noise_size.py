@@ -1,0 +1,43 @@
+"""How large the noise is that residuals are judged against: no larger than physics left out of a model can make it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from equimus_ctrl.diagnosis.fitting import Fitted
+from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.identification.noise import LEAST, LEAST_STEPS, largest_noise, resolution
+from equimus_ctrl.identification.segments import Segment
+from equimus_ctrl.types import Array
+
+
+def noise_sizes(segments: Sequence[Segment], fitted: Fitted, thresholds: Thresholds) -> Array:
+    """(nj + ne,) standard deviation of the noise of each joint or channel [its unit], to judge residuals by.
+
+    It is as a fit estimates it from the residuals it leaves, of which slow ones pass for coloured noise; but no larger
+    than their second differences allow, see ``largest_noise``. What comes in steps of q is off by up to q/2 and, at
+    rest, for as long as one likes: the noise is no less than q/√12, of which q/2 is less than twice. A measurement that
+    never changes allows anything.
+
+    Args:
+        segments: what was fitted.
+        fitted: a hypothesis.
+        thresholds: of which ``noise_bound`` is the level.
+    """
+    times = [segment.trial.sample_times for segment in segments]
+    largest = largest_noise(times, fitted.fit.residuals, thresholds.noise_bound)
+    measured = np.concatenate([segment.outputs for segment in segments])
+    steps = np.array([_step(column) for column in measured.T])
+    estimated = np.array([own.sigma for own in fitted.noise])
+    allowed = np.where(steps < math.inf, np.maximum(largest, LEAST), math.inf)
+    least = np.where(steps < math.inf, steps / math.sqrt(12), 0.0)
+    return np.asarray(np.maximum(np.minimum(estimated, allowed), least))
+
+
+def _step(values: Array) -> float:
+    """In which measured values come; of few values the least difference, inf of a single one: it says nothing."""
+    few = np.diff(np.unique(values))
+    return resolution(values) if len(few) >= LEAST_STEPS else float(few.min(initial=math.inf))
