@@ -97,7 +97,10 @@ def _simulated(
                 _Block(arrays, np.array(chosen[first : first + LANES]), slice(first, first + LANES), histories)
                 for first in range(0, len(chosen), LANES)
             ]
-            size = max(math.ceil(len(own_trials) * len(blocks) / (BATCHES_A_THREAD * count)), 1)
+            # Of trials that a recording leads to, each part follows it from its beginning.
+            led = arrays.kernel.N_STATES > 0 and any(trials[index].led is not None for index in own_trials)
+            parts_a_thread = 1 if led else BATCHES_A_THREAD
+            size = max(math.ceil(len(own_trials) * len(blocks) / (parts_a_thread * count)), 1)
             for together in _shared(trials, own_trials):
                 parts = [together[first : first + size] for first in range(0, len(together), size)]
                 tasks += [(block, part) for part in parts for block in blocks]
