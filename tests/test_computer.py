@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -230,3 +231,31 @@ def test_who_wants_no_more_waits_for_what_has_begun() -> None:
     assert next(pieces) == (1, 1)
     pieces.close()  # type: ignore[attr-defined]
     assert sorted(ended) in ([1, 2], [1, 2, 3])
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="of glibc's malloc")
+@pytest.mark.parametrize("thread", [False, True])
+def test_memory_that_is_freed_is_taken_again_without_being_cleared_page_by_page(thread: bool) -> None:
+    many = """
+import resource, sys, threading
+from equimus_ctrl.computer import keep_freed_memory
+keep_freed_memory()
+
+def fill():
+    return b"x" * (40 << 20)
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    if sys.argv[1] == "True":
+        other = threading.Thread(target=fill)
+        other.start()
+        other.join()
+    else:
+        fill()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+print(faults(), faults())
+"""
+    ran = subprocess.run([sys.executable, "-c", many, str(thread)], capture_output=True, text=True, check=True)
+    first, again = map(int, ran.stdout.split())
+    assert again < 0.05 * first

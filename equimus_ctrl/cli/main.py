@@ -23,6 +23,7 @@ from equimus_ctrl.cli import (
     sensitivity,
     validate,
 )
+from equimus_ctrl.computer import keep_freed_memory
 from equimus_ctrl.errors import EquimusError
 
 EXIT_CODES = """\
@@ -90,4 +91,5 @@ def _show_warning(message: Warning | str, category: type[Warning], filename: str
 
 def entry() -> None:
     """The console script."""
+    keep_freed_memory()
     sys.exit(main())

@@ -6,6 +6,9 @@ that actuator's commands, which then takes the place of Pa.
 They stand here once and are called by every engine, one physics step at a time. A step needs of the pressure its mean
 and its slope: the line P(s) ≈ mean + slope·(s/dt − ½) has the same integral and the same first moment over the step as
 the pressure itself, so that changes anywhere within a step count by when they come.
+
+What is called at every step is compiled into its callers (``inline``): else each call counts references to its arrays,
+which takes longer than the law.
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ def _filling(target: float, valve: Array) -> float:
     return flow
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _fastest(pressure: float, target: float, valve: Array) -> float:
     """The greatest rate towards a command through a valve (6,), see ``DELAY`` [Pa/s]."""
     rate: float = valve[RATE]
@@ -55,7 +58,7 @@ def _fastest(pressure: float, target: float, valve: Array) -> float:
     return rate
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def advance_pressure(
     times: Array, values: Array, before: float, cursor: int, start: float, dt: float, pressure: float, valve: Array
 ) -> tuple[float, float, float, int]:
@@ -141,7 +144,7 @@ def advance_along(
     return pressure, mean, 12.0 * (moment / (dt * dt) - 0.5 * mean), cursor
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _advance(
     times: Array,
     values: Array,
@@ -195,6 +198,13 @@ def _own_history(
         column[k] = commands[k, i]
     pressure, cursor = _settled(times, column, before[i], start, valve[i], linear)
     for s in range(steps):
+        at = start + s * dt - valve[i, DELAY]
+        while cursor + 1 < n and times[cursor + 1] <= at:
+            cursor += 1
+        held = not linear and not (cursor + 1 < n and times[cursor + 1] < at + dt)
+        if held and pressure == (column[cursor] if cursor >= 0 else before[i]):
+            out[s, 0, i], out[s, 1, i] = pressure, 0.0  # as ``advance_pressure`` has it, several times as fast
+            continue
         pressure, out[s, 0, i], out[s, 1, i], cursor = _advance(
             times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i], linear
         )
@@ -380,6 +390,27 @@ def integrate(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def own_followed_history(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    first: Array,
+    start: float,
+    dt: float,
+    i: int,
+    out: Array,
+    linear: NDArray[np.bool_],
+) -> None:
+    """``followed_history`` of one actuator i."""
+    _own_history(times, commands, before, valve, start, dt, i, linear[i], out)
+    if follow[i, FOLLOW_KIND] != DIRECT:
+        value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear[i])
+        follow_history(follow[i], value, dt, i, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def followed_history(
     times: Array,
     commands: Array,
@@ -406,12 +437,8 @@ def followed_history(
         out: (steps, 2, na) written.
         linear: (na,) whether an actuator's commands go along a line from each row to the next; else they are held.
     """
-    mixed_history(times, commands, before, valve, start, dt, out, linear)
     for i in range(commands.shape[1]):
-        if follow[i, FOLLOW_KIND] == DIRECT:
-            continue
-        value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear[i])
-        follow_history(follow[i], value, dt, i, out)
+        own_followed_history(times, commands, before, valve, follow, first, start, dt, i, out, linear)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

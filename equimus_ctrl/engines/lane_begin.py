@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import followed_history
+from equimus_ctrl.effects.command import own_followed_history
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ACTUATORS,
@@ -35,15 +35,16 @@ def prepared(parameters: Array) -> Array:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def same_as_previous(commands: Array, before: Array, valve: Array, follow: Array) -> NDArray[np.bool_]:
-    """(k,) whether what reaches a lane's valves, and what they make of it, is as in the lane before it."""
-    same = np.zeros(len(commands), dtype=np.bool_)
+    """(k, na) whether what reaches a lane's valve, and what it makes of it, is as in the lane before it."""
+    same = np.zeros(before.shape, dtype=np.bool_)
     for l in range(1, len(commands)):  # noqa: E741
-        same[l] = (
-            np.array_equal(valve[l], valve[l - 1])
-            and np.array_equal(follow[l], follow[l - 1])
-            and np.array_equal(before[l], before[l - 1])
-            and np.array_equal(commands[l], commands[l - 1])
-        )
+        for i in range(before.shape[1]):
+            same[l, i] = (
+                before[l, i] == before[l - 1, i]
+                and np.array_equal(valve[l, i], valve[l - 1, i])
+                and np.array_equal(follow[l, i], follow[l - 1, i])
+                and np.array_equal(commands[l, :, i], commands[l - 1, :, i])
+            )
     return same
 
 
@@ -102,21 +103,26 @@ def put_commands(
     same: NDArray[np.bool_],
     linear: NDArray[np.bool_],
 ) -> None:
-    """What arrives of the commands over the steps from a start on, into drive (steps, 2, na·LANES)."""
+    """What arrives of the commands over the steps from a start on, into drive (steps, 2, na·LANES).
+
+    What an actuator of several lanes in a row follows in the same way is worked out once; lanes to spare have what the
+    last has. The other arguments are those of ``begin_trial``.
+    """
     k, steps = len(commands), len(drive)
-    history = np.empty((steps, 2, N_ACTUATORS))
-    l = 0  # noqa: E741
-    while l < k:
-        followed_history(times, commands[l], before[l], valve[l], follow[l], first[l], start, dt, history, linear)
-        # Lanes that follow with the same pressures get them at once, and lanes to spare those of the last.
-        end = l + 1
-        while end < k and same[end] and np.array_equal(first[end], first[end - 1]):
-            end += 1
-        last = end if end < k else LANES
+    own = np.zeros((N_ACTUATORS, LANES), dtype=np.int64)  # which of the different histories is a lane's
+    for i in range(N_ACTUATORS):
+        for l in range(1, LANES):  # noqa: E741
+            other = l < k and not (same[l, i] and first[l, i] == first[l - 1, i])
+            own[i, l] = own[i, l - 1] + (1 if other else 0)
+    histories = np.empty((own.max() + 1 if own.size else 0, steps, 2, N_ACTUATORS))
+    for i in range(N_ACTUATORS):
+        for l in range(k):  # noqa: E741
+            if l == 0 or own[i, l] > own[i, l - 1]:
+                own_followed_history(
+                    times, commands[l], before[l], valve[l], follow[l], first[l], start, dt, i, histories[own[i, l]],
+                    linear,
+                )  # fmt: skip
         for s in range(steps):
             for part in range(2):
-                for i in range(N_ACTUATORS):
-                    value = history[s, part, i]
-                    for m in range(i * LANES + l, i * LANES + last):
-                        drive[s, part, m] = value
-        l = end  # noqa: E741
+                for l in range(LANES):  # noqa: E741
+                    drive[s, part, i * LANES + l] = histories[own[i, l], s, part, i]

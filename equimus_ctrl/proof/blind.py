@@ -12,6 +12,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from equimus_ctrl.computer import keep_freed_memory
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.holdout import Split, split
@@ -50,6 +51,7 @@ def answer(recordings: Path, model: Model, report: Path | None, others: Path | N
         label: written into both files.
     """
     begun = time.perf_counter()
+    keep_freed_memory()
     free = default_free_parameters(model)
     data = split(free.model, recorded(recordings, model))
     found: Diagnosis | None = None
