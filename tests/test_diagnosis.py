@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -222,16 +221,11 @@ def test_an_effect_is_named_where_it_shows_and_nowhere_else(largest: float, plac
 
 @pytest.mark.slow
 def test_the_same_recordings_give_the_same_bits_on_any_number_of_threads() -> None:
-    model = nominal_model()
-    trials = recordings((parse("dead_zone:maa:threshold=2000"),), count=3)
-    reports = []
-    for threads in (1, 2):
-        found = diagnose(
-            default_free_parameters(model), split(model, trials), settings=DiagnosisSettings(threads=threads)
-        )
-        record = found.to_dict()
-        del record["seconds"]
-        reports.append(json.dumps(record))
+    text, model = "dead_zone:baa:threshold=1500", nominal_model()
+    one = diagnose(
+        default_free_parameters(model), split(model, recordings((parse(text),))), settings=DiagnosisSettings(threads=1)
+    )
+    reports = [json.dumps({**found.to_dict(), "seconds": 0}) for found in (one, single(text))]
     assert reports[0] == reports[1]
 
 
@@ -251,18 +245,6 @@ def test_the_report_is_plain_data_of_the_schema() -> None:
     assert set(record["rmse_rad"]) == {"train", "validation", "test"}
     assert set(record["rmse_rad"]["validation"]) == {"nominal", "refitted", "corrected"}
     assert record["where"][0]["share"] >= record["where"][1]["share"]
-
-
-@pytest.mark.slow
-def test_a_users_own_effect_takes_part() -> None:
-    from equimus_ctrl.workflow.plugins import load_plugins
-
-    load_plugins([Path(__file__).parents[1] / "docs" / "examples" / "drag.py"])
-    effect = parse("quadratic_drag:knee:coefficient=0.05")
-    found = found_in((effect,))
-    (finding,) = found.findings
-    assert (finding.named.effect, finding.named.locations) == ("quadratic_drag", ("knee",))
-    assert next(iter(finding.parameters.values())).value == pytest.approx(0.05, rel=0.2)
 
 
 def test_candidates_cover_the_catalogue_and_leave_out_a_second_name_for_the_foot() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
@@ -61,13 +62,37 @@ def tour() -> tuple[list[str], list[str]]:
 
 
 @pytest.mark.slow
-def test_readme_commands_run_one_after_the_other(workspace: Path) -> None:
+def test_readme_commands_run_one_after_the_other(workspace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = tour()[0]
     assert len(found) >= 15
     for command in found:
         assert main(arguments(command)) == 0, command
     assert (workspace / "my_pid.toml").is_file()
     assert (workspace / "my_recordings" / "chirp.csv").is_file()
+    said = capsys.readouterr().err
+    assert "dead zone" in said and "kPa" in said
+    assert_the_dead_zone_is_found(workspace / "report")
+    # The corrected model reproduces what was recorded, the nominal one does not.
+    errors = []
+    for model in ([], ["--model", "corrected.toml"]):
+        assert main(["score", "concealed", "--json", *model]) == 0
+        errors.append(json.loads(capsys.readouterr().out)["rmse_rad"]["knee"])
+    nominal, corrected = errors
+    assert corrected < 0.0025 < 5 * corrected < nominal
+
+
+def assert_the_dead_zone_is_found(report: Path) -> None:
+    """In the record and on the page of the README's diagnosis."""
+    record = json.loads((report / "record.json").read_text())
+    assert record["verdict"] == "explained"
+    (finding,) = record["findings"]
+    assert (finding["effect"], finding["locations"]) == ("dead_zone", ["baa"])
+    threshold = finding["parameters"]["threshold"]
+    assert threshold["low"] < threshold["value"] < threshold["high"]
+    assert threshold["value"] == pytest.approx(4000, rel=0.03)
+    page = (report / "report.html").read_text()
+    assert page.lower().startswith("<!doctype html>")
+    assert "http://" not in page.replace("http://www.w3.org", "") and "dead zone" in page
 
 
 def test_every_command_is_shortened_that_is_to_be() -> None:
