@@ -12,7 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from equimus_ctrl.effects.command import advance_pressure, pressure_history
+from equimus_ctrl.effects.command import (
+    CARRIED,
+    advance_pressure,
+    first_carried,
+    followed_history,
+    go_on,
+    pressure_history,
+)
 from equimus_ctrl.effects.relaxation import SMALL_SHARE, decay_moments, relax
 from equimus_ctrl.types import Array
 
@@ -429,3 +436,24 @@ def test_long_after_the_last_command_they_are_settled_too() -> None:
     found = history(60.0, 3, 0.1, BOTH)
     np.testing.assert_allclose(found[:, 0], np.tile([VALUES[-1], VALUES[0]], (3, 1)), rtol=1e-12)
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [0.0, 1.0, 2.0, 3.0], ids=["direct", "filtered", "integrated", "slewed"])
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+@pytest.mark.parametrize("linear", [False, True])
+def test_pieces_of_a_history_are_the_whole(kind: float, lag: float, linear: bool) -> None:
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.001, 0.02, 50))
+    commands, before, first = rng.normal(size=(50, 1)), np.array([0.2]), np.array([0.4])
+    valve = np.array([[0.013, lag, 2.0 * lag, INF, INF, 0.0]])
+    follow = np.array([[kind, 0.05 if kind == 1.0 else 3.0, -1.5, 1.5, -0.6, 0.6]])
+    whole, pieces = np.empty((60, 2, 1)), np.empty((60, 2, 1))
+    lines = np.array([linear])
+    followed_history(times, commands, before, valve, follow, first, times[0], 0.01, whole, lines)
+    carried = np.empty(CARRIED)
+    first_carried(before[0], follow[0], first[0], carried)
+    for begin, end in itertools.pairwise([0, 1, 17, 40, 60]):
+        start = times[0] + 0.01 * begin
+        column = commands[:, 0].copy()
+        go_on(times, column, before[0], valve[0], follow[0], start, 0.01, 0, linear, carried, pieces[begin:end])
+    np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-12)

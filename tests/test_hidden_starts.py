@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,7 +14,7 @@ from mjcf_models import pendulum
 from equimus_ctrl.effects import DahlFriction, DriveCompliance, Effect, SensorDelay, SensorOffset, SensorScale
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.limits import REMEMBERED
-from equimus_ctrl.engines.mjcf import simulate_mjcf
+from equimus_ctrl.engines.mjcf import parted, simulate_mjcf
 from equimus_ctrl.engines.motion import motion
 from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.identification.segments import Segment, cut
@@ -208,6 +210,50 @@ def test_what_integrates_commands_goes_on_from_what_it_came_to(simulated: Engine
     led, rested = (farthest(simulated, model, segments, found.motion[0], led) for led in (True, False))
     assert rested > 0.05
     assert led < 0.02 * rested
+
+
+@ENGINES
+def test_what_integrates_commands_adds_up_all_of_a_long_recording(simulated: Engine) -> None:
+    """The joint is pulled to one side at first, which nothing tells later but the commands."""
+    model, time = Model(INTEGRATING), np.arange(0, 56.001, 0.01)
+    command = (0.9 * np.sin(3.0 * time) * (time > 4.0) + 0.4 * (time < 2.0))[:, None]
+    trial = Trial("t", time, command, command[0], 0.0, np.array([0.3]), time, np.zeros(1), inner=True)
+    (found,) = simulated(model, [trial], None)
+    shown = Recording("t", time, command, found.position[0], INTEGRATING.actuator_names, INTEGRATING.joint_names)
+    late = [replace(s, trial=replace(s.trial, inner=True)) for s in intervals(model, shown)[-3:]]
+    assert found.motion is not None and late[0].trial.start > 2 * REMEMBERED
+    assert farthest(simulated, model, late, found.motion[0]) < 2e-3
+
+
+def test_what_diverges_on_the_way_to_a_start_has_diverged() -> None:
+    """A drive that its own spring throws about while its joint is put where it was recorded to be."""
+    wild = Model(ROBOT, (DriveCompliance("pivot", 1e6, 0.0),))
+    shown = recording(whole(ROBOT, torque()), 0.3 * np.sin(3.0 * TIME)[:, None])
+    (trial,) = (s.trial for s in intervals(wild, shown, 2.0))
+    (found,) = simulate_mjcf([wild], [trial], dt=0.05, threads=1)
+    assert found.reached[0] == 0 and not found.sound[0]
+
+
+def test_parts_of_a_recording_are_simulated_one_after_the_other() -> None:
+    model, trial = Model(ROBOT), whole(ROBOT, torque())
+    one, other = (
+        [s.trial for s in cut(model, [recording(trial, by * np.sin(TIME)[:, None])], shoot=0.5)] for by in (1.0, 2.0)
+    )
+    mixed = [t for pair in zip(one, other, strict=True) for t in pair]
+    chunks = parted(mixed, 4)
+    assert sorted(i for chunk in chunks for i in chunk) == list(range(len(mixed))) and len(chunks) == 4
+    for chunk in chunks:
+        assert len({mixed[i].history for i in chunk}) == 1
+        assert np.allclose(np.diff([mixed[i].start for i in chunk]), 0.5)
+
+
+def test_a_recorded_motion_goes_with_its_recording() -> None:
+    shown = recording(whole(ROBOT, torque()), np.sin(TIME)[:, None])
+    kept = weakref.ref(recorded_motion(shown, 0.02))
+    assert kept() is recorded_motion(shown, 0.02)
+    del shown
+    gc.collect()
+    assert kept() is None
 
 
 def test_without_hidden_states_nothing_is_smoothed() -> None:

@@ -36,6 +36,9 @@ FOLLOW_KIND, FOLLOW_NUMBER, FOLLOW_LOW, FOLLOW_HIGH, FOLLOW_LEAST, FOLLOW_MOST =
 """A follower (6,): its kind (``DIRECT`` to ``SLEWED``), time constant [s] or greatest rate, between what the command
 counts, between what the follower stays."""
 
+CARRIED = 3
+"""Numbers of an actuator that ``go_on`` carries along."""
+
 REFERENCE = 1e4
 """The command at which a filling flow is named [Pa]."""
 
@@ -192,22 +195,41 @@ def _own_history(
     out: Array,
 ) -> None:
     """``pressure_history`` of one actuator i."""
-    n, steps = len(times), len(out)
-    column = np.empty(n)
-    for k in range(n):
+    column = np.empty(len(times))
+    for k in range(len(times)):
         column[k] = commands[k, i]
     pressure, cursor = _settled(times, column, before[i], start, valve[i], linear)
-    for s in range(steps):
-        at = start + s * dt - valve[i, DELAY]
+    _history_on(times, column, before[i], valve[i], start, dt, i, linear, pressure, cursor, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _history_on(
+    times: Array,
+    column: Array,
+    before: float,
+    valve: Array,
+    start: float,
+    dt: float,
+    i: int,
+    linear: bool,
+    pressure: float,
+    cursor: int,
+    out: Array,
+) -> tuple[float, int]:
+    """The same from a pressure and a cursor on, of a column of commands (n,) and a valve (6,); both at the end."""
+    n = len(times)
+    for s in range(len(out)):
+        at = start + s * dt - valve[DELAY]
         while cursor + 1 < n and times[cursor + 1] <= at:
             cursor += 1
         held = not linear and not (cursor + 1 < n and times[cursor + 1] < at + dt)
-        if held and pressure == (column[cursor] if cursor >= 0 else before[i]):
+        if held and pressure == (column[cursor] if cursor >= 0 else before):
             out[s, 0, i], out[s, 1, i] = pressure, 0.0  # as ``advance_pressure`` has it, several times as fast
             continue
         pressure, out[s, 0, i], out[s, 1, i], cursor = _advance(
-            times, column, before[i], cursor, start + s * dt, dt, pressure, valve[i], linear
+            times, column, before, cursor, start + s * dt, dt, pressure, valve, linear
         )
+    return pressure, cursor
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -310,6 +332,18 @@ def follow_history(follow: Array, value: float, dt: float, own: int, out: Array)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _first_of(before: float, follow: Array, first: float) -> float:
+    """What follows a command when commands begin: of an integrator its first value, else settled under ``before``."""
+    value = before
+    if follow[FOLLOW_KIND] == INTEGRATED:
+        value = first
+    else:
+        value = min(max(value, follow[FOLLOW_LOW]), follow[FOLLOW_HIGH])
+        value = min(max(value, follow[FOLLOW_LEAST]), follow[FOLLOW_MOST])
+    return value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _follower_at(
     times: Array,
     commands: Array,
@@ -329,8 +363,7 @@ def _follower_at(
     """
     if follow[FOLLOW_KIND] == INTEGRATED:
         return first
-    value = min(max(before[own], follow[FOLLOW_LOW]), follow[FOLLOW_HIGH])
-    value = min(max(value, follow[FOLLOW_LEAST]), follow[FOLLOW_MOST])
+    value = _first_of(before[own], follow, first)
     return _followed_since(times, commands, before, valve, follow, value, start, dt, own, linear)
 
 
@@ -408,6 +441,55 @@ def own_followed_history(
     if follow[i, FOLLOW_KIND] != DIRECT:
         value = _follower_at(times, commands, before, valve, follow[i], first[i], start, dt, i, linear[i])
         follow_history(follow[i], value, dt, i, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_carried(before: float, follow: Array, first: float, carried: Array) -> None:
+    """What ``go_on`` carries along, when the commands begin.
+
+    Args:
+        before: command in force before.
+        follow: (6,), see ``FOLLOW_KIND``.
+        first: value of an integrator.
+        carried: (``CARRIED``,) written.
+    """
+    carried[0], carried[1], carried[2] = before, -1.0, _first_of(before, follow, first)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def go_on(
+    times: Array,
+    column: Array,
+    before: float,
+    valve: Array,
+    follow: Array,
+    start: float,
+    dt: float,
+    i: int,
+    linear: bool,
+    carried: Array,
+    out: Array,
+) -> None:
+    """``followed_history`` of one actuator i, piece by piece: each goes on where the one before ended.
+
+    Args:
+        times: (n,) as there.
+        column: (n,) its commands.
+        before: in force before times[0].
+        valve: (6,), see ``DELAY``.
+        follow: (6,), see ``FOLLOW_KIND``.
+        start: of the piece, the first at times[0] [s].
+        dt: [s].
+        i: its column in what is written.
+        linear: its commands go along a line from each row to the next.
+        carried: (``CARRIED``,) pressure behind the valve, cursor and what follows, at the start; replaced by those at
+            the end.
+        out: (steps, 2, na) written.
+    """
+    pressure, cursor = _history_on(times, column, before, valve, start, dt, i, linear, carried[0], int(carried[1]), out)
+    carried[0], carried[1] = pressure, cursor
+    if follow[FOLLOW_KIND] != DIRECT:
+        carried[2] = follow_history(follow, carried[2], dt, i, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

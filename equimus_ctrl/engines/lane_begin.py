@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import own_followed_history
+from equimus_ctrl.effects.command import go_on, own_followed_history
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ACTUATORS,
@@ -126,3 +126,53 @@ def put_commands(
             for part in range(2):
                 for l in range(LANES):  # noqa: E741
                     drive[s, part, i * LANES + l] = histories[own[i, l], s, part, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def go_on_with_commands(
+    drive: Array,
+    times: Array,
+    columns: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    start: float,
+    dt: float,
+    alike: NDArray[np.bool_],
+    linear: NDArray[np.bool_],
+    carried: Array,
+    history: Array,
+) -> None:
+    """``put_commands`` piece by piece, see ``effects.command.go_on``.
+
+    Args:
+        drive: (steps, 2, na·LANES) written, as there.
+        times: as there, as what is not named here.
+        columns: (k, na, n) commands.
+        before: as there.
+        valve: as there.
+        follow: as there.
+        start: of the piece [s].
+        dt: as there.
+        alike: (k, na) whether all of a lane's is as in the lane before it.
+        linear: as there.
+        carried: (k, na, ``CARRIED``) replaced; of lanes that are alike the first counts.
+        history: (≥ steps, 2, na) room.
+    """
+    k, steps = len(columns), len(drive)
+    for i in range(N_ACTUATORS):
+        lane = 0
+        while lane < k:
+            go_on(
+                times, columns[lane, i], before[lane, i], valve[lane, i], follow[lane, i], start, dt, i, linear[i],
+                carried[lane, i], history[:steps],
+            )  # fmt: skip
+            end = lane + 1
+            while end < k and alike[end, i]:
+                end += 1
+            last = end if end < k else LANES  # lanes to spare have what the last has
+            for s in range(steps):
+                for part in range(2):
+                    for l in range(lane, last):  # noqa: E741
+                        drive[s, part, i * LANES + l] = history[s, part, i]
+            lane = end

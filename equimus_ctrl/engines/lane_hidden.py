@@ -2,9 +2,10 @@
 
 What no sensor shows (how far a compliant drive is ahead of its joint, states of laws) hangs on the motion before. It
 follows its own equations dz/dt = g(q, v, z, u) along the motion that was recorded, and under the commands that were, as
-an input-driven observer does. One pass through a recording serves all intervals of it. It begins with the recording, in
-long ones ``REMEMBERED`` to twice that before a start. So that what an interval starts with depends on no other, the
-pass stops on a grid alone. Units are those of ``lane_functions``.
+an input-driven observer does. One pass serves the intervals that are simulated together. It begins with the recording,
+in long ones ``REMEMBERED`` to twice that before a start: these are passed through twice. What has arrived of the
+commands is followed from the recording's start on. So that what an interval starts with depends on no other, a pass
+stops on a grid alone. Units are those of ``lane_functions``.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import integrate
+from equimus_ctrl.effects.command import CARRIED, first_carried
 from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, hermite, hermite_rate
-from equimus_ctrl.engines.lane_begin import clear, put_commands
+from equimus_ctrl.engines.lane_begin import clear, go_on_with_commands
 from equimus_ctrl.engines.lane_functions import (
     BOUNDED,
     LANES,
@@ -266,9 +267,17 @@ def hidden_starts(
     """
     k, begun, stride = len(sensor), times[0], STRIDE * dt
     size = STRIDE + math.ceil(min(reading, REMEMBERED / 2) / dt) + 1
-    drive = np.empty((size, 2, N_ACTUATORS * LANES))
-    bend, kept, at, held = np.zeros(2 * N_JOINTS * LANES), np.empty(N_STATES * LANES), np.empty(LANES), first.copy()
-    period, place, row = -1, 0, 0
+    drive, history = np.empty((size, 2, N_ACTUATORS * LANES)), np.empty((size, 2, N_ACTUATORS))
+    bend, kept, at = np.zeros(2 * N_JOINTS * LANES), np.empty(N_STATES * LANES), np.empty(LANES)
+    columns, similar = np.empty((k, N_ACTUATORS, len(times))), same.copy()
+    early, carried = np.empty((k, N_ACTUATORS, CARRIED)), np.empty((k, N_ACTUATORS, CARRIED))
+    for l in range(k):  # noqa: E741
+        for i in range(N_ACTUATORS):
+            columns[l, i] = commands[l, :, i]
+            first_carried(before[l, i], follow[l, i], first[l, i], early[l, i])
+            if l > 0 and first[l, i] != first[l - 1, i]:
+                similar[l, i] = False
+    period, place, early_place, row = -1, 0, 0, 0
     for trial in np.argsort(start):
         until = start[trial]
         if not until > begun:
@@ -277,6 +286,13 @@ def hidden_starts(
         own_period = max(int((until - begun) / REMEMBERED) - 1, 0)
         if own_period != period:
             period, place = own_period, int(own_period * REMEMBERED / stride)
+            for passed in range(early_place, place):
+                go_on_with_commands(
+                    drive[:STRIDE], times, columns, before, valve, follow, begun + passed * stride, dt, similar, linear,
+                    early, history,
+                )  # fmt: skip
+            early_place = place
+            carried[:] = early
             at[:] = begun + place * stride
             row = max(min(np.searchsorted(recorded_times, at[0], side="right") - 1, len(recorded_times) - 2), 0)
             clear(w, at[0] - begun)
@@ -288,10 +304,10 @@ def hidden_starts(
             leads_on, here = place < last, begun + place * stride
             steps = STRIDE if leads_on else min(max(math.ceil((until - here) / dt - 1e-9), 1), size)
             step = dt if leads_on else (until - here) / steps
-            for l in range(k):  # noqa: E741
-                integrate(times, commands[l], before[l], valve[l], follow[l], first[l], here, dt, linear, held[l])
-            piece = drive[:steps]
-            put_commands(piece, times, commands, before, valve, follow, held, here, step, same, linear)
+            piece, going = drive[:steps], carried if leads_on else carried.copy()
+            go_on_with_commands(
+                piece, times, columns, before, valve, follow, here, step, similar, linear, going, history
+            )
             if leads_on:
                 row = follow_recorded(w, piece, here, step, recorded_times, recorded, sensor, row, bend, 0.0, until)
                 place += 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.mjcf_commands import integrate_from_here, integrate_since, valves_of
 from equimus_ctrl.engines.mjcf_kernel import drive_forces
 from equimus_ctrl.engines.mjcf_lead import Hidden, Leader, remembers
 from equimus_ctrl.engines.mjcf_realised import Realised, function_address, realise, scratch, stepped_laws
@@ -73,13 +74,22 @@ def _shaped(own: Realised, trial: Trial) -> Array:
     return shaped_commands(own.effects, robot.actuator_names, given, robot.command_ranges)
 
 
+def rows_of(own: Realised, trial: Trial) -> Array:
+    """(1 + n, na + np) the same with accelerations that are prescribed; of parts of a recording worked out once."""
+    key = trial.history
+    if key in own.rows:
+        return own.rows[key]
+    rows = np.ascontiguousarray(trial.with_accelerations(own.robot, _shaped(own, trial)))
+    if trial.recorded is not None:
+        own.rows[key] = rows
+    return rows
+
+
 def commands_on(own: Realised, trial: Trial) -> Array:
     """(steps, na) means over physics steps of the commands as they arrive at the actuators, see ``Course.ctrl``."""
-    dt, robot = float(own.mujoco.opt.timestep), own.robot
-    whole = trial.with_accelerations(robot, _shaped(own, trial))
-    valve = np.vstack([own.valve, valve_settings((), robot.prescribed_names)])
-    out = np.empty((steps_of(trial, dt), 2, whole.shape[1]))
-    mixed_history(trial.times, whole[1:].copy(), whole[0].copy(), valve, trial.start, dt, out, trial.lines(robot))
+    dt, rows = float(own.mujoco.opt.timestep), rows_of(own, trial)
+    out, lines = np.empty((steps_of(trial, dt), 2, rows.shape[1])), trial.lines(own.robot)
+    mixed_history(trial.times, rows[1:], rows[0].copy(), valves_of(own), trial.start, dt, out, lines)
     return np.ascontiguousarray(out[:, 0])
 
 
@@ -141,15 +151,28 @@ def leader_of(own: Realised) -> Leader | None:
         return None
     _, kernel = compiled.load_mjcf(own.stepped)
 
-    def begin(trial: Trial, start: Array) -> Hidden:
-        position, velocity = np.split(start, 2)
+    def begin(trial: Trial, start: Array, first: Array) -> Hidden:
+        data, act = scratch.data(own.mujoco), filled(own, trial)
+        put_joints(own, data, *np.split(first, 2))
+        data.act[:] = act
+        integrate_from_here(own.mujoco, data)
+        act = np.array(data.act)
+        integrate_since(own, trial, rows_of(own, trial), act)
+        nj = len(own.places)
+        position, velocity = (values[:nj] for values in np.split(start, 2))
         rotors = np.array([(position[j], velocity[j]) for *_, j in own.rotors]).reshape(-1, 2)
-        data = scratch.data(own.mujoco)
-        data.qpos[own.places[:, 0]], data.act[:] = position, filled(own, trial)
-        _integrate_from_here(own.mujoco, data)
-        return Hidden(rotors, np.array(data.act), _law_starts(own, trial, start))
+        return Hidden(rotors, act, _law_starts(own, trial, np.concatenate([position, velocity])))
 
-    return Leader(own, kernel, commands_on, begin)
+    return Leader(own, kernel, rows_of, begin)
+
+
+def put_joints(own: Realised, data: Any, position: Array, velocity: Array) -> None:
+    """Put joints, and those that are prescribed or were not measured behind them, with drives that are not ahead."""
+    nj = len(own.places)
+    data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = position[:nj], velocity[:nj]
+    for q, v, joint in own.rotors:
+        data.qpos[q], data.qvel[v] = position[joint], velocity[joint]
+    data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = position[nj:], velocity[nj:]
 
 
 def follow(
@@ -175,23 +198,22 @@ def follow(
     model, nj = own.mujoco, len(own.places)
     begun = trial.begun(own.robot, start[:nj], start[nj : 2 * nj], start[2 * nj :])
     hidden = None if leader is None or trial.led is None else leader.at(trial, np.concatenate(begun))
-    states = _law_starts(own, trial, start[: 2 * nj]) if hidden is None else hidden.states
+    dt, wanted = float(model.opt.timestep), len(ctrl) + 1
+    whole = np.empty((wanted if trial.forces else 0, model.nq + model.nv + model.na))
+    out_q, out_v = np.empty((wanted, nj)), np.empty((wanted, nj))
+    if hidden is not None and not hidden.sound:
+        out_q[:], out_v[:], whole[:] = np.nan, np.nan, np.nan
+        return Course(trial.start, dt, out_q, out_v, ctrl, 0, whole if trial.forces else None)
+    states = _law_starts(own, trial, start[: 2 * nj]) if hidden is None else hidden.states.copy()
     data = scratch.data(model)
     model.dof_frictionloss[own.places[:, 1]] = own.loss
-    data.qpos[own.places[:, 0]], data.qvel[own.places[:, 1]] = start[:nj], start[nj : 2 * nj]
-    for q, v, joint in own.rotors:
-        data.qpos[q], data.qvel[v] = start[joint], start[nj + joint]
+    put_joints(own, data, *begun)
     data.act[:] = filled(own, trial)
-    dt = float(model.opt.timestep)
-    grid = np.arange(len(ctrl) + 1, dtype=np.float64)
-    given = moved_along(own, trial, trial.start + dt * grid)
-    data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = (values[nj:] for values in begun)
-    _integrate_from_here(model, data)
+    given = moved_along(own, trial, trial.start + dt * np.arange(wanted, dtype=np.float64))
+    integrate_from_here(model, data)
     if hidden is not None:
         data.qpos[own.rotors[:, 0]], data.qvel[own.rotors[:, 1]] = hidden.rotors.T
         data.act[:] = hidden.act
-    out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
-    whole = np.empty((len(ctrl) + 1 if trial.forces else 0, model.nq + model.nv + model.na))
     sound = kernel.run_mjcf(
         function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
         np.full(nj, MAX_SPEED), ctrl, np.empty((0, nj)) if force is None else force,
@@ -217,15 +239,6 @@ def others_along(own: Realised, trial: Trial, times: Array) -> tuple[Array, Arra
         return moved
     beside = trial.supposed.at(times)
     return np.column_stack([moved[0], beside[0]]), np.column_stack([moved[1], beside[1]])
-
-
-def _integrate_from_here(model: Any, data: Any) -> None:
-    """Let integrators of commands begin where their actuators are."""
-    chosen = np.flatnonzero(model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
-    if len(chosen):
-        mujoco.mj_fwdPosition(model, data)
-        for i in chosen:
-            data.act[model.actuator_actadr[i]] = data.actuator_length[model.actuator_outadr[i]]
 
 
 def _law_starts(own: Realised, trial: Trial, start: Array) -> Array:
@@ -299,6 +312,23 @@ def forces_of(own: Realised, path: Course, trial: Trial) -> Array:
     return out
 
 
+def parted(trials: Sequence[Trial], parts: int) -> list[list[int]]:
+    """Trials, as indices, in so many parts of about as much time: those of one recording one after the other.
+
+    So a part passes through a recording once, up to its last start.
+    """
+    histories: dict[Hashable, list[int]] = {}
+    for i, trial in enumerate(trials):
+        histories.setdefault(trial.history, []).append(i)
+    order = [i for own in histories.values() for i in sorted(own, key=lambda i: trials[i].start)]
+    spans = [max(float(trials[i].sample_times[-1:].sum()) - trials[i].start, 0.0) + AT_ONCE for i in order]
+    middles = np.cumsum(spans) - np.array(spans) / 2
+    chunks: list[list[int]] = [[] for _ in range(parts)]
+    for i, middle in zip(order, middles, strict=True):
+        chunks[min(int(middle / sum(spans) * parts), parts - 1)].append(i)
+    return [chunk for chunk in chunks if chunk]
+
+
 def simulate_mjcf(
     models: Sequence[Model],
     trials: Sequence[Trial],
@@ -332,8 +362,7 @@ def simulate_mjcf(
     results = [Predicted.empty(k, trial, nj) for trial in trials]
     histories: dict[tuple[int, tuple[Effect, ...], bytes, float], Array] = {}
     count = computer.worker_count(threads, name="threads")
-    parts = max(math.ceil(count / k), 1)
-    chunks = [list(range(len(trials)))[p::parts] for p in range(min(parts, len(trials)))]
+    chunks = parted(trials, max(math.ceil(count / k), 1))
 
     def command(i: int, own: Realised) -> Array:
         shaping = tuple(e for e in own.effects if e.side == "command")

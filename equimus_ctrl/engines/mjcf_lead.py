@@ -1,7 +1,8 @@
 """What the motion before a trial's start left of an MJCF robot's hidden states, stepped by MuJoCo.
 
 Drives that turn by themselves, states of laws and of actuators follow the commands while all joints are put, step by
-step, where they were recorded to be. ``engines.lane_hidden`` does the same without a step's error.
+step, where they were recorded to be. ``engines.lane_hidden`` does the same without a step's error. Integrators of
+commands alone are not stepped to where a pass begins: they add up all of the commands before it.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
+import mujoco
 import numpy as np
 
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, hermite_rate
 from equimus_ctrl.engines.limits import MAX_SPEED, REMEMBERED
+from equimus_ctrl.engines.mjcf_commands import Arriving
 from equimus_ctrl.engines.mjcf_realised import Realised, function_address, scratch
 from equimus_ctrl.engines.motion import hermite_arrays
 from equimus_ctrl.engines.trials import Trial
@@ -34,15 +37,19 @@ class Hidden:
         rotors: (n, 2) coordinates and rates of drives that turn by themselves [rad or m, rad/s or m/s].
         act: (na,) MuJoCo's activations.
         states: (nj, nz) of the laws.
+        sound: whether they mean anything.
     """
 
     rotors: Array
     act: Array
     states: Array
+    sound: bool = True
 
 
-Commands = Callable[[Realised, Trial], Array]
-"""(steps, na) what acts over each physics step, see ``mjcf.commands_on``."""
+Rows = Callable[[Realised, Trial], Array]
+"""(1 + n, na) all commands of a history, see ``mjcf.rows_of``."""
+LOST = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+"""After these MuJoCo begins anew from its own pose."""
 
 
 def remembers(own: Realised) -> bool:
@@ -52,19 +59,24 @@ def remembers(own: Realised) -> bool:
 
 
 class Leader:
-    """Leads the hidden states of one robot along recordings to where trials start; in their order one pass is enough.
+    """Leads the hidden states of one robot along recordings to where trials start.
+
+    Of trials of one recording that come in the order of their starts, one pass leads to all: up to the last start, and
+    over what is farther from the recording's start than ``REMEMBERED`` twice.
 
     Args:
         own: the robot.
         kernel: that steps it, see ``engines.mjcf_kernel``.
-        commands: what acts over steps.
-        begin: the hidden states where a recording begins, with (2 nj,) coordinates and rates there.
+        rows: commands of a history.
+        begin: the hidden states at a trial's start, where a pass begins, with (2 n,) coordinates and rates of all
+            joints there, and where the recording begins.
     """
 
-    def __init__(self, own: Realised, kernel: Any, commands: Commands, begin: Callable[[Trial, Array], Hidden]) -> None:
-        self.own, self.kernel, self.commands, self.begin = own, kernel, commands, begin
+    def __init__(self, own: Realised, kernel: Any, rows: Rows, begin: Callable[[Trial, Array, Array], Hidden]) -> None:
+        self.own, self.kernel, self.rows, self.begin = own, kernel, rows, begin
         self.places = np.vstack([own.places[:, :2], own.others])
-        self._reached: dict[Hashable, tuple[int, int, Hidden]] = {}
+        self._arriving: dict[Hashable, Arriving] = {}
+        self._reached: dict[Hashable, tuple[int, int, Hidden, Array]] = {}
 
     def at(self, trial: Trial, start: Array) -> Hidden:
         """The hidden states where a trial starts inside its recording.
@@ -79,18 +91,22 @@ class Leader:
         stride = STRIDE * float(self.own.mujoco.opt.timestep)
         period = max(int((trial.start - first) / REMEMBERED) - 1, 0)
         last = int((trial.start - bends - first) / stride)
-        known, place, hidden = self._reached.get(trial.history, (-1, 0, None))
-        if hidden is None or known != period or place > last:
+        key = trial.history
+        if key not in self._arriving:
+            self._arriving[key] = Arriving.of(self.own, trial, self.rows(self.own, trial))
+        arriving, reached = self._arriving[key], self._reached.get(key)
+        if reached is None or reached[0] != period or reached[1] > last:
             place = int(period * REMEMBERED / stride)
             early = replace(trial, start=first + place * stride)
-            q, v = self._motion(trial, np.array([early.start]))
-            nj = len(self.own.places)
-            hidden = self.begin(early, np.concatenate([q[0, :nj], v[0, :nj]]))
+            here, there = np.concatenate(self._motion(trial, np.array([early.start, first])), axis=1)
+            reached = period, place, self.begin(early, here, there), arriving.at(early.start)
+        _, place, hidden, carried = reached
         while place < last:
-            hidden = self._led(trial, hidden, first + place * stride, first + (place + 1) * stride)
+            here = first + place * stride
+            hidden = self._led(trial, hidden, arriving, carried, here, first + (place + 1) * stride)
             place += 1
-        self._reached[trial.history] = period, place, hidden
-        return self._led(trial, hidden, first + place * stride, trial.start, start, bends)
+        self._reached[key] = period, place, hidden, carried
+        return self._led(trial, hidden, arriving, carried.copy(), first + place * stride, trial.start, start, bends)
 
     def _motion(self, trial: Trial, times: Array) -> tuple[Array, Array]:
         """(n, nj + np + nu) coordinates and rates of the recorded motion."""
@@ -106,9 +122,22 @@ class Leader:
         return q, v
 
     def _led(
-        self, trial: Trial, hidden: Hidden, begun: float, until: float, start: Array | None = None, bends: float = 0.0
+        self,
+        trial: Trial,
+        hidden: Hidden,
+        arriving: Arriving,
+        carried: Array,
+        begun: float,
+        until: float,
+        start: Array | None = None,
+        bends: float = 0.0,
     ) -> Hidden:
-        """The hidden states after a part of the recording, whose end bends to a start where one is given."""
+        """The hidden states after a part of the recording, whose end bends to a start where one is given.
+
+        Once they have diverged they stay so.
+        """
+        if not hidden.sound:
+            return hidden
         own, model = self.own, self.own.mujoco
         usual = float(model.opt.timestep)
         steps = max(math.ceil((until - begun) / usual - 1e-9), 1)
@@ -127,14 +156,17 @@ class Leader:
         path = np.empty((2, steps + 1, nj))
         try:
             model.opt.timestep = dt
-            part = replace(trial, start=begun, sample_times=np.array([until]))
-            self.kernel.run_mjcf(
+            sound = self.kernel.run_mjcf(
                 function_address("mj_step"), model._address, data._address, own.places, own.laws, own.loss,
-                np.full(nj, MAX_SPEED), self.commands(own, part), np.empty((0, nj)), states,
+                np.full(nj, MAX_SPEED), arriving.piece(carried, begun, dt, steps), np.empty((0, nj)), states,
                 data.qpos, data.qvel, data.ctrl, data.qfrc_applied, model.dof_frictionloss, data.qfrc_actuator, dt,
                 self.places, np.ascontiguousarray(q), np.ascontiguousarray(v), *path, data.act, np.empty((0, 0)),
             )  # fmt: skip
         finally:
             model.opt.timestep = usual
         rotors = np.column_stack([data.qpos[own.rotors[:, 0]], data.qvel[own.rotors[:, 1]]])
-        return Hidden(rotors, np.array(data.act), states)
+        numbers = all(np.isfinite(values).all() for values in (rotors, data.act, states))
+        kept = sound == steps + 1 and not any(data.warning[kind].number for kind in LOST)
+        return Hidden(
+            rotors, np.array(data.act), states, bool(numbers and kept and (np.abs(rotors[:, 1]) < MAX_SPEED).all())
+        )

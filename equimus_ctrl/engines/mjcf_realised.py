@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
 from threading import local
@@ -62,6 +62,7 @@ class Realised:
         loss: (nj,) dry friction in the model.
         valve: (na, 6), see ``effects.command.DELAY``.
         sensor: (nj, 4), see ``effects.sensors.OFFSET``.
+        rows: what ``mjcf.rows_of`` has worked out, by history.
     """
 
     robot: MjcfRobot
@@ -76,6 +77,7 @@ class Realised:
     loss: Array
     valve: Array
     sensor: Array
+    rows: dict[Hashable, Array] = field(default_factory=dict)
 
 
 def realise(model: Model, trial: Trial | None = None, dt: float | None = None) -> Realised:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
+from threading import Lock
+from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
+from numba import njit
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.types import Array, PrescribedMotion, Recording
@@ -20,33 +25,54 @@ EXACT = 4.0
 noise: of a cubic spline the first falls by 25 (the eighth power of 3/2), the second not at all."""
 
 
+ORDER = 4
+"""Of the splines: so many of them are not 0 at an instant."""
+_SMOOTHING, _KEEPING = Lock(), Lock()
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
     """The motion that a recording shows, worked out where somebody asks for it.
 
     Attributes:
-        recording: whose.
+        name: of the recording, for messages.
+        joints: names of the columns.
+        time: (n,) of the rows [s].
+        position: (n, np) measured [rad or m].
+        beside: motions of other joints, that go behind.
         reading: over how long the motion at one instant is read off it [s].
     """
 
-    recording: Recording
+    name: str
+    joints: tuple[str, ...]
+    time: Array
+    position: Array
+    beside: tuple[PrescribedMotion, ...]
     reading: float
 
     @cached_property
     def motion(self) -> PrescribedMotion:
         """Its joints smoothed, see ``smoothed``, then prescribed joints, then unmeasured ones as they may move."""
-        own = self.recording
-        found = smoothed(own.name, own.joints, own.time, np.asarray(own.position))
-        for beside in (own.prescribed, own.supposed):
-            if beside is not None:
-                found = together(found, beside)
+        with _SMOOTHING:  # who asks at the same time waits for the first
+            found: PrescribedMotion | None = vars(self).get("motion")
+            if found is None:
+                found = smoothed(self.name, self.joints, self.time, self.position)
+                for beside in self.beside:
+                    found = together(found, beside)
+                vars(self)["motion"] = found
         return found
 
 
-@lru_cache(maxsize=256)
+_KNOWN: WeakKeyDictionary[Recording, dict[float, RecordedMotion]] = WeakKeyDictionary()
+
+
 def recorded_motion(recording: Recording, reading: float) -> RecordedMotion:
-    """The same of a recording whenever it is asked for, so that it is smoothed once."""
-    return RecordedMotion(recording, reading)
+    """The same of a recording whenever it is asked for, so that it is smoothed once; forgotten with the recording."""
+    own = recording
+    beside = tuple(motion for motion in (own.prescribed, own.supposed) if motion is not None)
+    found = RecordedMotion(own.name, own.joints, own.time, np.asarray(own.position), beside, reading)
+    with _KEEPING:
+        return _KNOWN.setdefault(recording, {}).setdefault(reading, found)
 
 
 def together(first: PrescribedMotion, second: PrescribedMotion) -> PrescribedMotion:
@@ -88,12 +114,67 @@ def _fitted(time: Array, values: Array) -> tuple[BSpline, float]:
     while (every := round(distance)) <= max(n // 4, 2):
         if not scores or every > scores[-1][1]:
             knots = time[every : n - every // 2 - 1 : every]
-            whole = np.concatenate([[time[0]] * 4, knots, [time[-1]] * 4])
-            spline = make_lsq_spline(time, values, whole, k=3)
-            count, left = len(whole) - 4, float(((values - spline(time)) ** 2).sum())
+            whole = np.concatenate([[time[0]] * ORDER, knots, [time[-1]] * ORDER])
+            spline = least_squares(time, values, whole)
+            count, left = len(whole) - ORDER, float(((values - spline(time)) ** 2).sum())
             scores.append((n * left / (n - count) ** 2, every, spline, float(np.sqrt(left / (n - count)))))
         distance *= WIDER
     if len(scores) > 1 and scores[0][0] * EXACT < scores[1][0]:
-        return make_interp_spline(time, values, k=3), 0.0
+        return make_interp_spline(time, values, k=ORDER - 1), 0.0
     best = min(scores, key=lambda own: own[0])
     return best[2], best[3]
+
+
+def least_squares(time: Array, values: Array, knots: Array) -> BSpline:
+    """The cubic spline that is nearest to values (n,) at ascending instants (n,); knots (m,) with those at the ends.
+
+    Takes time in proportion to the rows, as scipy's ``make_lsq_spline``, of the same digits, does not.
+    """
+    rows = BSpline.design_matrix(time, knots, ORDER - 1)
+    first = np.asarray(rows.indices[::ORDER], dtype=np.int64)
+    return BSpline(knots, _solved(rows.data.reshape(-1, ORDER), first, values, len(knots) - ORDER), ORDER - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solved(rows: Array, first: NDArray[np.int64], values: Array, count: int) -> Array:
+    """Least squares of rows in a band, by Givens' rotations.
+
+    After Cox, "The least squares solution of overdetermined linear equations having band or augmented band structure",
+    1981.
+
+    Args:
+        rows: (n, ``ORDER``) what is not 0 in each.
+        first: (n,) ascending, in which columns that begins.
+        values: (n,).
+        count: of the columns.
+
+    Returns:
+        (count,) coefficients.
+    """
+    triangle, right = np.zeros((count, ORDER)), np.zeros(count)
+    row = np.empty(ORDER)
+    for i in range(len(rows)):
+        row[:] = rows[i]
+        value = values[i]
+        for j in range(first[i], min(first[i] + ORDER, count)):
+            pivot, other = row[0], triangle[j, 0]
+            if pivot != 0.0:
+                size = abs(pivot)
+                if size >= other:
+                    length = size * math.sqrt(1.0 + (other / pivot) * (other / pivot))
+                else:
+                    length = other * math.sqrt(1.0 + (pivot / other) * (pivot / other))
+                c, s = other / length, pivot / length
+                triangle[j, 0] = length
+                for k in range(1, ORDER):
+                    above, below = triangle[j, k], row[k]
+                    triangle[j, k], row[k] = c * above + s * below, c * below - s * above
+                right[j], value = c * right[j] + s * value, c * value - s * right[j]
+            row[:-1] = row[1:]
+            row[-1] = 0.0
+    for j in range(count - 1, -1, -1):
+        rest = right[j]
+        for k in range(1, min(ORDER, count - j)):
+            rest -= right[j + k] * triangle[j, k]
+        right[j] = rest / triangle[j, 0]
+    return right
