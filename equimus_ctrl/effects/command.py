@@ -39,6 +39,9 @@ counts, between what the follower stays."""
 CARRIED = 3
 """Numbers of an actuator that ``go_on`` carries along."""
 
+STRIDE = 64
+"""Steps of a pass through a recording from one point of its grid to the next."""
+
 REFERENCE = 1e4
 """The command at which a filling flow is named [Pa]."""
 
@@ -364,23 +367,6 @@ def _follower_at(
     if follow[FOLLOW_KIND] == INTEGRATED:
         return first
     value = _first_of(before[own], follow, first)
-    return _followed_since(times, commands, before, valve, follow, value, start, dt, own, linear)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _followed_since(
-    times: Array,
-    commands: Array,
-    before: Array,
-    valve: Array,
-    follow: Array,
-    value: float,
-    start: float,
-    dt: float,
-    own: int,
-    linear: bool,
-) -> float:
-    """The same of what had a value when the commands began."""
     if start > times[0]:
         steps = max(math.ceil((start - times[0]) / dt), 1)
         early = np.empty((steps, 2, commands.shape[1]))
@@ -388,38 +374,6 @@ def _followed_since(
         _own_history(times, commands, before, valve, times[0], part, own, linear, early)
         value = follow_history(follow, value, part, own, early)
     return float(value)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def integrate(
-    times: Array,
-    commands: Array,
-    before: Array,
-    valve: Array,
-    follow: Array,
-    first: Array,
-    start: float,
-    dt: float,
-    linear: NDArray[np.bool_],
-    out: Array,
-) -> None:
-    """What integrators of commands have come to at a start, of those that began with the commands.
-
-    Args:
-        times: as in ``followed_history``, as what is not named here.
-        commands: as there.
-        before: as there.
-        valve: as there.
-        follow: as there.
-        first: (na,) values of the integrators at times[0].
-        start: [s].
-        dt: longest steps in which they are followed [s].
-        linear: as there.
-        out: (na,) written where an actuator integrates its command.
-    """
-    for i in range(len(first)):
-        if follow[i, FOLLOW_KIND] == INTEGRATED:
-            out[i] = _followed_since(times, commands, before, valve, follow[i], first[i], start, dt, i, linear[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -490,6 +444,54 @@ def go_on(
     carried[0], carried[1] = pressure, cursor
     if follow[FOLLOW_KIND] != DIRECT:
         carried[2] = follow_history(follow, carried[2], dt, i, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def integrate(
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    first: Array,
+    starts: Array,
+    dt: float,
+    linear: NDArray[np.bool_],
+    out: Array,
+) -> None:
+    """What integrators of commands have come to at some starts, of those that began with the commands.
+
+    One pass leads to all. It stops on a grid alone, so that what is found for a start depends on no other.
+
+    Args:
+        times: as in ``followed_history``, as what is not named here.
+        commands: as there.
+        before: as there.
+        valve: as there.
+        follow: as there.
+        first: (na,) values of the integrators at times[0].
+        starts: (m,) [s].
+        dt: longest steps in which they are followed [s].
+        linear: as there.
+        out: (m, na) written where an actuator integrates its command.
+    """
+    carried, piece, span = np.empty(CARRIED), np.empty((STRIDE, 2, len(first))), STRIDE * dt
+    for i in range(len(first)):
+        if follow[i, FOLLOW_KIND] != INTEGRATED:
+            continue
+        column, place = commands[:, i].copy(), 0
+        first_carried(before[i], follow[i], first[i], carried)
+        for m in np.argsort(starts):
+            while times[0] + (place + 1) * span <= starts[m]:
+                here = times[0] + place * span
+                go_on(times, column, before[i], valve[i], follow[i], here, dt, i, linear[i], carried, piece)
+                place += 1
+            here, last = times[0] + place * span, carried.copy()
+            if starts[m] > here:
+                steps = min(max(math.ceil((starts[m] - here) / dt - 1e-9), 1), STRIDE)
+                part = (starts[m] - here) / steps
+                go_on(times, column, before[i], valve[i], follow[i], here, part, i, linear[i], last, piece[:steps])
+            out[m, i] = last[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

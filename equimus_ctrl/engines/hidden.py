@@ -108,17 +108,20 @@ def lead(
         q = np.tile(motion.position[0], (len(sensor), 1))
         q[:, own.starts] = behind(sensor, q[:, own.starts])
         integrals = first_activations(coded, rows, replace(trials[0], activation=None), q)
-        for trial, row in zip(trials, first, strict=True):
-            if trial.led is not None and trial.activation is None:
-                _integrated(robot, trial, given, integrals, dt, row)
+        led = [i for i, trial in enumerate(trials) if trial.led is not None and trial.activation is None]
+        first[led] = _integrated(robot, [trials[i] for i in led], given, integrals, dt, first[led])
     columns = np.stack([motion.position, motion.velocity, motion.acceleration])[:, :, own.starts]
     return Lead(motion.times, np.ascontiguousarray(columns), recorded.reading, integrals)
 
 
-def _integrated(robot: Robot, trial: Trial, given: Commands, begun: Array, dt: float, out: Array) -> None:
-    """What integrators came to by a trial's start, written to (k, na)."""
-    for lane in range(len(out)):
+def _integrated(robot: Robot, trials: Sequence[Trial], given: Commands, begun: Array, dt: float, first: Array) -> Array:
+    """(trials, k, na) what integrators came to by the starts of trials of one history; of others ``first``."""
+    found, starts = first.copy(), np.array([trial.start for trial in trials], dtype=np.float64)
+    for lane in range(first.shape[1] if len(trials) else 0):
+        out = first[:, lane].copy()
         integrate(
-            trial.times, given.commands[lane], given.before[lane], given.valve[lane], given.follow[lane], begun[lane],
-            trial.start, dt, trial.lines(robot), out[lane],
+            trials[0].times, given.commands[lane], given.before[lane], given.valve[lane], given.follow[lane],
+            begun[lane], starts, dt, trials[0].lines(robot), out,
         )  # fmt: skip
+        found[:, lane] = out
+    return found

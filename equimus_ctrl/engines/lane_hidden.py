@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import CARRIED, first_carried
+from equimus_ctrl.effects.command import CARRIED, STRIDE, first_carried
 from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, hermite, hermite_rate
 from equimus_ctrl.engines.lane_begin import clear, go_on_with_commands
 from equimus_ctrl.engines.lane_functions import (
@@ -45,8 +45,6 @@ HIDDEN = N_STATES > 0
 """Whether there are any."""
 ROW_Z = ROW_X + 2 * N_JOINTS
 Z_AT_START, Z_SUM, Z_RATE = ROW_START + 2 * N_JOINTS, ROW_SUM + 2 * N_JOINTS, ROW_RATE + 2 * N_JOINTS
-STRIDE = 64
-"""Steps of a pass from one point of its grid to the next."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -109,12 +109,12 @@ def integrate_since(own: Realised, trial: Trial, rows: Array, act: Array) -> Non
         if model.actuator_actlimited[i]:
             follow[column, [FOLLOW_LEAST, FOLLOW_MOST]] = model.actuator_actrange[i]
     first[columns] = np.clip(act[places], follow[columns, FOLLOW_LEAST], follow[columns, FOLLOW_MOST])
-    out = np.zeros(len(first))
+    out = np.zeros((1, len(first)))
     integrate(
-        trial.times, rows[1:].copy(), rows[0].copy(), valves_of(own), follow, first, trial.start,
+        trial.times, rows[1:].copy(), rows[0].copy(), valves_of(own), follow, first, np.array([trial.start]),
         float(model.opt.timestep), trial.lines(own.robot), out,
     )  # fmt: skip
-    act[places] = out[columns]
+    act[places] = out[0, columns]
 
 
 def _integrators(model: Any) -> NDArray[np.int64]:

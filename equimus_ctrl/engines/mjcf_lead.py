@@ -15,6 +15,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
+from equimus_ctrl.effects.command import STRIDE
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, hermite_rate
 from equimus_ctrl.engines.limits import MAX_SPEED, REMEMBERED
 from equimus_ctrl.engines.mjcf_commands import Arriving
@@ -23,8 +24,6 @@ from equimus_ctrl.engines.motion import hermite_arrays
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.types import Array
 
-STRIDE = 64
-"""Steps of a pass through a recording between what it remembers of it; see ``engines.lane_hidden.STRIDE``."""
 hermite_rates = cast("Callable[..., Array]", hermite_rate.py_func)
 """``effects.sensors.hermite_rate`` over whole arrays."""
 
