@@ -75,11 +75,11 @@ class OnPaper(Search):
     def challenge(
         self, tried: SearchHistory, fitted: Fitted, instead_of: str = "", rival: Fitted | None = None
     ) -> tuple[list[Fitted], SearchHistory]:
-        out = {instead_of, *tried.rejected}
         return [
             f
             for labels, f in self.known.fits.items()
-            if labels > fitted.labels and len(labels) == len(fitted.labels) + 1 and out.isdisjoint(labels)
+            if labels > fitted.labels and len(labels) == len(fitted.labels) + 1
+            if instead_of not in labels and tried.allows(f.candidates)
         ], tried
 
     def _beside_runners_up(self, state: SearchState) -> tuple[list[Fitted], SearchHistory]:

@@ -46,7 +46,7 @@ def of_stribeck(values: dict[str, float]) -> Array:
 
 def dimensions(
     monkeypatch: pytest.MonkeyPatch, law: type[Effect], slopes: Any, at: dict[str, float], *guesses: dict[str, float],
-    most: int = 9,
+    most: int = 9, own: tuple[tuple[str, str], ...] = (),
 ) -> int:  # fmt: skip
     """Of a law whose derivatives are known, fitted to some values."""
 
@@ -61,7 +61,7 @@ def dimensions(
     monkeypatch.setattr(fitting, "whiten_fit", whitened)
     monkeypatch.setattr(Data, "_fit", as_it_is)
     free: Any = SimpleNamespace(free=[None])
-    part = Part(Candidate(law, ("hinge",), guesses), at)
+    part = Part(Candidate(law, ("hinge",), guesses, own=own), at)
     fit: Any = SimpleNamespace(theta=np.zeros(1), starts=[])
     fitted = Fitted((part,), fit, white_noise([np.ones((4, 1))]), 0.0)
     return Data(free, (), None).dimensions(fitted, 0, most)  # type: ignore[arg-type]
@@ -92,6 +92,30 @@ def test_guesses_that_diverge_say_nothing_and_no_more_are_looked_at_than_decide(
     assert dimensions(monkeypatch, DirectionalLoadFriction, of_shares, shares, {"drive": 0.9, "backdrive": 0.9}) == 1
     refused: dict[str, float] = {}  # would be a KeyError
     assert dimensions(monkeypatch, DirectionalLoadFriction, of_shares, shares, refused, most=0) == 1
+
+
+def test_where_all_guesses_diverge_every_parameter_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    apart = {"drive": 0.9, "backdrive": 0.9}
+    assert dimensions(monkeypatch, DirectionalLoadFriction, of_shares, apart, apart) == 2
+
+
+def test_sizes_of_a_group_of_trials_begin_at_the_common_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the second half of the time, which is another group's, the breakaway force is that group's own."""
+
+    def in_groups(values: dict[str, float]) -> Array:
+        assert list(values) == ["friction", "breakaway", "velocity", "breakaway in b"]
+        here = of_stribeck(values)
+        there = of_stribeck({**values, "breakaway": values["breakaway in b"]})
+        first = (TIME < 5)[:, None]
+        whole = np.where(first, here, there)
+        return np.hstack(
+            [whole * [1, 1, 1] * np.where([False, True, False], first, True), np.where(first, 0, there[:, 1:2])]
+        )
+
+    ended = {"friction": 1.0, "breakaway": 0.0, "velocity": 10.0, "breakaway in b": 0.0}
+    begun = {"friction": 1.0, "breakaway": 1.0, "velocity": 0.5}
+    own = (("breakaway", "b"),)
+    assert dimensions(monkeypatch, StribeckFriction, in_groups, ended, begun, own=own) == 4
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from search_on_paper import DEAD, RUB, Known, OnPaper, ended
+from search_on_paper import DEAD, POOL, RUB, Known, OnPaper, ended
 
 from equimus_ctrl.diagnosis import discretization
 from equimus_ctrl.diagnosis.holdout import Split
@@ -80,4 +80,4 @@ def test_what_residual_forces_make_redundant_without_the_steps_error_is_rejected
     found = without_step_error(known, fine, LEFT, ResidualAnalysis(redundant={0: "restated"}), monkeypatch)
     assert found is not None and found.end.best.labels == {DEAD}
     assert [(part.candidate.label, reason) for part, reason in found.rejected.items()] == [(RUB, "restated")]
-    assert not found.end.tried.allows([RUB])
+    assert not found.end.tried.allows([POOL[RUB]])

@@ -148,6 +148,15 @@ def test_an_encoders_steps_are_noise_however_slowly_a_joint_moves(reach: float) 
     assert 0 < left < 2 * sigma < 2 * step
 
 
+def test_what_changes_by_rounding_alone_comes_in_no_steps() -> None:
+    """A constant of 0.3 that is sometimes the next number: its steps of 5.6e-17 are no encoder's."""
+    time = np.arange(400) / 100
+    constant = np.full(400, 0.3)
+    jittered = np.where(np.arange(400) % 3, constant, np.nextafter(constant, 1))
+    still, _ = judged(time, constant, constant + 0.01)
+    assert judged(time, jittered, constant + 0.01)[0] == pytest.approx(still)
+
+
 def test_of_a_measurement_that_never_changes_the_estimate_is_taken() -> None:
     time = np.arange(0.0, 9.0, 0.01)
     true = 0.3 * np.sin(2.0 * time)

@@ -165,7 +165,7 @@ def test_a_rejected_effect_does_not_come_back_with_an_mjcf_robot(monkeypatch: py
     search = OnPaper(known, SearchSettings(many_minima=True))
     begun = ended(known, RUB, OFF)
     alone = without_parts(search, replace(begun, tried=begun.tried.having(*known.fits.values())), [1])
-    assert not confirmation.confirmed(search, alone.rejecting([OFF]), split).best.hypothesis
+    assert not confirmation.confirmed(search, alone.rejecting([POOL[OFF]]), split).best.hypothesis
     assert confirmation.confirmed(search, alone, split).best.labels == {RUB, OFF}
 
 
@@ -221,7 +221,7 @@ def test_a_rejected_effect_is_no_simpler_one_and_none_that_fits_as_well() -> Non
     found = replace(ended(known, STICK), alternatives=((),), tried=SearchHistory(tuple(known.fits.values())))
     assert simplified(search, found).best.labels == {RUB}
     assert {r.label for r in in_place(search, found, 0, lambda t: 50.0)[0]} == {OFF}
-    found = found.rejecting([RUB, OFF])
+    found = found.rejecting([POOL[RUB], POOL[OFF]])
     assert simplified(search, found).best.labels == {STICK}
     assert in_place(search, found, 0, lambda t: 50.0)[0] == []
 

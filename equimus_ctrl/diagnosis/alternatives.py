@@ -121,7 +121,7 @@ def in_place(
         return alternatives, state.tried
     parts = state.best.hypothesis
     others = _about_as_good(search, state, k, margin)
-    allowed = [other for other in others if state.tried.allows([other.candidate.label])]
+    allowed = [other for other in others if state.tried.allows([other.candidate])]
     hypotheses = [(*parts[:k], *parts[k + 1 :], other) for other in allowed]
     more, tried = _all_refitted(search, state.tried, state.best, hypotheses)
     return [*alternatives, *more], tried

@@ -19,7 +19,7 @@ from equimus_ctrl.diagnosis.localization import excess_variances
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.search_state import SearchState
+from equimus_ctrl.diagnosis.search_state import SearchState, Undecided
 from equimus_ctrl.identification.noise import log_likelihood, whiten
 from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.models.model import Model
@@ -178,7 +178,8 @@ def _confirmations(
 def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell: Tell) -> SearchState | None:
     """The end with a simpler law in the place of one whose further parameters held-out trials do not confirm.
 
-    Friction of two sizes in the two directions may fit better than of one and say less of other trials.
+    Friction of two sizes in the two directions may fit better than of one and say less of other trials. Where they
+    cannot show the difference, the richer law stays undecided beside the simpler one.
     """
     if not search.settings.many_minima:
         return None
@@ -191,6 +192,9 @@ def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell
                 confirmation = carried_over(search, holdout, simple, state.best)
                 if not confirms(search, confirmation.ratio):
                     tell(part.candidate.label, confirmation)
+                    if confirmation.reason == "uninformative" and search.accepts(simple, state.best):
+                        open_ = Undecided(simpler.candidate.label, part)
+                        state = replace(state, undecided=(*state.undecided, open_))
                     return search.moved(state, simple)
     return None
 
@@ -247,7 +251,7 @@ def _another(
     for fitted in sorted(state.tried.fitted, key=search.score):
         if len(looked_at) > search.settings.unconfirmed or search.score(fitted) >= limit:
             break
-        if fitted.labels in looked_at or not state.tried.allows(fitted.labels) or _same_effects(fitted, rejected):
+        if fitted.labels in looked_at or not state.tried.allows(fitted.candidates) or _same_effects(fitted, rejected):
             continue
         if len(fitted.hypothesis) > search.settings.most_parts:
             continue

@@ -12,7 +12,7 @@ from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.hypothesis_moves import extra_parameters
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
-from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without
+from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without, without_redundant
 from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis
 from equimus_ctrl.engines.base import Discretisation
 from equimus_ctrl.errors import SimulationDiverged
@@ -80,9 +80,8 @@ def without_step_error(
         return None  # the robot does more as with the XML's step, of which a controller's own may be the reason
     after, rejected = analysed(exact_search, exact, split, analysis.unexplained), dict[Part, str]()
     while after.redundant:
-        rejected |= after.rejected(exact.best.hypothesis)
-        exact = without_parts(exact_search, exact, tuple(after.redundant), after.fewer)
-        exact = exact.rejecting(part.candidate.label for part in rejected)
+        exact, dropped = without_redundant(exact_search, exact, after)
+        rejected |= dropped
         after = analysed_without(exact_search, exact, split, after)
     if not needless and after.unexplained:
         return None

@@ -66,7 +66,7 @@ def named_candidate(candidate: Candidate) -> Named:
 def equivalents(
     search: Search, end: SearchState, unexplained: bool, finely: Finely
 ) -> tuple[tuple[Equivalent, ...], ...]:
-    """For each part of the hypothesis what fits as well in its place.
+    """For each part of the hypothesis what fits as well in its place, or better.
 
     Args:
         search: that ended there.
@@ -217,11 +217,12 @@ def estimates_of(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
 def _equivalent(
     search: Search, end: SearchState, k: int, unexplained: bool, finely: Finely
 ) -> tuple[tuple[Equivalent, ...], SearchHistory]:
-    """Alternatives that fit as well; none with more parameters, which reproduces anything simpler.
+    """Alternatives that fit as well or better; none with more parameters, which reproduces anything simpler.
 
-    What a parameter does that others do as well makes a law no richer, see ``Data.dimensions``: a spring to a point of
-    the room has four, of which one hinge shows one. Close ones are compared with short steps: where commands jump,
-    discretisation errors can separate equivalent effects.
+    One of which held-out trials say nothing may have more, see ``SearchState.undecided``. What a parameter does that
+    others do as well makes a law no richer, see ``Data.dimensions``: a spring to a point of the room has four, of which
+    one hinge shows one. Close ones are compared with short steps: where commands jump, discretisation errors can
+    separate equivalent effects.
     """
     thresholds, gain = search.data.thresholds, end.without[k].deviance - end.best.deviance
 
@@ -231,9 +232,11 @@ def _equivalent(
     def within_scatter(t: Thresholds) -> float:
         return margin(t) + t.step_scatter
 
-    def within(alternative: Fitted, best: Fitted, most: Callable[[Thresholds], float]) -> bool:
+    def worse(alternative: Fitted, best: Fitted) -> float:
         fewer = max(best.n_parameters - alternative.n_parameters, 0)
-        more = alternative.deviance - best.deviance - fewer * math.log(search.data.n)
+        return alternative.deviance - best.deviance - fewer * math.log(search.data.n)
+
+    def within(more: float, most: Callable[[Thresholds], float]) -> bool:
         return thresholds.decides(lambda t: more < most(t))
 
     def richer(alternative: Fitted, part: Part) -> bool:
@@ -242,20 +245,34 @@ def _equivalent(
         return own > room and search.data.dimensions(alternative, alternative.hypothesis.index(part), room) > room
 
     label = end.best.hypothesis[k].candidate.label
-    others: dict[str, Equivalent] = {}
-    alternatives, tried = in_place(search, end, k, within_scatter)
+    others, tried = _undecided(search, end, k)
+    alternatives, tried = in_place(search, replace(end, tried=tried), k, within_scatter)
     for alternative in sorted(alternatives, key=search.score):
         part = replacement(alternative, end.without[k])
-        if part is None or not within(alternative, end.best, within_scatter):
+        if part is None or not within(worse(alternative, end.best), within_scatter):
             continue
         other = part.candidate.label
         if named_part(part) == named_part(end.best.hypothesis[k]):  # in other groups of trials
             continue
         if other == label or other in others or richer(alternative, part):
             continue
-        if within(finely(alternative), finely(end.best), margin):
-            others[other] = Equivalent(named_part(part), alternative)
+        more = worse(finely(alternative), finely(end.best))
+        if within(more, margin):
+            better = 0.0 if within(-more, margin) else -more - margin(thresholds)
+            others[other] = Equivalent(named_part(part), alternative, better)
     return tuple(others.values()), tried
+
+
+def _undecided(search: Search, end: SearchState, k: int) -> tuple[dict[str, Equivalent], SearchHistory]:
+    """By their labels richer laws in the k-th part's place of which held-out trials say nothing."""
+    parts, tried = end.best.hypothesis, end.tried
+    others: dict[str, Equivalent] = {}
+    for own in end.undecided:
+        if own.simple == parts[k].candidate.label and tried.allows([own.rich.candidate]):
+            fits, tried = search.refitted(tried, end.best, (*parts[:k], *parts[k + 1 :], own.rich))
+            for fitted in fits:
+                others[own.rich.candidate.label] = Equivalent(named_part(own.rich), fitted)
+    return others, tried
 
 
 def ranking(search: Search, end: SearchState) -> tuple[Ranked, ...]:

@@ -7,13 +7,14 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 from scipy.special import chdtri
 
 from equimus_ctrl import computer
 from equimus_ctrl.diagnosis.budget import Budget
-from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part, parameters_of, refined
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part, parameters_of, refined
 from equimus_ctrl.diagnosis.policy import SearchPolicy, Thresholds
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.fit import Begin, Fit, FitSettings, fit
@@ -101,6 +102,11 @@ class Fitted:
     def labels(self) -> frozenset[str]:
         """The same, whatever their order."""
         return frozenset(part.candidate.label for part in self.hypothesis)
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Of the parts."""
+        return tuple(part.candidate for part in self.hypothesis)
 
     @property
     def n_parameters(self) -> int:
@@ -298,7 +304,7 @@ class Data:
         The rank of their Fisher information: Schwarz's cost is of dimensions, not of names. Looked at is the law as
         fits of it begin, for where one ended it may have degenerated to a simpler one. A direction counts along which
         parameters as large as there change −2 log likelihood by what makes hypotheses distinguishable. Of discontinuous
-        parameters derivatives say nothing; they all count.
+        parameters derivatives say nothing, nor of a law that diverges wherever it begins; they all count.
 
         Args:
             fitted: the hypothesis.
@@ -306,22 +312,23 @@ class Data:
             most: so many and one more are told apart, no larger numbers.
         """
         part, found = fitted.hypothesis[k], 0
+        candidate, seen = part.candidate, False
         if self.discontinuous((part,)):
-            return part.candidate.n_parameters
+            return candidate.n_parameters
         others = (*fitted.hypothesis[:k], *fitted.hypothesis[k + 1 :])
-        for values in (part.values, *part.candidate.guesses):
-            hypothesis = (*others, Part(part.candidate, values))
+        for values in chain([part.values], map(candidate.in_each_group, candidate.guesses)):
+            hypothesis = (*others, Part(candidate, values))
             begin = (self.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
             with suppress(SimulationDiverged):  # so nothing is seen there
                 at = self._fit(hypothesis, [begin], fitted.noise, NO_STEP, GridScan(0, 0))
                 slopes = whiten_fit(self.times, at, fitted.noise).slopes
-                first = slopes.shape[1] - part.candidate.n_parameters
+                first, seen = slopes.shape[1] - candidate.n_parameters, True
                 own = Nuisance.of(slopes[:, :first]).project_out(slopes[:, first:])
                 gains = np.linalg.svd(own, compute_uv=False) ** 2
                 found = max(found, sum(self.thresholds.decides(partial(_distinguishable, gain)) for gain in gains))
             if found > most:
                 break
-        return found
+        return found if seen else candidate.n_parameters
 
     def may_be_nothing(self, fitted: Fitted, k: int) -> bool:
         """Whether what is known of a part's sizes, at all its places, holds that it does nothing.

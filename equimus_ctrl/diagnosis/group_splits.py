@@ -29,8 +29,8 @@ def own_in_each_group(hypothesis: Hypothesis, groups: Sequence[str]) -> Hypothes
     own = tuple(product(part.candidate.sizes, groups[1:]))  # the first has the common one
     if not own or part.candidate.own:
         return None
-    values = {**part.values, **{in_group(name, group): part.values[name] for name, group in own}}
-    return (*hypothesis[:-1], Part(replace(part.candidate, own=own, absent=()), values))
+    wider = replace(part.candidate, own=own, absent=())
+    return (*hypothesis[:-1], Part(wider, wider.in_each_group(part.values)))
 
 
 def splits_by_group(hypothesis: Hypothesis, groups: Sequence[str]) -> list[Hypothesis]:

@@ -46,7 +46,7 @@ class Candidate:
     Attributes:
         effect: its class.
         locations: where.
-        guesses: parameter sets to begin from, by the names of ``parameters``.
+        guesses: parameter sets to begin from, by the names of ``common``.
         each: whether each place has parameters of its own, as friction in all joints of an arm has.
         most: upper bounds of parameters that recordings set, beside the effect's own, by key: a delay near the length
             of a shooting interval would stand for anything.
@@ -78,6 +78,11 @@ class Candidate:
         by_name = {p.name: p for p in self.common}
         own = (replace(by_name[name], name=in_group(name, group), group=group) for name, group in self.own)
         return (*self.common, *own)
+
+    def in_each_group(self, common: Mapping[str, float]) -> dict[str, float]:
+        """Values of all parameters, by those of ``common``: what has one of its own in a group has the common one."""
+        own = {in_group(name, group): common[name] for name, group in self.own}
+        return {p.name: {**common, **own}[p.name] for p in self.parameters}
 
     @property
     def label(self) -> str:

@@ -60,8 +60,12 @@ class HypothesisMoves:
     fits_with_other_engine: Sequence[Fitted] = ()
 
     def allowed_candidates(self, tried: SearchHistory) -> list[Candidate]:
-        """The candidates that were not rejected."""
-        return [c for c in self.pool if tried.allows([c.label])]
+        """The candidates that were not rejected; of laws with parameters of their own at each place what is left."""
+        allowed = [(candidate, tried.allowed_places(candidate)) for candidate in self.pool]
+        whole = [candidate for candidate, places in allowed if places == candidate.locations]
+        left = [candidate.narrowed(places) for candidate, places in allowed if () != places != candidate.locations]
+        labels = {candidate.label for candidate in whole}
+        return [*whole, *(candidate for candidate in left if candidate.label not in labels)]
 
     def score(self, fitted: Fitted) -> float:
         """Bayesian information criterion, deviance + k·ln n of k parameters and n numbers measured (Schwarz, 1978)."""
@@ -112,7 +116,7 @@ class HypothesisMoves:
             known = tried.extended.get((fitted.labels, replaced))
             if known is None or known.rival < least:
                 continue
-            options = [o for o in known.options if replacing not in o.labels and tried.allows(o.labels)]
+            options = [o for o in known.options if replacing not in o.labels and tried.allows(o.candidates)]
             if self._serves(known, options, fitted, least):
                 return options, tried
         options, tried = self.extensions(tried, fitted, replacing, rival=least)
@@ -275,7 +279,7 @@ class HypothesisMoves:
             if len(sites) < 2 or part.candidate.each:
                 continue
             parts = tuple(Part(replace(part.candidate, locations=(site,)), part.values) for site in sites)
-            if not tried.allows(p.candidate.label for p in parts):
+            if not tried.allows(p.candidate for p in parts):
                 continue
             hypothesis = (*fitted.hypothesis[:k], *parts, *fitted.hypothesis[k + 1 :])
             begin = (self.data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)

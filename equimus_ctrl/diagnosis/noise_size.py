@@ -9,7 +9,7 @@ import numpy as np
 
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.policy import Thresholds
-from equimus_ctrl.identification.noise import LEAST, LEAST_STEPS, largest_noise, resolution
+from equimus_ctrl.identification.noise import LEAST, LEAST_STEPS, SAME, largest_noise, resolution
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.types import Array
 
@@ -40,4 +40,5 @@ def noise_sizes(segments: Sequence[Segment], fitted: Fitted, thresholds: Thresho
 def _step(values: Array) -> float:
     """In which measured values come; of few values the least difference, inf of a single one: it says nothing."""
     few = np.diff(np.unique(values))
+    few = few[few > SAME * np.abs(values).max(initial=1e-300)]
     return resolution(values) if len(few) >= LEAST_STEPS else float(few.min(initial=math.inf))

@@ -33,15 +33,18 @@ STATES = ("nominal", "refitted", "corrected")
 
 @dataclass(frozen=True, eq=False)
 class Equivalent:
-    """An effect that fits as well in the place of a part of a hypothesis.
+    """An effect that fits as well in the place of a part of a hypothesis, or better.
 
     Attributes:
         named: what and where.
         fitted: the hypothesis with it, fitted.
+        better: by how much more than what is not distinguishable its −2 log likelihood is lower, less Schwarz's cost
+            of parameters that it has less; 0 where it fits as well.
     """
 
     named: Named
     fitted: Fitted
+    better: float = 0.0
 
 
 @dataclass(frozen=True)

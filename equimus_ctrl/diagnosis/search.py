@@ -13,7 +13,7 @@ The moves:
     enrich     a law → one that holds it as a special case                 ``extensions``, where minima are many
     narrow     a law alike at several places → at one place less           ``narrowed``, ``exchanged_beside_fewer``
     prune      a law with its own parameters at each place → where needed  ``pruned``
-    unite      several laws → one that explains as much              ``with_fewer_laws``
+    unite      several laws → one that explains as much                    ``with_fewer_laws``, then pruned, simplified
     simplify   Stribeck → Coulomb friction, and such, where that will do   ``simplified``
 
 A search of an MJCF robot begins with the laws that its measured torques ask for (``begun_in_torques``), each enriched
@@ -146,21 +146,19 @@ class Search(HypothesisMoves):
                 options.append(self.data.coarse_fit(hypothesis, begins, noise, self.settings.long_steps))
         return min(options, key=self.score)
 
-    def go_on(self, state: SearchState, rejected: Sequence[str] = (), further: bool = True) -> SearchState:
+    def go_on(self, state: SearchState, further: bool = True) -> SearchState:
         """Search from where one ended; see ``steps``."""
-        for after in self.steps(state, rejected, further):
+        for after in self.steps(state, further):
             state = after
         return state
 
-    def steps(self, state: SearchState, rejected: Sequence[str] = (), further: bool = True) -> Iterator[SearchState]:
+    def steps(self, state: SearchState, further: bool = True) -> Iterator[SearchState]:
         """Search from where one ended, step by step; the last step is the end, and says why it is.
 
         Args:
             state: there.
-            rejected: labels of candidates that are not to be part of it.
             further: whether more parts are tried, or only alternatives of the present ones.
         """
-        state = state.rejecting(rejected)
         if not further:
             yield self._finished(replace(self.exchanged(state), stopped="no more parts asked for"))
             return
@@ -176,7 +174,11 @@ class Search(HypothesisMoves):
 
     def _finished(self, state: SearchState) -> SearchState:
         """The end: each part the best in its place, at the fewest places, and as few of them as explain as much."""
-        return with_fewer_laws(self, narrowed(self, exchanged_beside_fewer(self, contested(self, state))))
+        state = narrowed(self, exchanged_beside_fewer(self, contested(self, state)))
+        united = with_fewer_laws(self, state)
+        if united.best is state.best:
+            return united
+        return narrowed(self, simplified(self, pruned(self, united)))
 
     def _round(self, forward: _Forward) -> _Forward:
         """One more part, or the reason to stop."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from equimus_ctrl.diagnosis.fitting import Fitted
-from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis
+from equimus_ctrl.diagnosis.hypothesis import Candidate, Hypothesis, Part
 from equimus_ctrl.diagnosis.screening import Screened
 from equimus_ctrl.identification.fit import Begin
 
@@ -23,6 +23,15 @@ StopReason = Literal[
 - most rounds: as many as there can be, see ``SearchSettings.rounds_per_part``.
 - no more parts asked for: only the present ones were exchanged.
 """
+
+Law = tuple[str, frozenset[str]]
+"""An effect and places: where it has the same parameters at several, all of them."""
+
+
+def laws_of(candidate: Candidate) -> frozenset[Law]:
+    """What a candidate says: its law, at each place by itself where each has parameters of its own."""
+    places = [{place} for place in candidate.locations] if candidate.each else [candidate.locations]
+    return frozenset((candidate.effect.name, frozenset(own)) for own in places)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,24 +57,48 @@ class SearchHistory:
         fitted: all hypotheses fitted, converged or not.
         first: what every candidate that was simulated would do to the refitted model, alone; of a robot with a torque
             domain not those that it ruled out.
-        rejected: labels of candidates that are not to be part of a hypothesis any more.
+        rejected: laws that are not to be part of a hypothesis any more, in whatever groups of trials, nor with other
+            places beside theirs.
         extended: by a hypothesis' labels, and that of a candidate to replace or "".
         refits: by the fit that each began at, and the labels and initial values of its parts.
+        united: by a hypothesis, and what was rejected then, those fitted with one law in the place of several.
     """
 
     fitted: tuple[Fitted, ...] = ()
     first: tuple[Screened, ...] = ()
-    rejected: frozenset[str] = frozenset()
+    rejected: frozenset[Law] = frozenset()
     extended: Mapping[tuple[frozenset[str], str], Extended] = field(default_factory=dict)
     refits: Mapping[tuple[Fitted, tuple[Hashable, ...]], Fitted] = field(default_factory=dict)
+    united: Mapping[tuple[Fitted, frozenset[Law]], tuple[Fitted, ...]] = field(default_factory=dict)
 
-    def allows(self, labels: Iterable[str]) -> bool:
-        """Whether none of some candidates was rejected."""
-        return self.rejected.isdisjoint(labels)
+    def allows(self, candidates: Iterable[Candidate]) -> bool:
+        """Whether none of some candidates says a law that was rejected, at its places and maybe others."""
+        return all(self.allowed_places(candidate) == candidate.locations for candidate in candidates)
+
+    def allowed_places(self, candidate: Candidate) -> tuple[str, ...]:
+        """Where a candidate may be part of a hypothesis: all of its places or none, or those that are left of each."""
+        name, gone = candidate.effect.name, [places for law, places in self.rejected if law == candidate.effect.name]
+        if any(places <= set(candidate.locations) and len(places) > 1 for places in gone):
+            return ()
+        left = tuple(place for place in candidate.locations if (name, frozenset({place})) not in self.rejected)
+        return left if candidate.each or left == candidate.locations else ()
 
     def having(self, *fitted: Fitted) -> SearchHistory:
         """The same with more fits."""
         return replace(self, fitted=(*self.fitted, *fitted))
+
+
+@dataclass(frozen=True, eq=False)
+class Undecided:
+    """A richer law that fits better than the one named in its place, of which held-out trials say nothing.
+
+    Attributes:
+        simple: label of the one named.
+        rich: the other, as it was fitted.
+    """
+
+    simple: str
+    rich: Part
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +112,7 @@ class SearchState:
         alternatives: for each of its parts the converged hypotheses with another in its place.
         tried: all that was tried on the way.
         stopped: why no more parts were added by the last search that ended; None before one has.
+        undecided: richer laws in the place of those named, of which held-out trials say nothing.
     """
 
     base: Fitted
@@ -87,11 +121,13 @@ class SearchState:
     alternatives: tuple[tuple[Fitted, ...], ...] = ()
     tried: SearchHistory = field(default_factory=SearchHistory)
     stopped: StopReason | None = None
+    undecided: tuple[Undecided, ...] = ()
 
-    def rejecting(self, labels: Iterable[str]) -> SearchState:
-        """The same, some candidates to be no part of it any more."""
-        tried = replace(self.tried, rejected=self.tried.rejected | set(labels))
-        alternatives = tuple(tuple(a for a in fits if tried.allows(a.labels)) for fits in self.alternatives)
+    def rejecting(self, candidates: Iterable[Candidate]) -> SearchState:
+        """The same, what some candidates say to be no part of it any more, see ``SearchHistory.allows``."""
+        laws = frozenset[Law]().union(*map(laws_of, candidates))
+        tried = replace(self.tried, rejected=self.tried.rejected | laws)
+        alternatives = tuple(tuple(a for a in fits if tried.allows(a.candidates)) for fits in self.alternatives)
         return replace(self, alternatives=alternatives, tried=tried)
 
 

@@ -20,6 +20,7 @@ from typing import Literal, cast
 import numpy as np
 from scipy.special import chdtri
 
+from equimus_ctrl.diagnosis.alternatives import without_parts
 from equimus_ctrl.diagnosis.budget import BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals, carried_over, confirms
 from equimus_ctrl.diagnosis.coordinates import Coordinate
@@ -133,6 +134,21 @@ def analysed_without(search: Search, state: SearchState, split: Split, beside: R
     if state.best.hypothesis or analysis.unexplained:
         return analysis
     return ResidualAnalysis(beside.unexplained)
+
+
+def without_redundant(
+    search: Search, state: SearchState, analysis: ResidualAnalysis
+) -> tuple[SearchState, dict[Part, str]]:
+    """An end without what its analysis makes redundant, which never comes back, and that with the reasons.
+
+    Args:
+        search: that ended.
+        state: the end.
+        analysis: of what it leaves.
+    """
+    rejected = analysis.rejected(state.best.hypothesis)
+    state = without_parts(search, state, tuple(analysis.redundant), analysis.fewer)
+    return state.rejecting(part.candidate for part in rejected), rejected
 
 
 def _places(unexplained: Sequence[Unexplained]) -> set[str]:

@@ -17,7 +17,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.alternatives import listed, without_parts
+from equimus_ctrl.diagnosis.alternatives import listed
 from equimus_ctrl.diagnosis.budget import Budget, BudgetSpent
 from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmed, confirmed_as_fitted
 from equimus_ctrl.diagnosis.discretization import step_counted, without_step_error
@@ -34,13 +34,14 @@ from equimus_ctrl.diagnosis.findings import (
 )
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.holdout import Split
+from equimus_ctrl.diagnosis.hypothesis import Part
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Residuals, Unexplained
-from equimus_ctrl.diagnosis.results import STATES, Diagnosis
-from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without
+from equimus_ctrl.diagnosis.results import STATES, Diagnosis, Equivalent
+from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without, without_redundant
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, State
 from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
@@ -169,8 +170,8 @@ def _said(state: State, after: State, said: Mapping[str, Confirmation]) -> State
 def explain_residuals(state: State) -> State:
     """What the effects leave, and which of them residual forces make redundant: these are rejected.
 
-    Where others stay, the search goes on beside them. It never comes back to what was rejected
-    (``SearchState.rejecting``), so no effect is both rejected here and part of the end. What was left beside effects
+    Where others stay, the search goes on beside them. It never comes back to what was rejected, a law at a joint
+    (``SearchHistory.allows``), so none is both rejected here and part of the end. What was left beside effects
     stays unexplained where without them nothing is: something is missing there, whatever it is.
     """
     search, end, rejected = state.search, state.end, state.rejected
@@ -178,14 +179,11 @@ def explain_residuals(state: State) -> State:
     further = search.settings.again
     analysis = analysed(search, end, state.inputs.split)
     while analysis.redundant:
-        dropped = analysis.rejected(end.best.hypothesis)
+        end, dropped = without_redundant(search, end, analysis)
         rejected += tuple(named_part(part) for part in dropped)
         reasons |= {part.candidate.label: reason for part, reason in dropped.items()}
-        labels = [end.best.hypothesis[k].candidate.label for k in analysis.redundant]
-        labels += [part.candidate.label for part in dropped if part.candidate.label not in labels]
-        end = without_parts(search, end, tuple(analysis.redundant), analysis.fewer)
         if end.best.hypothesis:
-            end = confirmed(search, search.go_on(end, labels, further=further > 0), state.inputs.split)
+            end = confirmed(search, search.go_on(end, further=further > 0), state.inputs.split)
             search, end = still_apart(search, end, state.inputs.split)
             further -= 1
         analysis = analysed_without(search, end, state.inputs.split, analysis)
@@ -331,14 +329,30 @@ def _names(split: Split) -> str:
 
 
 def find_alternatives(state: State) -> State:
-    """What fits as well in each effect's place; intervals in which the error of the engine's step is counted."""
+    """What fits as well in each effect's place; intervals in which the error of the engine's step is counted.
+
+    What fits better there is told and takes no effect's place: no held-out trial has judged it.
+    """
     if state.equivalent is not None:  # the diagnosis with other trials held out has looked
         return state
     end = listed(state.search, state.end)
     if not state.coarse:
         end = step_counted(state.data, end)
     finely = cache(state.data.converge_finely)
-    return replace(state, end=end, equivalent=equivalents(state.search, end, bool(state.analysis.unexplained), finely))
+    found = equivalents(state.search, end, bool(state.analysis.unexplained), finely)
+    state = replace(state, end=end, equivalent=tuple(tuple(o for o in others if not o.better) for others in found))
+    for part, others in zip(end.best.hypothesis, found, strict=True):
+        for other in (o for o in others if o.better):
+            state = _told_better(state, part, other)
+    return state
+
+
+def _told_better(state: State, part: Part, other: Equivalent) -> State:
+    """With a note on what fits better than a part in its place, with no more that its parameters change."""
+    reason = f"−2 log likelihood is lower by {other.better:.4g} more than what is not distinguishable"
+    note = f"{other.named} in the place of {named_part(part)} fits better: {reason}."
+    state = replace(state, notes=(*state.notes, note))
+    return state.decided("alternatives", f"{other.named} fits better than {part.candidate.label}", reason)
 
 
 CONFIRMATION = "confirmation"

@@ -145,6 +145,23 @@ class TorqueScreen:
         coefficients = _inverse_of(gram[np.ix_(taken, taken)]) @ aim
         return whole - float(aim @ coefficients), coefficients
 
+    def least_beside(self, chosen: Sequence[Columns]) -> Array:
+        """(c,) χ² that each of ``columns`` leaves at least beside some candidates: that without any bounds."""
+        taken = [k for own in chosen for k in own.place]
+        left = self.beyond.copy()
+        if taken:
+            left -= self.beyond[:, taken] @ _inverse_of(self.beyond[np.ix_(taken, taken)]) @ self.beyond[taken]
+        scale = np.sqrt(np.maximum(np.diag(self.beyond), 1e-300))
+        left /= np.outer(scale, scale)
+        gain = np.zeros(len(self.columns))
+        for count in {len(own.place) for own in self.columns}:
+            alike = [c for c, own in enumerate(self.columns) if len(own.place) == count]
+            places = np.array([self.columns[c].place for c in alike])  # (a, count)
+            aim = left[places, -1]
+            inverse = np.linalg.pinv(left[places[:, :, None], places[:, None, :]], rcond=WEAK, hermitian=True)
+            gain[alike] = np.einsum("ai,aij,aj->a", aim, inverse, aim)
+        return np.asarray((left[-1, -1] - gain) * scale[-1] ** 2)
+
     def errors(self, chosen: Sequence[Columns]) -> list[Array]:
         """For each of some candidates (k,) standard errors of its sizes."""
         taken = [k for own in chosen for k in own.place]
