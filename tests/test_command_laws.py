@@ -12,14 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from equimus_ctrl.effects.command import (
-    CARRIED,
-    advance_pressure,
-    first_carried,
-    followed_history,
-    go_on,
-    pressure_history,
-)
+from equimus_ctrl.effects.command import advance_pressure, pressure_history
+from equimus_ctrl.effects.following import CARRIED, first_carried, followed_history, go_on
 from equimus_ctrl.effects.relaxation import SMALL_SHARE, decay_moments, relax
 from equimus_ctrl.types import Array
 

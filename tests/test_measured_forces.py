@@ -28,7 +28,8 @@ from equimus_ctrl.effects import (
     TorqueSaturation,
     TransportDelay,
 )
-from equimus_ctrl.effects.command import DELAY, FILL, FILTERED, FOLLOW_KIND, FOLLOW_NUMBER, VENT, arrived
+from equimus_ctrl.effects.command import DELAY, FILL, VENT
+from equimus_ctrl.effects.following import FILTERED, FOLLOW_KIND, FOLLOW_NUMBER, arrived
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.engines.base import EngineName
 from equimus_ctrl.engines.choice import engine_for

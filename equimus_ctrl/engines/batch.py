@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl import computer
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import FOLLOW_KIND, arrived
+from equimus_ctrl.effects.following import FOLLOW_KIND, arrived
 from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
 from equimus_ctrl.engines.drive_forces import drive_forces
 from equimus_ctrl.engines.encoding import Encoded, grouped

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.effects.base import Effect, require_simulated
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import DELAY, DIRECT, FILL, FILTERED, FLOW, FOLLOW_KIND, RATE, SLEWED, VENT
+from equimus_ctrl.effects.command import DELAY, FILL, FLOW, RATE, VENT
+from equimus_ctrl.effects.following import DIRECT, FILTERED, FOLLOW_KIND, SLEWED
 from equimus_ctrl.effects.force import force_laws, laws_with
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings
 from equimus_ctrl.effects.valves import valve_settings

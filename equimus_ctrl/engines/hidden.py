@@ -9,7 +9,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from equimus_ctrl.effects.command import FOLLOW_KIND, FOLLOW_LEAST, FOLLOW_MOST, INTEGRATED, integrate
+from equimus_ctrl.effects.following import FOLLOW_KIND, FOLLOW_LEAST, FOLLOW_MOST, INTEGRATED, integrate
 from equimus_ctrl.effects.sensors import behind
 from equimus_ctrl.engines.encoding import Encoded
 from equimus_ctrl.engines.trials import Trial

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import go_on, own_followed_history
+from equimus_ctrl.effects.following import go_on, own_followed_history
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ACTUATORS,

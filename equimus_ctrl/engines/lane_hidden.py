@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import CARRIED, STRIDE, first_carried
+from equimus_ctrl.effects.following import CARRIED, STRIDE, first_carried
 from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, hermite, hermite_rate
 from equimus_ctrl.engines.lane_begin import clear, go_on_with_commands
 from equimus_ctrl.engines.lane_functions import (

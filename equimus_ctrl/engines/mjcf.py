@@ -12,7 +12,8 @@ import numpy as np
 
 from equimus_ctrl import computer
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.effects.command import FILL, VENT, arrived, mixed_history, pressure_history
+from equimus_ctrl.effects.command import FILL, VENT, mixed_history, pressure_history
+from equimus_ctrl.effects.following import arrived
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, inner, sample
 from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.engines import compiled

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import (
+from equimus_ctrl.effects.following import (
     CARRIED,
     FOLLOW_HIGH,
     FOLLOW_KIND,

@@ -15,7 +15,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
-from equimus_ctrl.effects.command import STRIDE
+from equimus_ctrl.effects.following import STRIDE
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, hermite_rate
 from equimus_ctrl.engines.limits import MAX_SPEED, REMEMBERED
 from equimus_ctrl.engines.mjcf_commands import Arriving

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.effects.command import DIRECT
+from equimus_ctrl.effects.following import DIRECT
 from equimus_ctrl.robots.elastic.form import ElasticForm
 from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
 from equimus_ctrl.types import Array

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.effects.command import DIRECT, FILTERED, INTEGRATED, SLEWED
+from equimus_ctrl.effects.following import DIRECT, FILTERED, INTEGRATED, SLEWED
 from equimus_ctrl.robots.mechanics import Channel, Mechanics
 from equimus_ctrl.robots.mjcf.form import FAR, TreeForm
 from equimus_ctrl.robots.mjcf.packing import Drive, commands_between, pack
