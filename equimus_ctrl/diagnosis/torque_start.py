@@ -71,7 +71,27 @@ def laws_asked_for(
         places = {p.name: set(p.places) for p in own.candidate.parameters}
         stays = [not places[name].isdisjoint(needed) for name in own.scaled]
         kept.append([v if s else own.nothing(n) for n, v, s in zip(own.scaled, values, stays, strict=True)])
-    return (tuple(parts), screen.moved(chosen, kept)) if parts else None
+    return (_joined(parts, pool), screen.moved(chosen, kept)) if parts else None
+
+
+def _joined(parts: Sequence[Part], pool: Sequence[Candidate]) -> Hypothesis:
+    """Parts of one law at a place each as that law with sizes of its own there, where the pool has it.
+
+    Which of both is selected hangs on how much the first of them explains alone; they say the same.
+    """
+    joined = list(parts)
+    for law in (c for c in pool if c.each and not c.own):
+        alone = [p for p in joined if p.candidate.effect is law.effect and len(p.candidate.locations) == 1]
+        at = {p.candidate.locations[0]: p for p in alone}
+        places = tuple(place for place in law.locations if place in at)
+        if len(places) < 2:
+            continue
+        whole = law if places == law.locations else law.narrowed(places)
+        values = {own.name: at[own.places[0]].values[own.key] for own in whole.parameters}
+        first = joined.index(alone[0])
+        joined[first : first + 1] = [Part(whole, values)]
+        joined = [p for p in joined if not any(p is at[place] for place in places)]
+    return tuple(joined)
 
 
 def _selected(
@@ -80,8 +100,8 @@ def _selected(
     """The nominal model's screen, what is selected of it, and χ² of what that leaves."""
     screen = torque_screen(data, domain, None, pool)
     chosen, price = list[Columns](), math.log(max(screen.samples, 2.0))
-    now = screen.missing
-    while len(chosen) < most:
+    now, each = screen.missing, {candidate.effect for candidate in pool if candidate.each}
+    while len({own.candidate.effect if own.candidate.effect in each else own.candidate for own in chosen}) < most:
         options = [whole for own in screen.columns if (whole := _extended(screen.robot, chosen, own)) is not None]
         tried = [(screen.fitted(whole)[0], whole) for whole in options]
         chi2, best = _simplest(tried, price, now) if tried else (now, chosen)
