@@ -28,13 +28,13 @@ def law(locations: str, each: bool = False) -> Candidate:
     [
         (law("a"), law("a"), ""),
         (law("a"), replace(law("a"), absent=("unit",)), ""),
-        (law("a"), law("ab"), ""),
+        (law("a"), law("ab"), "ab"),  # it may have failed for what it lacks at the other
         (law("a"), law("b"), "b"),
         (law("a"), law("abc", each=True), "bc"),
         (law("ab", each=True), law("a"), ""),
         (law("ab", each=True), law("abc", each=True), "c"),
         (law("ab"), law("ab"), ""),
-        (law("ab"), law("abc", each=True), ""),
+        (law("ab"), law("abc", each=True), "abc"),
         (law("ab"), law("a"), "a"),  # with the same parameters at both it was rejected, not there alone
     ],
 )

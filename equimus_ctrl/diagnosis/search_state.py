@@ -57,8 +57,8 @@ class SearchHistory:
         fitted: all hypotheses fitted, converged or not.
         first: what every candidate that was simulated would do to the refitted model, alone; of a robot with a torque
             domain not those that it ruled out.
-        rejected: laws that are not to be part of a hypothesis any more, in whatever groups of trials, nor with other
-            places beside theirs.
+        rejected: laws that are not to be part of a hypothesis any more, in whatever groups of trials. With the same
+            parameters at further places a law is another one: that it fails at one may be for what it lacks there.
         extended: by a hypothesis' labels, and that of a candidate to replace or "".
         refits: by the fit that each began at, and the labels and initial values of its parts.
         united: by a hypothesis, and what was rejected then, those fitted with one law in the place of several.
@@ -72,16 +72,15 @@ class SearchHistory:
     united: Mapping[tuple[Fitted, frozenset[Law]], tuple[Fitted, ...]] = field(default_factory=dict)
 
     def allows(self, candidates: Iterable[Candidate]) -> bool:
-        """Whether none of some candidates says a law that was rejected, at its places and maybe others."""
+        """Whether none of some candidates says a law that was rejected."""
         return all(self.allowed_places(candidate) == candidate.locations for candidate in candidates)
 
     def allowed_places(self, candidate: Candidate) -> tuple[str, ...]:
         """Where a candidate may be part of a hypothesis: all of its places or none, or those that are left of each."""
-        name, gone = candidate.effect.name, [places for law, places in self.rejected if law == candidate.effect.name]
-        if any(places <= set(candidate.locations) and len(places) > 1 for places in gone):
-            return ()
-        left = tuple(place for place in candidate.locations if (name, frozenset({place})) not in self.rejected)
-        return left if candidate.each or left == candidate.locations else ()
+        name, places = candidate.effect.name, candidate.locations
+        if not candidate.each:
+            return () if (name, frozenset(places)) in self.rejected else places
+        return tuple(place for place in places if (name, frozenset({place})) not in self.rejected)
 
     def having(self, *fitted: Fitted) -> SearchHistory:
         """The same with more fits."""
