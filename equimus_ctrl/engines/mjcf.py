@@ -157,7 +157,7 @@ def follow(own: Realised, trial: Trial, start: Array, ctrl: Array, force: Array 
     given = moved_along(own, trial, trial.start + dt * grid)
     begun = trial.begun(own.robot, start[:nj], start[nj : 2 * nj], start[2 * nj :])
     data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = (values[nj:] for values in begun)
-    _integrate_from_here(model, data)
+    hold_integrators(model, data)
     out_q, out_v = np.empty((len(ctrl) + 1, nj)), np.empty((len(ctrl) + 1, nj))
     whole = np.empty((len(ctrl) + 1 if trial.forces else 0, model.nq + model.nv + model.na))
     sound = kernel.run_mjcf(
@@ -187,8 +187,8 @@ def others_along(own: Realised, trial: Trial, times: Array) -> tuple[Array, Arra
     return np.column_stack([moved[0], beside[0]]), np.column_stack([moved[1], beside[1]])
 
 
-def _integrate_from_here(model: Any, data: Any) -> None:
-    """Let integrators of commands begin where their actuators are."""
+def hold_integrators(model: Any, data: Any) -> None:
+    """Let integrators of commands begin where their actuators are, of an ``MjModel`` and its data."""
     chosen = np.flatnonzero(model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
     if len(chosen):
         mujoco.mj_fwdPosition(model, data)

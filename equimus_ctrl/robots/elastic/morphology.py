@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal, TypeVar
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
-from equimus_ctrl.robots.base import Robot, RobotTraits
+from equimus_ctrl.robots.base import Need, Robot, RobotTraits
 from equimus_ctrl.robots.elastic.form import ElasticForm
 from equimus_ctrl.robots.elastic.parts import (
     BASE,
@@ -71,6 +71,8 @@ TRAITS = RobotTraits(
     least_command=500.0,
     least_motion=5e-3,
     most_angle=12.6,
+    usual_lag=0.1,
+    usual_delay=0.1,
 )
 """Pneumatic muscles pull a robot with end stops to one pose; it is driven by valves, from rest, on a test bench."""
 
@@ -356,6 +358,22 @@ class Morphology(Robot):
         """Of an actuator's length."""
         return "m"
 
+    @property
+    def command_limits(self) -> tuple[Array, Array]:
+        """(low, high), each (na,): of the pressures [Pa]."""
+        n = len(self.actuators)
+        return frozen_array(np.full(n, self.command_low)), frozen_array(np.full(n, self.command_high))
+
+    @property
+    def keyframes(self) -> Mapping[str, Array]:
+        """As of any robot; those of the built-in robots with these joints and actuators."""
+        return KEYFRAMES.get((self.joint_names, self.actuator_names), {})
+
+    @property
+    def offers(self) -> frozenset[Need]:
+        """As of any robot."""
+        return frozenset[Need](("lengths", "inverse"))
+
     def mechanics(self) -> Mechanics:
         everywhere = np.arange(len(self.joints))
         named = {"joint": self.joint_names, "actuator": self.actuator_names}
@@ -380,6 +398,8 @@ class Morphology(Robot):
 
 BUILT_IN: dict[str, Callable[[], Morphology]] = {}
 """The robots that model files know by name; ``robots.elastic.leg`` puts them there."""
+KEYFRAMES: dict[tuple[tuple[str, ...], tuple[str, ...]], Mapping[str, Array]] = {}
+"""Names of joints and actuators → poses of robots that have them; from there too."""
 
 
 def elastic_of(robot: Robot) -> Morphology:
