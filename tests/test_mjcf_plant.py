@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mjcf_models import CRANE, HINGES, RIG, cart, pendulum, refusal, swinging
 
+from equimus_ctrl.controllers.custom import FunctionController
 from equimus_ctrl.effects import CoulombFriction, Effect, FirstOrderLag, SensorDelay, SensorOffset, TransportDelay
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.errors import SimulationDiverged
@@ -17,7 +18,9 @@ from equimus_ctrl.plants.events import Load, Push
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, rates_of
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
-from equimus_ctrl.types import Array, Start
+from equimus_ctrl.scenarios.references import HoldReference
+from equimus_ctrl.simulate import run
+from equimus_ctrl.types import Array, Observation, Reference, Start
 
 
 def driven(plant: MujocoPlant, command: Callable[[float], Array], n: int, start: Start) -> Array:
@@ -118,3 +121,16 @@ def test_the_same_seed_gives_the_same_bits() -> None:
         return b"".join(plant.step([1.0, 0.3, 0.1]).position.tobytes() for _ in range(40))
 
     assert once() == once()
+
+
+def test_a_run_that_is_lost_keeps_what_happened_before() -> None:
+    plant = MujocoPlant(Model(cart()))
+
+    def wild(observation: Observation, reference: Reference) -> Array:
+        return np.array([1e9 if observation.time > 0.1 else 0.0])
+
+    with pytest.raises(SimulationDiverged) as caught:
+        run(plant, FunctionController(wild), HoldReference([0.0]), 1.0, start=Start(command=np.zeros(1)))
+    kept = caught.value.run
+    assert 0.1 < kept.time[-1] < 0.3 and len(kept.position) == len(kept.time) == len(kept.status)
+    assert kept.command[-1, 0] == 1e9

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import lsq_linear
 
 from equimus_ctrl.effects.bodies import changed_bodies
@@ -178,6 +178,12 @@ class Dynamics:
         call()
         slope = call.results[1].reshape(len(self._joints), -1)
         return self._joint(call.results[0]), self._joint(slope)
+
+    def effective_mass(self, q: ArrayLike, driven: NDArray[np.bool_]) -> Array:
+        """(nj, nj) the mass matrix of driven joints (nj,), those without actuator free; 0 for these."""
+        found, inverse = np.zeros((len(driven), len(driven))), np.linalg.inv(self.mass(q))
+        found[np.ix_(driven, driven)] = np.linalg.inv(inverse[np.ix_(driven, driven)])
+        return found
 
     def answer(self, drive: Array, torque: Array) -> Array:
         """(na,) the commands of least size, by their ranges, that exert a torque as nearly as can be.

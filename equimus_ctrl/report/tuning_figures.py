@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from equimus_ctrl.controllers.pid import PidSettings
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.report import style
 from equimus_ctrl.tuning.autotune import TuningResult, unseen_problem
 from equimus_ctrl.tuning.objective import Evaluation, Problem

@@ -14,8 +14,8 @@ import numpy as np
 from equimus_ctrl.computer import worker_count
 from equimus_ctrl.controllers import precompile
 from equimus_ctrl.controllers.inverse import Inverse
-from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import KD
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.sensors import behind, sensor_settings, shown
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.model import Model

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any, get_args, get_type_hints
 
-from equimus_ctrl.controllers.pid import PidGains, PidSettings, Space
+from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings, Space
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.types import Array
 

@@ -13,17 +13,19 @@ from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import AutotuneOptions, with_changes
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
-from equimus_ctrl.recordings import locate, read_set
-from equimus_ctrl.robots.elastic.morphology import Morphology
+from equimus_ctrl.recordings import locate, read_path, read_set
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.morphology import elastic_of
 from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_paragraph
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
+from equimus_ctrl.types import Array, Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -65,9 +67,10 @@ def _script(name: str) -> ScenarioEntry:
 
 def load_scenario(
     name: str,
-    morphology: Morphology,
+    robot: Robot,
     *,
     phase: Any = "swing",
+    effects: Sequence[Effect] = (),
     options: Mapping[str, str] | None = None,
     recordings: Path | None = None,
     search: bool = True,
@@ -76,8 +79,9 @@ def load_scenario(
 
     Args:
         name: see ``scenario_entry``.
-        morphology: the nominal robot.
+        robot: the nominal one.
         phase: base fixed or foot pinned.
+        effects: what is known to be attached to it.
         options: the script's options as text.
         recordings: folder to look for recordings in.
         search: whether recordings are looked for at all.
@@ -86,12 +90,16 @@ def load_scenario(
         ConfigError: where there is no such scenario, or an option does not fit.
     """
     find = recordings_of(recordings) if search else (lambda kind: ())
-    context = ScenarioContext(morphology, phase, find, locate.missing_hint())
+    context = ScenarioContext(robot, phase, find, locate.missing_hint(), tuple(effects), _path_of)
     return scenario_entry(name).scenario(context, options)
 
 
+def _path_of(file: str, robot: Robot) -> tuple[Array, Array]:
+    return read_path(file, robot.joint_names)
+
+
 def load_controller(
-    name: str, scenario: Scenario, settings: Path | None = None, morphology: Morphology | None = None
+    name: str, scenario: Scenario, settings: Path | None = None, robot: Robot | None = None
 ) -> Controller:
     """A controller by name, or a user's own as ``path/to/file.py:Name``.
 
@@ -99,7 +107,7 @@ def load_controller(
         name: see ``CONTROLLERS``.
         scenario: whose commands ``open_loop`` plays.
         settings: its settings file; ``controllers/<name>.toml`` by default.
-        morphology: of the robot, to check the settings against.
+        robot: to check the settings against.
 
     Raises:
         ControllerError, ConfigError: where there is no such controller or its settings are wrong.
@@ -113,7 +121,7 @@ def load_controller(
     path = presets.find("controllers", takes) if settings is None and takes is not None else settings
     table = presets.read_toml(path) if path is not None else None
     commands = scenario.commands.at if scenario.commands is not None else None
-    return make_controller(name, table, commands, str(path or name), morphology)
+    return make_controller(name, table, commands, str(path or name), robot, settings is not None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +145,12 @@ class ScenarioRun:
     model: Model
     plant: str
     loop: Counts | None = None
+
+    @property
+    def kinematics(self) -> Kinematics | None:
+        """Geometry and statics of what was simulated, where it has lengths of actuators."""
+        robot = self.model.robot
+        return Kinematics(elastic_of(robot), self.model.phase) if "lengths" in robot.offers else None
 
 
 def run_scenario(
@@ -187,13 +201,15 @@ def run_scenario(
     if isinstance(plant, str):
         PLANTS.entry(plant).check_effects(effects, model.effects)
     if effects:
-        model = Model(model.morphology, (*model.effects, *effects), model.phase)
+        model = Model(model.robot, (*model.effects, *effects), model.phase)
     if isinstance(scenario, str):
-        scenario = load_scenario(scenario, model.morphology, phase=model.phase, options=options, recordings=recordings)
+        scenario = load_scenario(
+            scenario, model.robot, phase=model.phase, effects=known.effects, options=options, recordings=recordings
+        )
     if controller is None:
         controller = scenario.controller
     if isinstance(controller, str):
-        label, driven = controller, load_controller(controller, scenario, settings, model.morphology)
+        label, driven = controller, load_controller(controller, scenario, settings, model.robot)
     else:
         label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
@@ -270,9 +286,7 @@ def tune_pid(
     if recordings is not None:
         locate.find_recordings(recordings)
     built = [
-        load_scenario(
-            o.scenario, model.morphology, phase=model.phase, recordings=recordings, search=recordings is not None
-        )
+        load_scenario(o.scenario, model.robot, phase=model.phase, recordings=recordings, search=recordings is not None)
         for o in settings.objectives
     ]
     problem = autotune.make_problem(settings, model, built)
