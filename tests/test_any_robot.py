@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mjcf_models import HINGES, RIG, pendulum, refusal
+from rich.console import Console
 
 from equimus_ctrl import workflow
 from equimus_ctrl.controllers.exact_pid import ExactPidState
@@ -19,6 +21,7 @@ from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, make_spec
+from equimus_ctrl.report.comparison import comparison_figures, comparison_table
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -252,3 +255,51 @@ def test_a_state_of_the_exact_pid_changes_nothing_of_an_earlier_one() -> None:
     first, _ = controller.step(observation, reference, state)
     again, _ = controller.step(observation, reference, state)
     np.testing.assert_array_equal(first, again)
+
+
+# --- comparisons --------------------------------------------------------------------------------------------------
+
+
+def test_a_comparison_takes_the_controllers_that_can_and_delays_that_such_robots_have() -> None:
+    found = workflow.compare(["hold"], model=Model(CARTPOLE), draws=1, scenario_options={"duration": "1"})
+    assert [entry.controller for entry in found.entries] == ["pid"] * 4 and not found.failures
+    conditions = {c.name: c for c in found.conditions}
+    assert conditions["delayed"].model.effects == (TransportDelay("push", 0.02),)
+    assert "a dead time of 0.02 s" in conditions["delayed"].summary
+    changed, known = conditions["perturbed"].model.parameters(), CARTPOLE.parameters()
+    assert {name for name in known if changed[name] != known[name]} == {
+        "cart.mass", "cart.inertia", "pole.mass", "pole.inertia", "slider.damping", "hinge.damping",
+    }  # fmt: skip
+    assert "masses and inertias ±15 %, damping and friction ±40 %" in conditions["perturbed"].summary
+    row = found.entries[1].to_dict()
+    assert set(row["rmse_m"]) == {"slider"} and set(row["rmse_rad"]) == {"hinge"} and set(row["effort_n"]) == {"push"}
+
+
+def test_the_table_of_many_joints_names_the_worst() -> None:
+    chain = HINGES.xml.replace(
+        '<site name="tip"',
+        "".join(
+            f'<body name="b{k}" pos="0 0 -0.1"><joint name="j{k}" axis="0 1 0" damping="0.1" armature="0.01"/>'
+            f'<inertial mass="0.1" pos="0 0 -0.05" diaginertia="0.001 0.001 0.001"/></body>'
+            for k in range(2)
+        )
+        + '<site name="tip"',
+    ).replace("</actuator>", '<motor name="j0" joint="j0"/><motor name="j1" joint="j1"/></actuator>')
+    robot = MjcfRobot("four", chain)
+    found = workflow.compare(
+        ["step"], under=["nominal"], model=Model(robot), scenario_options={"duration": "1.2", "joint": "j1"}
+    )
+    out = StringIO()
+    Console(file=out, width=80).print(comparison_table(found))
+    assert "worst joint, mrad" in out.getvalue() and "j1 " in out.getvalue()
+    figures = comparison_figures(found)
+    assert len(figures["motion_step"].axes) == 4
+
+
+@pytest.mark.slow
+def test_a_robot_of_one_joint_and_one_actuator_is_driven_by_every_controller() -> None:
+    found = workflow.compare(["hold"], under=["nominal"], model=workflow.load_model(FINGER))
+    assert len(found.entries) == 4 and not found.failures
+    for entry in found.entries:
+        assert entry.score is not None and entry.score.step is not None
+        assert abs(entry.score.step.offset[0]) < 2e-3

@@ -245,6 +245,10 @@ class Robot(ABC):
         """The base parameters: inertial ones that inverse dynamics identify; none where a robot has no such list."""
         return []
 
+    @abstractmethod
+    def varying(self) -> list[tuple[str, tuple[str, ...]]]:
+        """What differs between robots built alike: kinds such as ``mass``, and parameters that vary together."""
+
     # Units.
 
     def slides(self, joint: str) -> bool:

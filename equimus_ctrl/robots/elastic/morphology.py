@@ -32,6 +32,7 @@ from equimus_ctrl.robots.elastic.parts import (
     check_least,
     require,
 )
+from equimus_ctrl.robots.elastic.traits import TRAITS
 from equimus_ctrl.robots.mechanics import Channel, Mechanics
 from equimus_ctrl.types import Array, frozen_array
 
@@ -45,6 +46,8 @@ Phase = Literal["swing", "stance"]
 
 RESERVED = (BASE, "world")
 
+VARYING = ("stiffness", "area", "damping", "rest_length")
+"""Of actuators that are built alike."""
 DEFAULT_KINDS = ("stiffness", "area", "rest_length", "damping")
 """The least certain of an actuator's bench values: free by default, with the joints' damping."""
 _FACTOR = {"stiffness": 3.0, "area": 3.0, "mass": 3.0, "inertia": 3.0, "damping": 10.0}
@@ -54,27 +57,6 @@ _UNIT = {
     "area": "m²", "rest_length": "m", "mass": "kg", "base_mass": "kg", "com": "m", "inertia": "kg·m²", "length": "m",
     "radius": "m", "angle": "rad", "tilt": "rad", "gravity": "m/s²", "command_low": "Pa", "command_high": "Pa",
 }  # fmt: skip
-
-TRAITS = RobotTraits(
-    catalogue="elastic",
-    starts_at_rest=True,
-    held_in_place=True,
-    smooth_motion=True,
-    forces_along_actuators=True,
-    commands_are_pressures=True,
-    same_kind_of_trials=True,
-    notes_set_parameters=False,
-    keeps_states_of_laws=True,
-    has_stance=True,
-    damping_known_within=4.0,
-    bounds_of_any_size=False,
-    least_command=500.0,
-    least_motion=5e-3,
-    most_angle=12.6,
-    usual_lag=0.1,
-    usual_delay=0.1,
-)
-"""Pneumatic muscles pull a robot with end stops to one pose; it is driven by valves, from rest, on a test bench."""
 
 
 @dataclass(frozen=True)
@@ -337,6 +319,12 @@ class Morphology(Robot):
         """Stiffness, area, rest length and damping of every actuator, and damping of every joint."""
         names = [f"{a.name}.{key}" for key in DEFAULT_KINDS for a in self.actuators]
         return names + [f"{joint.name}.damping" for joint in self.joints]
+
+    def varying(self) -> list[tuple[str, tuple[str, ...]]]:
+        """As of any robot: numbers of the actuators, damping of the joints, masses with inertias."""
+        own = [(key, (f"{a.name}.{key}",)) for a in self.actuators for key in VARYING]
+        own += [("damping", (f"{joint.name}.damping",)) for joint in self.joints]
+        return own + [("mass", (f"{link.name}.mass", f"{link.name}.inertia")) for link in self.links]
 
     def place_unit(self, unit: str, place: str) -> str:
         """The unit of something at a joint or actuator, see ``Robot.place_unit``."""

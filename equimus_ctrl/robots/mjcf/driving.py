@@ -78,6 +78,19 @@ class Driven(Robot):
                 found[k] = base.actuator_dynprm[drive.index, entry]
         return frozen_array(found)
 
+    def varying(self) -> list[tuple[str, tuple[str, ...]]]:
+        """As of any robot: masses with inertias, damping, dry friction and springs of joints, where there are any."""
+        numbers = self.parameters()
+
+        def there(*names: str) -> tuple[str, ...]:
+            return tuple(name for name in names if numbers.get(name, 0.0) > 0)
+
+        found = [("mass", there(f"{body}.mass", f"{body}.inertia")) for body in self.plan.bodies]
+        for joint in self.joint_names:
+            found += [("damping", there(f"{joint}.{key}")) for key in ("damping", "frictionloss")]
+            found.append(("stiffness", there(f"{joint}.stiffness")))
+        return [(kind, names) for kind, names in found if names]
+
     @property
     def goals(self) -> tuple[bool, ...]:
         """As of any robot: those of servos."""
