@@ -370,7 +370,7 @@ def test_autotune(ran: Any, here: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert {Path(file).resolve() for file in found["files"]} == {
         (here / file).resolve() for file in written if not file.endswith(("journal.jsonl", "small.toml"))
     }
-    for part in ("Gains", "cost", "stable on 1 unseen legs", "Margins", "on the MuJoCo plant"):
+    for part in ("Gains", "cost", "stable on 1 unseen robots", "Margins", "on the MuJoCo plant"):
         assert part in err
     assert err.count("wrote ") == len(found["files"]) and "left" not in err
     monkeypatch.setattr(autotune_pid, "people", lambda: Console(stderr=True, force_terminal=True, width=120))

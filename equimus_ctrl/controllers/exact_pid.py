@@ -6,9 +6,10 @@ measured: with τ = B u + τ₀ of ``models.dynamics``,
     u = B⁺(r) (τ(r, ṙ, r̈) − τ₀(r, ṙ) + w)
 
 so that a servo, whose command is a goal, keeps its own feedback about a goal that w moves. Decoupled, w is the mass
-matrix there times what the PIDs give (computed torque; Siciliano et al., *Robotics*, 2009, chapter 8). A motion that
-the actuators cannot do, as a step of the reference, is not fed forward, but its poses are. What limits take away of w,
-of commands or of forces, goes back to the integral.
+matrix there times what the PIDs give (computed torque; Siciliano et al., *Robotics*, 2009, chapter 8). Of a motion that
+the actuators cannot do, as of a step of the reference, as much is fed forward as they can do; the rest of it the
+proportional and the derivative part do not see, so that it is the integral's (I-PD; Åström & Hägglund, *Advanced PID
+Control*, 2006, chapter 5). What limits take away of w, of commands or of forces, goes back to the integral.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
+EXACT = 1e-9
+"""Share of a torque, and of 1 N·m or N, that is lost by rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class ExactPidState:
@@ -51,7 +55,8 @@ class ExactPidState:
         followed: how far that has followed the reference.
         dt: control period [s].
         driven: (nj,) joints on which an actuator acts.
-        possible: of the instants from ``SMOOTHING`` before now to as much after, whether the motion can be done.
+        possible: of the instants from ``SMOOTHING`` before now to as much after, what share of the motion can be done.
+        shown: (nj,) reference of the measurement before.
         note: where the gains come from; empty where somebody gave them.
     """
 
@@ -64,7 +69,8 @@ class ExactPidState:
     followed: InverseState
     dt: float
     driven: NDArray[np.bool_]
-    possible: tuple[bool, ...] = ()
+    shown: Array
+    possible: tuple[float, ...] = ()
     note: str = ""
 
 
@@ -90,7 +96,7 @@ def begin(settings: PidSettings, spec: PlantSpec, observation: Observation, dyna
     memory = np.zeros((3, len(y)))
     memory[INTEGRAL] = effort - gains[KP] * (gains[WEIGHT_P] - 1.0) * y
     memory[PREVIOUS] = (gains[WEIGHT_D] - 1.0) * y
-    return ExactPidState(s, memory, gains, observation.time, dynamics, inverse, followed, spec.control_dt, driven)
+    return ExactPidState(s, memory, gains, observation.time, dynamics, inverse, followed, spec.control_dt, driven, y)
 
 
 def step(observation: Observation, reference: Reference, state: ExactPidState) -> tuple[Array, ExactPidState]:
@@ -102,11 +108,16 @@ def step(observation: Observation, reference: Reference, state: ExactPidState) -
     (q, soon), (v, soon_v), (_, soon_a) = (x.T for x in inverse.motion(reference, instants, state.followed))
     # A step is differentiated to a motion there and back, of which half may be possible.
     possible = (*state.possible, _possible(dynamics, soon, soon_v, soon_a))[-(round(2 * SMOOTHING / dt) + 2) :]
-    fed = planned[0] if s.inverse and all(possible) else _fed(s, dynamics, q)
+    share, still = min(possible), _fed(s, dynamics, q)
+    fed = still + share * (planned[0] - still) if s.inverse else still
     r, y = shown[0], np.array(observation.position)
     memory = state.memory.copy()
+    # What the actuators cannot do of the reference's motion is seen by the integral alone.
+    unseen = np.where(gains[KI] > 0, (1 - share) * (r - state.shown), 0.0)
+    memory[INTEGRAL] -= gains[KP] * gains[WEIGHT_P] * unseen
     weighted = gains[WEIGHT_D] * r - y
-    memory[DERIVATIVE] += dt / (gains[FILTER] + dt) * ((weighted - memory[PREVIOUS]) / dt - memory[DERIVATIVE])
+    slope = (weighted - memory[PREVIOUS] - gains[WEIGHT_D] * unseen) / dt
+    memory[DERIVATIVE] += dt / (gains[FILTER] + dt) * (slope - memory[DERIVATIVE])
     memory[PREVIOUS] = weighted
     effort = gains[KP] * (gains[WEIGHT_P] * r - y) + memory[INTEGRAL] + gains[KD] * memory[DERIVATIVE]
     weight = dynamics.effective_mass(q, state.driven) if s.decoupled else np.eye(len(y))
@@ -117,7 +128,7 @@ def step(observation: Observation, reference: Reference, state: ExactPidState) -
     lost = np.linalg.pinv(weight) @ (_lost(dynamics, y, v, asked, command) - _lost(dynamics, q, v, fed, fed))
     back = np.where(gains[TRACKING] > 0, np.minimum(dt / np.where(gains[TRACKING] > 0, gains[TRACKING], 1.0), 1.0), 1.0)
     memory[INTEGRAL] += np.where(gains[KI] > 0, dt * gains[KI] * (r - y) + back * lost, 0.0)
-    return frozen_array(command), replace(state, memory=memory, followed=followed, possible=possible)
+    return frozen_array(command), replace(state, memory=memory, followed=followed, possible=possible, shown=r)
 
 
 def _lost(dynamics: Dynamics, q: Array, v: Array, asked: Array, command: Array) -> Array:
@@ -126,14 +137,18 @@ def _lost(dynamics: Dynamics, q: Array, v: Array, asked: Array, command: Array) 
     return np.asarray(dynamics.exerted(q, v, command) - (drive @ asked + own))
 
 
-def _possible(dynamics: Dynamics, q: Array, v: Array, a: Array) -> bool:
-    """Whether the actuators can do a motion."""
-    torque = dynamics.needed(q, v, a)
-    command = dynamics.commands(q, v, torque)
-    if np.any((command < dynamics.low) | (command > dynamics.high)):
-        return False
+def _possible(dynamics: Dynamics, q: Array, v: Array, a: Array) -> float:
+    """The share of a motion, beside what holds its pose, that the actuators can do."""
+    still = np.zeros_like(q)
+    moving, resting = dynamics.needed(q, v, a), dynamics.needed(q, still, still)
     drive, own = dynamics.authority(q, v)
-    return bool(np.allclose(dynamics.exerted(q, v, command), drive @ command + own, rtol=1e-9, atol=1e-9))
+    commands = np.column_stack([dynamics.answer(drive, torque - own) for torque in (moving, resting)])
+    within = np.clip(commands, dynamics.low[:, None], dynamics.high[:, None])
+    asked, at_rest = (drive @ commands + own[:, None]).T
+    given, held = (dynamics.exerted(q, v, command) for command in within.T)
+    most = float(np.linalg.norm(asked - at_rest))
+    lost = float(np.linalg.norm((asked - given) - (at_rest - held)))
+    return 1.0 if lost <= EXACT * max(most, 1.0) else max(1.0 - lost / max(most, EXACT), 0.0)
 
 
 def _fed(settings: PidSettings, dynamics: Dynamics, q: Array) -> Array:

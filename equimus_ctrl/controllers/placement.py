@@ -94,7 +94,7 @@ def placed_gains(dynamics: Dynamics, spec: PlantSpec, pose: Array) -> Placed:
     for part in (still, still[:1]):
         stiffness = min(_least(own.stiffness, own.mass, driven) for _, own in part)
         damping = min(_least(own.damping, own.mass, driven) for _, own in part)
-        loops = [_Loop(q, own, driven, dynamics, valve, spec.control_dt) for q, own in part]
+        loops = [Loop(q, own, driven, dynamics, valve, spec.control_dt) for q, own in part]
         omega = PHASE / (2 * late)
         while omega >= SLOWEST:
             settings = _settings(spec, driven, omega, stiffness, damping, late)
@@ -138,7 +138,7 @@ def _settings(
     return PidSettings(gains, "joint", derivative_time=late, tracking_time=2 / omega, inverse=True, decoupled=True)
 
 
-class _Loop:
+class Loop:
     """The sampled loop of all joints about a pose.
 
     Args:
@@ -181,7 +181,7 @@ class _Loop:
             line = np.vstack([u[None], late])
             arrives = line[self._periods, np.arange(na)]
             x = self._a @ x + self._b @ arrives
-            return np.concatenate([x, i - dt * ki * y, d, y, line[:held].ravel()])
+            return np.concatenate([x, (ki > 0) * (i - dt * ki * y), d, y, line[:held].ravel()])
 
         matrix = np.column_stack([after(column) for column in np.eye(size)])
         values, vectors = np.linalg.eig(matrix)

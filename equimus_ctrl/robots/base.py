@@ -279,6 +279,11 @@ class Robot(ABC):
 
     # What plants and controllers ask.
 
+    @property
+    def fingerprint(self) -> str:
+        """Of all that it is beside ``to_dict``, such as the text of its file."""
+        return ""
+
     @cached_property
     def joint_units(self) -> tuple[str, ...]:
         """SI units of the joints' positions."""

@@ -27,6 +27,9 @@ from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.simulate import run
 from equimus_ctrl.types import Array, Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
 
+STUDIES = ("pid.toml", "pid_any.toml")
+"""Of the PID's tuning: the first that suits a robot."""
+
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
     """What scenarios ask for recordings: file kind → trials, empty where there are none.
@@ -106,7 +109,7 @@ def load_controller(
     Args:
         name: see ``CONTROLLERS``.
         scenario: whose commands ``open_loop`` plays.
-        settings: its settings file; ``controllers/<name>.toml`` by default.
+        settings: its settings file; by default ``controllers/<name>_<robot>.toml`` or ``controllers/<name>.toml``.
         robot: to check the settings against.
 
     Raises:
@@ -118,7 +121,10 @@ def load_controller(
         raise ConfigError(f"controller {name} takes no settings file, but {settings} was given")
     if own:
         return as_controller(presets.load_object(name), name)
-    path = presets.find("controllers", takes) if settings is None and takes is not None else settings
+    path = settings
+    if settings is None and takes is not None:
+        names = [own_settings(takes, robot), takes] if robot is not None else [takes]
+        path = next((found for each in names if (found := presets.find("controllers", each)) is not None), None)
     table = presets.read_toml(path) if path is not None else None
     commands = scenario.commands.at if scenario.commands is not None else None
     return make_controller(name, table, commands, str(path or name), robot, settings is not None)
@@ -260,7 +266,7 @@ def tune_pid(
     """Tune the PID of a study and write its settings and record; started again, it goes on where it was stopped.
 
     Args:
-        study: a study file; ``tuning/pid.toml`` by default.
+        study: a study file; by default ``tuning/pid.toml`` for the leg, ``tuning/pid_any.toml`` for other robots.
         model: the centre of the ensemble; the nominal leg by default.
         options: see ``AutotuneOptions``.
         begin: called with the number of candidates before the first.
@@ -270,40 +276,44 @@ def tune_pid(
     Raises:
         EquimusError: where an input is wrong, or nothing within the limits was found; nothing is written then.
     """
-    from equimus_ctrl.tuning import autotune, journal
-    from equimus_ctrl.tuning.study import Objective, study_from_dict
+    from equimus_ctrl.tuning import autotune, journal, plant_tuning
+    from equimus_ctrl.tuning.study import ON_PLANT, Objective, study_from_dict
 
-    options = with_changes(AutotuneOptions, options, changes)
-    path = study or presets.find("tuning", "pid.toml")
-    if path is None:
-        raise ConfigError("there is no tuning/pid.toml; name a study with --study")
-    settings = study_from_dict(presets.read_toml(path), str(path))
+    options, model = with_changes(AutotuneOptions, options, changes), model or nominal_model()
+    path = study or _study_for(model)
+    table = presets.read_toml(path)
+    settings = study_from_dict(table, str(path))
+    on_plant = table.get("format") == ON_PLANT
     own: dict[str, Any] = {"candidates": options.candidates, "seed": options.seed}
     if options.scenarios:
         own["objectives"] = tuple(Objective(name) for name in options.scenarios)
     settings = replace(settings, **{key: value for key, value in own.items() if value is not None})
-    model, recordings = model or nominal_model(), options.recordings
+    recordings = options.recordings
     if recordings is not None:
         locate.find_recordings(recordings)
+    search = recordings is not None
     built = [
-        load_scenario(o.scenario, model.robot, phase=model.phase, recordings=recordings, search=recordings is not None)
+        load_scenario(o.scenario, model.robot, phase=model.phase, recordings=recordings, search=search)
         for o in settings.objectives
     ]
-    problem = autotune.make_problem(settings, model, built)
+    make = plant_tuning.make_plant_problem if on_plant else autotune.make_problem
+    problem: Any = make(settings, model, built)
     root = presets.workspace()
-    target = options.output or root / "controllers" / "pid.toml"
-    results = options.folder or root / "tuning" / "results" / path.stem
+    name = own_settings("pid.toml", model.robot) if on_plant else "pid.toml"
+    target = options.output or root / "controllers" / name
+    stem = f"{path.stem}_{_plain(model.name)}" if on_plant else path.stem
+    results = options.folder or root / "tuning" / "results" / stem
     presets.check_toml(target)
     presets.check_folder(results)
+    key = plant_tuning.study_key(settings, problem) if on_plant else autotune.study_key(settings, problem)
     store = presets.JsonLines(
-        results / "journal.jsonl",
-        {"format": "equimus-ctrl/journal/1", "key": autotune.study_key(settings, problem)},
-        options.fresh,
+        results / "journal.jsonl", {"format": "equimus-ctrl/journal/1", "key": key}, options.fresh
     )
     reused = len(store.rows)
     begin(settings.candidates)
+    tune: Any = plant_tuning.tune_on_plant if on_plant else autotune.autotune
     try:
-        result = autotune.autotune(settings, problem, journal.RowJournal(store), notify, options.workers)
+        result = tune(settings, problem, journal.RowJournal(store), notify, options.workers)
     finally:
         store.close()
     record = results / "record.json"
@@ -312,9 +322,35 @@ def tune_pid(
     return TunedPid(result, target, record, results, reused)
 
 
+def _study_for(model: Model) -> Path:
+    """The study of a robot's own, else the one for any.
+
+    Raises:
+        ConfigError: where there is none.
+    """
+    from equimus_ctrl.tuning.study import suits
+
+    found = [path for name in STUDIES if (path := presets.find("tuning", name)) is not None]
+    for path in found:
+        if suits(presets.read_toml(path), model.robot.joint_names, str(path)):
+            return path
+    raise ConfigError(f"there is no tuning/{STUDIES[-1]}; name a study with --study")
+
+
+def own_settings(file: str, robot: Robot) -> str:
+    """What a settings file is called that is for one robot alone."""
+    stem, dot, suffix = file.rpartition(".")
+    return f"{stem}_{_plain(robot.name)}{dot}{suffix}"
+
+
+def _plain(name: str) -> str:
+    return "".join(ch if ch.isalnum() or ch in "-_" else "_" for ch in name)
+
+
 def _settings_comment(result: Any, study: Path) -> str:
     best = result.best.evaluation
     unit = "N and m" if result.settings.space == "length" else "N·m and rad"
+    unit = "1/s², 1/s³ and 1/s" if result.settings.decoupled else unit
     return (
         f"PID gains, in {unit}; written by `equimus-ctrl autotune-pid`, free to edit.\n"
         f"Study {study.name}, seed {result.study.seed}, {len(result.history)} sets of gains tried, "

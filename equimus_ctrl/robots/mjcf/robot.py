@@ -107,6 +107,11 @@ class MjcfRobot(Driven):
         whole = (*parts, *(own for own in (self.tethers, self.surfaces, self.couplings, *given) if own))
         return hashlib.sha256(repr(whole).encode()).hexdigest()
 
+    @property
+    def fingerprint(self) -> str:
+        """As of any robot."""
+        return self.digest
+
     @cached_property
     def plan(self) -> Plan:
         """What the file says."""
