@@ -16,7 +16,7 @@ every pose, with its gains as they are and raised; where no ω does that, in the
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,16 @@ class Placed:
     settings: PidSettings
     bandwidth: float
     everywhere: bool = True
+
+    @property
+    def searched(self) -> PidSettings:
+        """Gains for factors of a tuning: none is below what a robot without stiffness and damping would get."""
+        bare = _gains(self.bandwidth, 0.0, 0.0)
+        gains = {
+            joint: PidGains(max(own.kp, bare.kp), max(own.ki, bare.ki), max(own.kd, bare.kd)) if own.ki > 0 else own
+            for joint, own in self.settings.gains.items()
+        }
+        return replace(self.settings, gains=gains)
 
     @property
     def sentence(self) -> str:
@@ -130,12 +140,16 @@ def _least(matrix: Array, mass: Array, driven: NDArray[np.bool_]) -> float:
 def _settings(
     spec: PlantSpec, driven: NDArray[np.bool_], omega: float, stiffness: float, damping: float, late: float
 ) -> PidSettings:
+    own = _gains(omega, stiffness, damping)
+    gains = {joint: own if acts else PidGains(0.0) for joint, acts in zip(spec.joints, driven, strict=True)}
+    return PidSettings(gains, "joint", derivative_time=late, tracking_time=2 / omega, inverse=True, decoupled=True)
+
+
+def _gains(omega: float, stiffness: float, damping: float) -> PidGains:
     whole = 1 + 2 * DAMPING * THIRD
     kp = max(omega**2 * whole - stiffness, 0.0)
     kd = max(omega * (2 * DAMPING + THIRD) - damping, 0.0)
-    own = PidGains(kp, max((kp + stiffness) * THIRD * omega / whole, 0.0), kd)
-    gains = {joint: own if acts else PidGains(0.0) for joint, acts in zip(spec.joints, driven, strict=True)}
-    return PidSettings(gains, "joint", derivative_time=late, tracking_time=2 / omega, inverse=True, decoupled=True)
+    return PidGains(kp, max((kp + stiffness) * THIRD * omega / whole, 0.0), kd)
 
 
 class Loop:

@@ -160,7 +160,8 @@ def _times(found: Comparison) -> Figure:
     panel.set_xscale("log")
     panel.xaxis.set_major_formatter(PLAIN)
     style.dress(panel, x="time [ms]", y="share of steps [%]")
-    panel.legend(frameon=False, fontsize=style.SMALL_SIZE, loc="lower right")
+    if period is not None:
+        panel.legend(frameon=False, fontsize=style.SMALL_SIZE, loc="lower right")
     return figure
 
 

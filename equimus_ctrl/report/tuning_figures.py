@@ -91,7 +91,7 @@ def convergence_figure(result: TuningResult | PlantTuning) -> Figure:
 
 
 def plant_response_figure(result: PlantTuning) -> Figure:
-    """Errors of the true positions with the placed and with the tuned gains, on every robot of the ensemble."""
+    """Errors of the true positions with the first and with the tuned gains, on every robot of the ensemble."""
     problem = result.problem
     robot = problem.model.robot
     shown = [j for j, acts in enumerate(problem.driven) if acts]
@@ -112,7 +112,7 @@ def plant_response_figure(result: PlantTuning) -> Figure:
             title = f"{task.name}: {robot.joint_names[j]}"
             style.dress(grid[row, k], title=title, y=f"error [{unit}]", x="time [s]" if last else "")
     handles = [
-        Line2D([], [], color=BEFORE, label="placed gains"),
+        Line2D([], [], color=BEFORE, label="first gains"),
         Line2D([], [], color=AFTER, label="tuned"),
         Line2D([], [], color=style.INK, linewidth=0.7, label="on the other robots of the ensemble"),
     ]

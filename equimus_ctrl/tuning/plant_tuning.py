@@ -100,7 +100,7 @@ class PlantProblem:
         limits: hard ones.
         noise: standard deviation of measured positions [rad or m].
         seed: of that noise.
-        placed: the gains that factors are of.
+        placed: the gains that factors are of, see ``controllers.placement.Placed.searched``.
         driven: (nj,) joints on which an actuator acts.
         span: (na,) range of each command, of one without limits what the placed gains use of it.
         control_dt: time between two commands [s].
@@ -208,7 +208,7 @@ def make_plant_problem(study: Study, model: Model, scenarios: Sequence[Scenario]
     """
     plant, dynamics = MujocoPlant(model), Dynamics(model)
     first = np.array(plant.reset(scenarios[0].start).position)
-    placed = placed_gains(dynamics, plant.spec, first).settings
+    placed = placed_gains(dynamics, plant.spec, first).searched
     driven = np.any(dynamics.authority(first, np.zeros_like(first))[0] != 0, axis=1)
     tasks = [
         PlantTask(scenario, objective.weight, objective.duration or scenario.duration)
