@@ -206,6 +206,14 @@ def test_a_limit_of_force_winds_nothing_up() -> None:
     assert done.position[after].min() > 0.0
 
 
+def test_a_step_beyond_the_actuators_is_taken_without_overshoot() -> None:
+    done = workflow.run_scenario("step", "pid", model=Model(CARTPOLE), options={"size": "100"})
+    step = done.score.step
+    assert step is not None and step.size[0] == pytest.approx(0.1)
+    assert step.overshoot[0] < 0.05 and step.rise[0] < 1.0
+    assert done.score.saturated < 0.05
+
+
 def test_gains_of_ones_own_are_of_joints_and_need_not_be_decoupled() -> None:
     settings = PidSettings({"shoulder": PidGains(60, 60, 8), "reach": PidGains(400, 400, 40)}, "joint", inverse=True)
     done = workflow.run_scenario("track", PidController(settings), model=Model(RIG), options={"leg_time": "0.6"})
