@@ -27,7 +27,8 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from equimus_ctrl import presets
-from equimus_ctrl.controllers.pid import PidController, PidSettings
+from equimus_ctrl.controllers.pid import PidController
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.diagnosis.diagnose import DiagnosisSettings, diagnose
 from equimus_ctrl.diagnosis.holdout import split
 from equimus_ctrl.diagnosis.hypothesis import default_free_parameters

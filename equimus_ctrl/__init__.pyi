@@ -3,7 +3,8 @@ from . import testing as testing
 from .controllers.lqr import LqrController as LqrController, LqrSettings as LqrSettings
 from .controllers.nmpc import NmpcController as NmpcController, NmpcSettings as NmpcSettings
 from .controllers.open_loop import OpenLoopController as OpenLoopController
-from .controllers.pid import PidController as PidController, PidGains as PidGains, PidSettings as PidSettings
+from .controllers.pid import PidController as PidController
+from .controllers.pid_settings import PidGains as PidGains, PidSettings as PidSettings
 from .controllers.registry import (
     ControllerEntry as ControllerEntry,
     ControllerRequest as ControllerRequest,
@@ -102,12 +103,14 @@ from .robots.elastic.morphology import (
     Point as Point,
 )
 from .robots.mjcf.robot import MjcfRobot as MjcfRobot
+from .robots.reading import shown_pose as shown_pose
 from .scenarios.comparison import Condition as Condition
 from .scenarios.references import (
     FunctionReference as FunctionReference,
     HoldReference as HoldReference,
     SampledReference as SampledReference,
     foot_path as foot_path,
+    joint_path as joint_path,
     minimum_jerk as minimum_jerk,
     pose_of_foot as pose_of_foot,
     poses_of_foot as poses_of_foot,

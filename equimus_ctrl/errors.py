@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class EquimusError(Exception):
@@ -27,7 +28,13 @@ class RecordingError(EquimusError):
 
 
 class SimulationDiverged(EquimusError):
-    """A simulation left the range where its values mean anything."""
+    """A simulation left the range where its values mean anything.
+
+    Attributes:
+        run: what happened before, a ``types.Run``, where it was driven by ``simulate.run``; else None.
+    """
+
+    run: Any = None
 
 
 class HardwareFault(EquimusError):

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError
+from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, SimulationDiverged
+from equimus_ctrl.robots.reading import command_words, position_word
 from equimus_ctrl.types import Array, Controller, KnowsTruth, Plant, PlantSpec, Reference, Run, Start
 
 
@@ -38,7 +39,7 @@ def run(
         ConfigError: for a duration shorter than one control period, or a reference that does not fit the robot.
         ControllerError: where the controller fails, or its command has the wrong size, is not finite or not a pair with
             a state.
-        SimulationDiverged: where the plant's simulation did.
+        SimulationDiverged: where the plant's simulation did; it has the run until then.
     """
     spec = plant.spec
     n = round(duration / spec.control_dt) if math.isfinite(duration) else 0
@@ -55,6 +56,21 @@ def run(
     before = np.array(observation.command)
     with _blamed(controller, "init", 0.0):
         state = controller.init(spec, observation)
+    note = str(getattr(state, "note", ""))
+
+    def whole(count: int) -> Run:
+        true = None if truth is None else truth[:count]
+        kept = {"time": times, "position": position, "reference": wanted, "command": command, "asked": asked}
+        made = Run(
+            spec, clipped=clipped[:count], solve_time=solve_time[:count], before=before, truth=true,
+            status=tuple(status), note=note, **{key: part[:count] for key, part in kept.items()},
+        )  # fmt: skip
+        for array in (*kept, "clipped", "solve_time", "before"):
+            getattr(made, array).flags.writeable = False
+        if true is not None:
+            true.flags.writeable = False
+        return made
+
     for k in range(n):
         wanted[k] = wanted_pose(reference, spec, observation.time)
         begun = clock.perf_counter()
@@ -69,15 +85,17 @@ def run(
         status.append(str(getattr(state, "status", "")))
         if truth is not None and knowing is not None:
             truth[k] = knowing.truth
-        observation = plant.step(asked[k])
         command[k] = np.clip(asked[k], spec.command_low, spec.command_high)
+        try:
+            observation = plant.step(asked[k])
+        except SimulationDiverged as error:
+            clipped[k] = command[k] != asked[k]
+            error.run = whole(k + 1)
+            raise
         clipped[k] = observation.clipped
         if progress is not None:
             progress((k + 1) / n)
-    for array in (times, position, wanted, command, asked, clipped, solve_time, before, truth):
-        if array is not None:
-            array.flags.writeable = False
-    return Run(spec, times, position, wanted, command, asked, clipped, solve_time, before, truth, tuple(status))
+    return whole(n)
 
 
 @contextmanager
@@ -101,10 +119,8 @@ def wanted_pose(reference: Reference, spec: PlantSpec, at: float) -> Array:
     """
     pose = np.asarray(reference.position(at), dtype=np.float64)
     if pose.shape != (len(spec.joints),) or not np.all(np.isfinite(pose)):
-        raise ConfigError(
-            f"the reference is {pose.tolist()} at {at:.3f} s, expected one finite angle in rad for each of "
-            f"{', '.join(spec.joints)}"
-        )
+        wanted = f"one finite {position_word(spec.joint_units)} for each of {', '.join(spec.joints)}"
+        raise ConfigError(f"the reference is {pose.tolist()} at {at:.3f} s, expected {wanted}")
     return pose
 
 
@@ -114,17 +130,18 @@ def checked_command(command: object, spec: PlantSpec, at: float, who: str) -> Ar
     Raises:
         ControllerError: where it is not one finite number for each actuator.
     """
+    words, one = command_words(spec.command_units)
     try:
         array = np.asarray(command, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ControllerError(f"{who} returned {command!r} at {at:.3f} s, expected pressures in Pa") from None
+        raise ControllerError(f"{who} returned {command!r} at {at:.3f} s, expected {words}") from None
     if array.shape != (len(spec.actuators),):
         raise ControllerError(
-            f"{who} returned a command of shape {array.shape} at {at:.3f} s, expected one pressure in Pa for each of "
+            f"{who} returned a command of shape {array.shape} at {at:.3f} s, expected {one} for each of "
             f"{', '.join(spec.actuators)}"
         )
     if not np.all(np.isfinite(array)):
-        raise ControllerError(f"{who} returned {array} at {at:.3f} s, expected finite pressures in Pa")
+        raise ControllerError(f"{who} returned {array} at {at:.3f} s, expected finite {words}")
     return array
 
 

@@ -166,11 +166,15 @@ class PlantSpec:
         command_low: (n_actuators,) lowest command [Pa].
         command_high: (n_actuators,) highest command [Pa].
         control_dt: time between two commands [s].
-        model: the nominal model the controller may compute with (a ``Morphology``), or None.
+        model: the nominal robot the controller may compute with (a ``robots.base.Robot``), or None.
         phase: ``"swing"`` (base fixed) or ``"stance"`` (foot pinned), which the model's statics depend on.
         joint_low: (n_joints,) lower end of the joint range [rad].
         joint_high: (n_joints,) upper end of the joint range [rad].
         effects: what is known to be attached to the model (``effects.Effect``).
+        joint_units: SI units of the joints' positions; rad by default, and whatever is said of rad holds for them.
+        command_units: SI units of the commands; Pa by default, alike.
+        command_rate: (n_actuators,) how fast what a command asks for can change, ±inf by default [its unit/s].
+        goals: of each actuator whether its command is a goal for where something is.
     """
 
     joints: tuple[str, ...]
@@ -183,6 +187,18 @@ class PlantSpec:
     model: Any = None
     phase: Literal["swing", "stance"] = "swing"
     effects: tuple[Any, ...] = ()
+    joint_units: tuple[str, ...] = ()
+    command_units: tuple[str, ...] = ()
+    command_rate: Array = field(default_factory=lambda: np.empty(0))
+    goals: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        na = len(self.actuators)
+        object.__setattr__(self, "joint_units", self.joint_units or ("rad",) * len(self.joints))
+        object.__setattr__(self, "command_units", self.command_units or ("Pa",) * na)
+        object.__setattr__(self, "goals", self.goals or (False,) * na)
+        rate = self.command_rate if len(self.command_rate) else np.full(na, np.inf)
+        object.__setattr__(self, "command_rate", frozen_array(rate, 1, "command rate"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +256,7 @@ class Run:
         before: (na,) command in force before the start [Pa].
         truth: (n, nj) true angles [rad], where the plant knows them; what is measured has noise and sensor effects.
         status: (n,) what the controller's state calls its ``status`` after each step; "" where it has none.
+        note: what its state says of itself as it begins, a sentence for a person; "" where it says nothing.
     """
 
     spec: PlantSpec
@@ -253,6 +270,7 @@ class Run:
     before: Array
     truth: Array | None = None
     status: tuple[str, ...] = ()
+    note: str = ""
 
     def recording(self, name: str, notes: Mapping[str, str] | None = None) -> Recording:
         """The run in the recording vocabulary."""

@@ -1,4 +1,7 @@
-"""Pressures that sweep through the frequencies, one actuator against the other: excitation for identification."""
+"""Commands that sweep through the frequencies, one actuator against the other: excitation for identification.
+
+Where nothing holds a robot in place the joints' reference sweeps, and a controller follows it.
+"""
 
 import numpy as np
 
@@ -12,8 +15,12 @@ def build(
     amplitude: float = 12.0,
     low: float = 0.05,
     high: float = 2.0,
+    swing: float = 10.0,
 ) -> eq.Scenario:
-    """Mean and amplitude in kPa, frequencies in Hz; the sweep is exponential and starts at the mean's equilibrium."""
+    """Mean and amplitude of pressures in kPa, of joints by ``swing`` in degrees (slides mm); frequencies in Hz.
+
+    The sweep is exponential; that of pressures starts at the mean's equilibrium, that of joints in the own pose.
+    """
     if not (0 < duration < 1e4 and 0 < low < high):
         raise eq.ConfigError(
             f"duration is {duration:g} s from {low:g} to {high:g} Hz; expected 0 < duration, 0 < low < high"
@@ -21,6 +28,17 @@ def build(
     times = np.arange(0.0, duration, 1 / 120)
     rate = np.log(high / low) / duration
     phase = 2 * np.pi * low * (np.exp(rate * times) - 1) / rate
+    if not context.robot.traits.held_in_place:
+        middle, most = context.swings(swing)
+        waves = np.stack([np.sin(phase * (1 + 0.37 * j)) for j in range(len(middle))], axis=1)
+        share, wanted = context.within_means(times, middle, most * waves)
+        return eq.Scenario(
+            name="chirp",
+            summary=f"joints sweep {low:g} to {high:g} Hz by {swing * share:.3g}",
+            duration=duration,
+            reference=eq.SampledReference(times, wanted),
+            start=context.start(middle),
+        )
     n = len(context.morphology.actuators)
     values = 1e3 * np.stack([mean + amplitude * np.sin(phase * (1 + 0.37 * i)) for i in range(n)], axis=1)
     profile = context.profile(times, values)

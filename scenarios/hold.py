@@ -1,17 +1,20 @@
 """Reach a pose from rest and hold it."""
 
-import math
-
 import equimus_ctrl as eq
 
 
-def build(context: eq.ScenarioContext, hip: float = 90.0, knee: float = 0.0, duration: float = 6.0) -> eq.Scenario:
-    """Angles in degrees, time in seconds; from rest without pressure."""
-    context.require(("hip", "knee"), ("maa", "baa"), "hold")
+def build(context: eq.ScenarioContext, duration: float = 6.0, keyframe: str = "", **joints: float) -> eq.Scenario:
+    """Time in seconds; a keyframe of the robot's description, the first by default, and joints that differ from it.
+
+    Joints are in degrees, slides in mm. A robot that springs hold starts from rest without command, others in the pose
+    of their description.
+    """
+    pose = context.pose(joints, keyframe)
+    context.check_held(pose)
     return eq.Scenario(
         name="hold",
-        summary=f"reach ({hip:g}°, {knee:g}°) from rest and hold it",
+        summary=f"reach {eq.shown_pose(pose, context.robot.joint_units)} from rest and hold it",
         duration=duration,
-        reference=eq.HoldReference([math.radians(hip), math.radians(knee)]),
+        reference=eq.HoldReference(pose),
         step_like=True,
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from effect_cases import CASES as NUMBERS
 
-from equimus_ctrl.controllers.pid import PidGains, PidSettings
+from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings
 from equimus_ctrl.effects import REGISTRY, Effect, catalogue, make
 from equimus_ctrl.engines.predict import predict
 from equimus_ctrl.models.model import Model

@@ -166,7 +166,9 @@ def test_lists_for_machines(ran: Any) -> None:
     assert set(found["plants"]) == set(PLANTS)
     assert set(found["effects"]) == set(effects.REGISTRY)
     assert {"nominal_leg", "ideal_leg"} <= set(found["models"])
-    assert found["scenarios"]["hold"]["options"] == {"hip": 90.0, "knee": 0.0, "duration": 6.0}
+    assert found["scenarios"]["hold"]["options"] == {
+        "duration": 6.0, "keyframe": "", "JOINT": "as in the keyframe",
+    }  # fmt: skip
     assert found["effects"]["transport_delay"]["sits_at"] == ["actuator"]
 
 
@@ -253,7 +255,8 @@ def test_run_draws_and_says_where(ran: Any, here: Path) -> None:
     assert found["files"] and all(Path(file).is_file() for file in found["files"])
     assert set(files(here)) == {"out/here/score.json", *found["files"]}
     for file in found["files"]:
-        assert Path(file).read_bytes().startswith(b"\x89PNG") and f"wrote {file}" in err
+        begins = b"time,cmd.maa,cmd.baa,pos.hip" if file.endswith("series.csv") else b"\x89PNG"
+        assert Path(file).read_bytes().startswith(begins) and f"wrote {file}" in err
 
 
 def test_a_run_can_be_recorded_and_scored(ran: Any, here: Path) -> None:
@@ -367,7 +370,7 @@ def test_autotune(ran: Any, here: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert {Path(file).resolve() for file in found["files"]} == {
         (here / file).resolve() for file in written if not file.endswith(("journal.jsonl", "small.toml"))
     }
-    for part in ("Gains", "cost", "stable on 1 unseen legs", "Margins", "on the MuJoCo plant"):
+    for part in ("Gains", "cost", "stable on 1 unseen robots", "Margins", "on the MuJoCo plant"):
         assert part in err
     assert err.count("wrote ") == len(found["files"]) and "left" not in err
     monkeypatch.setattr(autotune_pid, "people", lambda: Console(stderr=True, force_terminal=True, width=120))

@@ -43,7 +43,7 @@ def test_a_wrong_model_file(verb: tuple[str, ...], text: str, run_there: Callabl
 GAINS = "[gains.maa]\nkp = 1.0\n[gains.baa]\nkp = 1.0\n"
 SETTINGS = {
     'format = "x/2"\n' + GAINS: "format is 'x/2', expected 'equimus-ctrl/pid/1'",
-    "kp = 3\n" + GAINS: "there is no key 'kp' (known: derivative_time, ",
+    "kp = 3\n" + GAINS: "there is no key 'kp' (known: decoupled, derivative_time, ",
     "": "there is no [gains.<channel>] table",
     'space = "lenght"\n' + GAINS: "there is no PID space 'lenght'; did you mean 'length'? (known: joint, length)",
     "derivative_time = -1\n" + GAINS: "derivative_time is -1, expected a finite number of at least 0",

@@ -23,7 +23,7 @@ from equimus_ctrl.scenarios.comparison import Comparison, Condition
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.types import Array, Observation, Reference
-from equimus_ctrl.workflow.comparisons import DELAY, LAG, compare, conditions
+from equimus_ctrl.workflow.comparisons import compare, conditions
 
 POSE = np.array([1.45, 0.6])
 SHORT = {"duration": "1.5"}
@@ -116,8 +116,8 @@ def test_conditions_are_what_they_say() -> None:
     assert [(e.name, e.location) for e in delayed.model.effects] == [
         ("first_order_lag", "maa"), ("transport_delay", "maa"), ("first_order_lag", "baa"), ("transport_delay", "baa"),
     ]  # fmt: skip
-    assert {getattr(e, "time_constant", LAG) for e in delayed.model.effects} == {LAG}
-    assert {getattr(e, "delay", DELAY) for e in delayed.model.effects} == {DELAY}
+    assert {getattr(e, "time_constant", 0.1) for e in delayed.model.effects} == {0.1}
+    assert {getattr(e, "delay", 0.1) for e in delayed.model.effects} == {0.1}
     robots = conditions(["perturbed"], model, draws=4, seed=1)
     assert [c.name for c in robots] == [f"perturbed {k}" for k in (1, 2, 3, 4)]
     nominal = model.morphology.parameters()

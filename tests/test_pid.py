@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import equimus_ctrl as eq
 from equimus_ctrl import presets
 from equimus_ctrl.controllers import pid_kernel
-from equimus_ctrl.controllers.pid import FORMAT
+from equimus_ctrl.controllers.pid_settings import FORMAT
 from equimus_ctrl.plants.mujoco_plant import make_spec
 
 DT = 1 / 120

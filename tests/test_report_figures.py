@@ -263,7 +263,7 @@ def test_pressure_panels_show_commands_limits_and_clipping(na: int) -> None:
     run = make_run(m, asked=asked)
     scenario = make_scenario(run)
     score = score_run(run, scenario)
-    figure = run_figures.pressures_figure(run, score, "a heading")
+    figure = run_figures.commands_figure(run, score, "a heading")
     assert len(figure.axes) == na
     for i, (axes, name) in enumerate(zip(figure.axes, m.actuator_names, strict=True)):
         shown = line(axes, style.actuator_colour(i))

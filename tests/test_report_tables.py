@@ -71,6 +71,8 @@ def test_the_dict_holds_the_right_numbers_in_plain_types() -> None:
         "rmse_rad",
         "mae_rad",
         "max_rad",
+        "approach",
+        "step",
         "recorded",
         "published",
         "window_s",

@@ -110,6 +110,27 @@ def test_a_model_file_gives_the_robot_back(robot: Robot) -> None:
     assert ("phase" in model_to_dict(model)) == robot.traits.has_stance
 
 
+@every_robot
+def test_what_plants_and_controllers_ask_is_there_for_each_joint_and_actuator(robot: Robot) -> None:
+    nj, na = len(robot.joint_names), len(robot.actuator_names)
+    low, high = robot.command_limits
+    assert low.shape == high.shape == robot.command_rates.shape == (na,) and np.all(low < high)
+    assert len(robot.joint_units) == nj and set(robot.joint_units) <= {"rad", "m"}
+    assert len(robot.command_units) == len(robot.goals) == na
+    for pose in (*robot.keyframes.values(), *([] if robot.home is None else [robot.home])):
+        assert pose.shape == (nj,) and np.isfinite(pose).all()
+    assert "inverse" in robot.offers
+
+
+def test_limits_of_commands_are_where_they_make_no_difference_any_more() -> None:
+    low, high = CRANE.command_limits
+    assert low.tolist() == [-20.0, -1.0, -np.inf] and high.tolist() == [20.0, 1.0, np.inf]
+    unclipped = replace(
+        CRANE, xml=CRANE.xml.replace("<worldbody>", '<option><flag clampctrl="disable"/></option><worldbody>', 1)
+    )
+    assert unclipped.command_limits[0].tolist() == [-20.0, -np.inf, -np.inf]
+
+
 def test_what_one_robot_alone_can_have_is_refused_by_the_other() -> None:
     with pytest.raises(ConfigError, match="cannot have effect narrowing_area"):
         Model(CRANE, (NarrowingArea("push", *([0.1] * len(NarrowingArea.parameter_info()))),))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from equimus_ctrl.cli.common import ElasticFile, Figures, Json, PluginFiles, people, print_files, print_json
+from equimus_ctrl.cli.common import Figures, Json, ModelFile, PluginFiles, people, print_files, print_json
 from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import bars, time_left
 from equimus_ctrl.options import AutotuneOptions
@@ -20,15 +20,17 @@ if TYPE_CHECKING:
 
 @with_options
 def autotune_pid(
-    study: Annotated[Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml by default.")] = None,
-    model: ElasticFile = None,
+    study: Annotated[
+        Path | None, typer.Option(help="Study file (TOML); tuning/pid.toml or pid_any.toml by default.")
+    ] = None,
+    model: ModelFile = None,
     plugins: PluginFiles = None,
     *,
     options: AutotuneOptions,
     figures: Figures = True,
     as_json: Json = False,
 ) -> None:
-    """Tune the PID in simulation, over an ensemble of perturbed legs whose valves have lag and dead time.
+    """Tune the PID in simulation, over an ensemble of perturbed robots whose valves or drives are late.
 
     Ctrl-C keeps the best so far. The same command goes on where it was stopped, even after a crash.
 
@@ -38,6 +40,7 @@ def autotune_pid(
     equimus-ctrl autotune-pid --candidates 2000 --seed 7
     equimus-ctrl autotune-pid --scenario hold --scenario chirp --output my_pid.toml
     equimus-ctrl autotune-pid --model corrected.toml --json
+    equimus-ctrl autotune-pid --model robot.xml --candidates 100
     """  # noqa: D301
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
@@ -63,7 +66,7 @@ def autotune_pid(
 
         tuned = workflow.tune_pid(
             study,
-            workflow.load_elastic(model),
+            workflow.load_model(model),
             options,
             begin=begin,
             notify=notify,
@@ -95,7 +98,8 @@ def _print(console: Console, tuned: TunedPid) -> None:
         )
     if tuned.reused:
         console.print(f"{tuned.reused} evaluations were taken over from an earlier run")
-    gains = Table(title=f"Gains ({result.settings.space})", title_justify="left")
+    title = f"Gains ({result.settings.space})" + (", decoupled by the mass matrix" if result.settings.decoupled else "")
+    gains = Table(title=title, title_justify="left")
     for name in ("channel", "kp", "ki", "kd"):
         gains.add_column(name, justify="left" if name == "channel" else "right")
     for channel, g in result.settings.gains.items():
@@ -112,8 +116,10 @@ def _print(console: Console, tuned: TunedPid) -> None:
     unseen = len(result.unseen)
     if unseen:
         before, after = (sum(e.stable for e in legs) for legs in (result.start_unseen, result.unseen))
-        table.add_row(f"stable on {unseen} unseen legs", str(before), str(after))
+        table.add_row(f"stable on {unseen} unseen robots", str(before), str(after))
     console.print(table)
+    if not result.margins:
+        return
     margins = Table(
         title="Margins of the linearised loop: on the model, and the least over all legs", title_justify="left"
     )

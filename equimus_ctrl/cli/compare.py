@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from equimus_ctrl.cli.common import (
-    ElasticFile,
     Figures,
     Json,
+    ModelFile,
     PluginFiles,
     people,
     print_files,
@@ -24,7 +24,7 @@ from equimus_ctrl.options import CompareOptions
 @with_options
 def compare(
     scenarios: Annotated[list[str], typer.Argument(help="Scenarios by name (see: list scenarios) or path.")],
-    model: ElasticFile = None,
+    model: ModelFile = None,
     corrected: Annotated[
         Path | None,
         typer.Option(
@@ -51,6 +51,7 @@ def compare(
     equimus-ctrl compare triangle push --condition delayed --condition perturbed --draws 5
     equimus-ctrl compare hold -c pid -c controllers/example_custom.py:Spring --json
     equimus-ctrl compare triangle --corrected corrected.toml
+    equimus-ctrl compare hold track --model robot.xml
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.cli.common import write_results
@@ -64,8 +65,8 @@ def compare(
         found = workflow.compare(
             scenarios,
             options=options,
-            model=workflow.load_elastic(model),
-            corrected=workflow.load_elastic(corrected) if corrected is not None else None,
+            model=workflow.load_model(model),
+            corrected=workflow.load_model(corrected) if corrected is not None else None,
             notify=lambda share, what: show(what, share),
         )
     record = found.to_dict()

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from equimus_ctrl.cli.common import (
-    ElasticFile,
     Figures,
     Json,
     PluginFiles,
@@ -19,12 +18,15 @@ from equimus_ctrl.cli.common import (
     print_json,
 )
 from equimus_ctrl.cli.emulate import Domain, HardwareFile
+from equimus_ctrl.cli.model_choice import ModelChoice
+from equimus_ctrl.cli.options import with_options
 from equimus_ctrl.cli.progress import share_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
+@with_options
 def run(
     scenario: Annotated[str, typer.Argument(help="Scenario by name (see: list scenarios) or path to a script.")],
     controller: Annotated[
@@ -34,7 +36,8 @@ def run(
         ),
     ] = None,
     plant: Annotated[str, typer.Option(help="Plant by name (see: list plants).")] = "mujoco",
-    model: ElasticFile = None,
+    *,
+    chosen: ModelChoice,
     effect: Annotated[
         list[str] | None,
         typer.Option("--effect", metavar="NAME:PLACE:KEY=VALUE", help="Attach an effect to the simulated robot."),
@@ -74,13 +77,14 @@ def run(
     equimus-ctrl run triangle --controller pid --json
     equimus-ctrl run hold --set hip=80 --set knee=20 --controller pid --noise 0.001
     equimus-ctrl run hold --controller controllers/example_custom.py:Spring
+    equimus-ctrl run step --model robot.xml --set joint=elbow --set size=20
     equimus-ctrl run chirp --effect transport_delay:baa:delay=0.1 --record my_recordings
     equimus-ctrl run chirp --plant hardware --arm --record my_recordings
     equimus-ctrl run chirp --plugin docs/examples/drag.py --effect quadratic_drag:knee:coefficient=0.02
     """  # noqa: D301
     from equimus_ctrl import presets, workflow
     from equimus_ctrl.effects import parse
-    from equimus_ctrl.errors import ConfigError, EquimusError
+    from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
     from equimus_ctrl.plants.registry import PLANTS
     from equimus_ctrl.recordings import write
     from equimus_ctrl.report.tables import run_table, score_to_dict
@@ -95,7 +99,7 @@ def run(
     for place in (output, record):
         if place is not None:
             presets.check_folder(place)
-    robot = workflow.load_elastic(model)
+    robot = chosen.read()
     real = PLANTS.entry(plant).real
     if not real and (arm or hardware is not None or domain is not None):
         known = " or ".join(name for name, entry in PLANTS.items() if entry.real)
@@ -114,12 +118,20 @@ def run(
                 settings=settings,
                 noise=noise,
                 seed=seed,
-                nominal=workflow.load_elastic(nominal) if nominal is not None else None,
+                nominal=workflow.load_model(nominal) if nominal is not None else None,
                 progress=show,
                 hardware=workflow.load_hardware(hardware, robot, domain) if real else None,
                 armed=arm,
                 record=streamed,
             )
+    except SimulationDiverged as stop:
+        if stop.run is not None:
+            from equimus_ctrl.report.series import save_series
+
+            name = f"{Path(scenario).stem}-{_file_name(controller or 'own')}"
+            folder = output or presets.workspace() / "results" / "run" / name
+            print_files(console, [save_series(stop.run, folder / "series.csv")])
+        raise
     except (EquimusError, KeyboardInterrupt) as stop:
         if streamed is not None:
             print_stopped(console, stop, streamed)
@@ -128,11 +140,11 @@ def run(
     folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
     files: list[Path] = []
     if figures:
-        from equimus_ctrl.models.kinematics import Kinematics
         from equimus_ctrl.report.run_figures import save_run_figures
+        from equimus_ctrl.report.series import save_series
 
-        kinematics = Kinematics(done.model.morphology, done.model.phase)
-        files += save_run_figures(done.run, done.scenario, done.score, kinematics, folder, label)
+        files += save_run_figures(done.run, done.scenario, done.score, done.kinematics, folder, label)
+        files.append(save_series(done.run, folder / "series.csv"))
     if streamed is not None:
         files.append(streamed)
     elif record is not None and not real:
@@ -150,12 +162,20 @@ def run(
             shown = save_video(done.run, done.model, video, progress=show)
         files.append(shown.path)
         note = shown.note
-    result |= {"plant": done.plant, "model": done.model.name, "seed": seed, "files": [str(f) for f in files]}
+    result |= {
+        "note": done.run.note,
+        "plant": done.plant,
+        "model": done.model.name,
+        "seed": seed,
+        "files": [str(f) for f in files],
+    }
     presets.write_text(folder / "score.json", presets.json_text(result))
     console.print(run_table(done.score, done.run, done.scenario, done.controller))
     if done.loop is not None:
         result["loop"] = done.loop.to_dict()
         console.print(_loop_sentence(result["loop"], arm), markup=False, soft_wrap=True)
+    if done.run.note:
+        console.print(done.run.note, markup=False, soft_wrap=True)
     if note:
         console.print(note, markup=False, soft_wrap=True)
     print_files(console, files)

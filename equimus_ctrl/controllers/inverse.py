@@ -14,16 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.controllers.pid_kernel import blend
-from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import DELAY, FILL, VENT
-from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, behind, follow, sensor_settings, shown
-from equimus_ctrl.effects.valves import command_for, shaped_commands, useful_commands, valve_settings
-from equimus_ctrl.models.augmented import augmented_model, law_parameters
-from equimus_ctrl.models.buffered import Buffered
-from equimus_ctrl.models.inverse import inverse_dynamics
+from equimus_ctrl.effects.valves import command_for, shaped_commands, useful_commands
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.robots.elastic.morphology import pack, structure
+from equimus_ctrl.models.solved import solved_for_commands, valves_of
 from equimus_ctrl.types import Array, Reference
 
 SMOOTHING = 1 / 60
@@ -79,21 +74,14 @@ class Inverse:
     """
 
     def __init__(self, model: Model, control_dt: float, start_time: float) -> None:
-        robot, effects = changed_bodies(model.effects, model.morphology), model.effects
-        laws = laws_of(effects)
-        slots = augmented_model(structure(robot), model.phase, laws).slots
-        self._law = inverse_dynamics(structure(robot), model.phase, laws)
-        own = law_parameters(slots, effects, robot.joint_names, robot.actuator_names)
-        self._parameters = np.array([*pack(robot), *own])
-        self._pressure, self._counter = Buffered(self._law.pressure), Buffered(self._law.counter)
-        for call in (self._pressure, self._counter):
-            call.arguments[-1][:] = self._parameters
+        self._law = solved_for_commands(model)
+        robot, effects = model.robot, model.effects
         self._effects, self.actuators = effects, robot.actuator_names
         self._sensor = sensor_settings(effects, robot.joint_names)
-        self._valve = valve_settings(effects, robot.actuator_names)
+        self._valve = valves_of(model)
         self._delays = np.unique(self._valve[:, DELAY])
         self._dt, self._start_time = control_dt, start_time
-        self.low, self.high = useful_commands(effects, robot.actuator_names, robot.command_low, robot.command_high)
+        self.low, self.high = useful_commands(effects, robot.actuator_names, *robot.command_limits)
 
     def start(self, time: float, measured: Array) -> InverseState:
         """A robot that has long been at rest.
@@ -103,7 +91,7 @@ class Inverse:
             measured: (nj,) angles [rad].
         """
         pose = behind(self._sensor, measured)
-        rest = np.array(self._law.rest(pose, self._parameters)).ravel()
+        rest = self._law.rest(pose)
         return InverseState(time, pose, np.tile(rest, (len(self._delays), 1)), pose)
 
     def hold(self, state: InverseState) -> Array:
@@ -170,8 +158,8 @@ class Inverse:
 
     def _holding(self, state: InverseState) -> Array:
         still = np.zeros_like(state.pose)
-        found = self._law.pressure(state.pose, still, still, state.states[0], self._parameters)
-        return np.array(found).ravel()
+        found = self._law.commands(*(x[:, None] for x in (state.pose, still, still, state.states[0])))
+        return np.asarray(found[0])
 
     def commands(self, pressure: Array) -> Array:
         """(n, na) the commands within the useful range that come nearest to pressures [Pa]."""
@@ -196,15 +184,12 @@ class Inverse:
         z = np.empty((len(first), q.shape[1]))
         for k in range(q.shape[1] if len(first) else 0):
             z[:, k] = first
-            first = np.array(self._law.advanced(q[:, k], v[:, k], first, self._parameters, self._dt)).ravel()
+            first = self._law.advanced(q[:, k], v[:, k], first, self._dt)
         return z, first
 
     def counter(self, q: Array, torque: Array) -> Array:
         """(na,) what pressures exert torques (nj,) [N·m] on the joints at a pose (nj,) [rad] by themselves [Pa]."""
-        call = self._counter
-        call.arguments[0][:], call.arguments[1][:] = q, torque
-        call()
-        return np.array(call.results[0])
+        return self._law.counter(q, torque)
 
     def lead(self, rate: Array) -> Array:
         """(n, na) by how much commands to valves that lag lead pressures of these rates (n, na) [Pa/s] [Pa]."""
@@ -212,13 +197,7 @@ class Inverse:
 
     def pressures(self, q: Array, v: Array, a: Array, z: Array) -> Array:
         """(n, na) under which the robot moves so (nj, n), the effects' states being (nz, n) [Pa]."""
-        if q.shape[1] > 1:
-            return np.array(self._law.pressure(q, v, a, z, self._parameters)).T
-        call = self._pressure
-        for argument, values in zip(call.arguments, (q, v, a, z), strict=False):
-            argument[:] = values.ravel()
-        call()
-        return np.array(call.results[0])[None]
+        return self._law.commands(q, v, a, z)
 
     def _shown(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
         """(n, nj) what the sensors show, and (nj,) where those with play are held in the end."""

@@ -2,158 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from equimus_ctrl.controllers import pid_kernel
+from equimus_ctrl.controllers import exact_pid, pid_kernel
+from equimus_ctrl.controllers.exact_pid import ExactPidState
 from equimus_ctrl.controllers.inverse import Inverse, InverseState
+from equimus_ctrl.controllers.pid_settings import PidSettings
+from equimus_ctrl.controllers.placement import placed_gains
 from equimus_ctrl.engines import compiled
-from equimus_ctrl.errors import ConfigError, ControllerError, unknown_name
+from equimus_ctrl.errors import ConfigError, ControllerError, NotAvailable
+from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.robots.elastic.morphology import Morphology
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.morphology import elastic_of
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
-
-FORMAT = "equimus-ctrl/pid/1"
-Space = Literal["length", "joint"]
-
-
-@dataclass(frozen=True)
-class PidGains:
-    """One channel's gains. Efforts are forces [N] on a length [m], or torques [N·m] on an angle [rad].
-
-    Attributes:
-        kp: effort per error.
-        ki: effort per error and second.
-        kd: effort per rate of error.
-    """
-
-    kp: float
-    ki: float = 0.0
-    kd: float = 0.0
-
-    def __post_init__(self) -> None:
-        for key, value in asdict(self).items():
-            if not (math.isfinite(value) and value >= 0):
-                raise ConfigError(f"{key} is {value:g}, expected a finite number of at least 0")
-
-
-@dataclass(frozen=True)
-class PidSettings:
-    """Settings of a PID; the law is in ``controllers.pid_kernel``.
-
-    Attributes:
-        gains: channel name (actuator or joint) → gains.
-        space: ``"length"`` closes a loop round each actuator's length, ``"joint"`` round each joint's angle.
-        derivative_time: time constant of the derivative filter [s].
-        tracking_time: how fast the integrator follows a saturated command (anti-windup) [s].
-        proportional_weight: share of the reference in the proportional term.
-        derivative_weight: share of the reference in the derivative term.
-        start_time: over which the first measured pose fades out of the reference (bumpless start) [s].
-        feedforward: whether pressures are added that follow from the reference alone.
-        inverse: whether these pressures are the inverse of all that is known of the plant: motion, forces, valves
-            and sensors (``controllers.inverse``); else they hold the reference pose at rest.
-    """
-
-    gains: Mapping[str, PidGains]
-    space: Space = "length"
-    derivative_time: float = 0.02
-    tracking_time: float = 0.2
-    proportional_weight: float = 1.0
-    derivative_weight: float = 1.0
-    start_time: float = 0.3
-    feedforward: bool = True
-    inverse: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "gains", dict(self.gains))
-        if self.space not in get_args(Space):
-            raise ConfigError(unknown_name("PID space", str(self.space), get_args(Space)))
-        for key in ("derivative_time", "tracking_time", "proportional_weight", "derivative_weight", "start_time"):
-            value = getattr(self, key)
-            if not (math.isfinite(value) and value >= 0):
-                raise ConfigError(f"{key} is {value:g}, expected a finite number of at least 0")
-        if self.inverse and not self.feedforward:
-            raise ConfigError("inverse is true, which is a way to feed forward, but feedforward is false")
-
-    def channels(self, spec_or_model: PlantSpec | Morphology) -> tuple[str, ...]:
-        """Names of the channels on a robot: its actuators or its joints."""
-        if isinstance(spec_or_model, Morphology):
-            m = spec_or_model
-            return m.actuator_names if self.space == "length" else m.joint_names
-        return spec_or_model.actuators if self.space == "length" else spec_or_model.joints
-
-    def gain_matrix(self, channels: tuple[str, ...]) -> Array:
-        """(7, n_channels) rows k_p, k_i, k_d, T_f, T_t, b, c, as the kernel takes them.
-
-        Raises:
-            ConfigError: where a channel has no gains or gains have no channel.
-        """
-        for name in self.gains:
-            if name not in channels:
-                raise ConfigError(unknown_name(f"{self.space} channel", name, channels, "PID gains"))
-        for name in channels:
-            if name not in self.gains:
-                raise ConfigError(f"PID gains: channel {name!r} has none (given: {', '.join(self.gains) or 'none'})")
-        shared = [self.derivative_time, self.tracking_time, self.proportional_weight, self.derivative_weight]
-        return np.array([[g.kp, g.ki, g.kd, *shared] for g in (self.gains[name] for name in channels)]).T.copy()
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], where: str = "PID settings") -> PidSettings:
-        """Settings from what a TOML file holds.
-
-        Raises:
-            ConfigError: for an unknown or missing key or a value of the wrong kind, in a sentence with ``where``.
-        """
-        names = [f.name for f in fields(cls)]
-        values: dict[str, Any] = {}
-        for key, value in data.items():
-            if key == "format":
-                if value != FORMAT:
-                    raise ConfigError(f"{where}: format is {value!r}, expected {FORMAT!r}")
-                continue
-            if key not in names:
-                raise ConfigError(unknown_name("key", key, names, where))
-            values[key] = value
-            if key in ("space", "gains"):
-                continue
-            switch = key in ("feedforward", "inverse")
-            if isinstance(value, bool) != switch or not isinstance(value, int | float):
-                kind = "true or false" if switch else "a number"
-                raise ConfigError(f"{where}: {key} is {value!r}, expected {kind}")
-        gains = values.get("gains")
-        if not isinstance(gains, Mapping) or not gains:
-            raise ConfigError(f"{where}: there is no [gains.<channel>] table")
-        values["gains"] = {name: _gains(table, f"{where}: gains.{name}") for name, table in gains.items()}
-        try:
-            return cls(**values)
-        except ConfigError as error:
-            raise ConfigError(f"{where}: {error}") from None
-
-    def to_dict(self) -> dict[str, Any]:
-        """What a TOML file of these settings holds."""
-        data = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "gains"}
-        return {"format": FORMAT, **data, "gains": {name: asdict(gains) for name, gains in self.gains.items()}}
-
-
-def _gains(table: Any, where: str) -> PidGains:
-    if not isinstance(table, Mapping):
-        raise ConfigError(f"{where} is {table!r}, expected a table with kp, ki and kd")
-    known = [f.name for f in fields(PidGains)]
-    for key, value in table.items():
-        if key not in known:
-            raise ConfigError(unknown_name("key", key, known, where))
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigError(f"{where}: {key} is {value!r}, expected a number")
-    if "kp" not in table:
-        raise ConfigError(f"{where}: 'kp' is missing")
-    try:
-        return PidGains(**{key: float(value) for key, value in table.items()})
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,32 +57,33 @@ class PidController:
     """PID with filtered derivative, anti-windup, bumpless start and feed-forward.
 
     Attributes:
-        settings: gains and the rest.
+        settings: gains and the rest; None for gains that are placed when it begins, see ``controllers.placement``.
     """
 
-    settings: PidSettings
+    settings: PidSettings | None
 
-    def init(self, spec: PlantSpec, observation: Observation) -> PidState:
+    def init(self, spec: PlantSpec, observation: Observation) -> PidState | ExactPidState:
         """Start so that the first command is the one in force.
 
         Raises:
-            ControllerError: where the plant carries no nominal model, or a joint-space PID has not as many
-                actuators as joints.
+            ControllerError: where the plant carries no nominal model, or one without equations, a joint-space PID has
+                not as many actuators as joints, or no gains that are placed keep the robot where it is.
             ConfigError: where the gains do not match the plant's channels.
         """
-        if not isinstance(spec.model, Morphology):
-            raise ControllerError(
-                "the PID computes lengths and static pressures from a nominal model, and this plant carries none"
-            )
+        if not isinstance(spec.model, Robot):
+            raise ControllerError("the PID computes with a nominal model, and this plant carries none")
+        if self.settings is None or self.settings.decoupled or "lengths" not in spec.model.offers:
+            return self._begin_exactly(spec, observation)
         if self.settings.space == "joint" and len(spec.joints) > len(spec.actuators):
             raise ControllerError(
                 f"a joint-space PID needs at least as many actuators as joints, this plant has {len(spec.actuators)} "
                 f'for {len(spec.joints)}; use space = "length"'
             )
         s = self.settings
-        law = compiled.load(spec.model, spec.phase, pid_kernel)
+        robot = elastic_of(spec.model)
+        law = compiled.load(robot, spec.phase, pid_kernel)
         gains = s.gain_matrix(s.channels(spec))
-        constants = compiled.prepared(spec.model, spec.phase)
+        constants = compiled.prepared(robot, spec.phase)
         memory = np.zeros((3, gains.shape[1]))
         # Writable copies: numba compiles anew for read-only arrays.
         y, low, high = np.array(observation.position), np.array(spec.command_low), np.array(spec.command_high)
@@ -235,11 +101,30 @@ class PidController:
         offset = np.full(len(spec.joints), np.nan)
         return PidState(memory, offset, observation.time, spec, constants, gains, law, low, high, inverse, following)
 
-    def step(self, observation: Observation, reference: Reference, state: PidState) -> tuple[Array, PidState]:
+    def _begin_exactly(self, spec: PlantSpec, observation: Observation) -> ExactPidState:
+        try:
+            dynamics = Dynamics(Model(spec.model, spec.effects, spec.phase))
+        except NotAvailable as error:
+            raise ControllerError(str(error)) from None
+        if self.settings is None:
+            placed = placed_gains(dynamics, spec, np.array(observation.position))
+            return replace(exact_pid.begin(placed.settings, spec, observation, dynamics), note=placed.sentence)
+        if self.settings.space == "length":
+            raise ConfigError(
+                f'PID gains: {spec.model.name} has no elastic actuators, whose lengths they are of; use space = "joint"'
+            )
+        return exact_pid.begin(self.settings, spec, observation, dynamics)
+
+    def step(
+        self, observation: Observation, reference: Reference, state: PidState | ExactPidState
+    ) -> tuple[Array, PidState | ExactPidState]:
         """The next command, within the plant's limits.
 
         What was measured is compared with where the robot was to be then; pressures are fed forward for now.
         """
+        if isinstance(state, ExactPidState):
+            return exact_pid.step(observation, reference, state)
+        assert self.settings is not None  # else it began exactly
         s, spec = self.settings, state.spec
         offset, following, fed = state.offset, state.inverse_state, np.empty(len(spec.actuators))
         now, measured = observation.time, max(observation.stamp, state.begun)

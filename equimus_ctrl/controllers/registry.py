@@ -9,11 +9,12 @@ from typing import Any
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.open_loop import OpenLoopController
-from equimus_ctrl.controllers.pid import PidController, PidSettings
+from equimus_ctrl.controllers.pid import PidController
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.registry import Registry
-from equimus_ctrl.robots.elastic.morphology import Morphology
+from equimus_ctrl.robots.base import Need, Robot
 from equimus_ctrl.types import Array, Controller
 
 
@@ -23,15 +24,17 @@ class ControllerRequest:
 
     Attributes:
         settings: what its settings file holds; None where there is none.
-        commands: time [s] → pressures (na,) [Pa] that the scenario has to play; None where it has none.
-        morphology: of the robot that it will drive; None where that is not known yet.
+        commands: time [s] → commands (na,) that the scenario has to play; None where it has none.
+        robot: that it will drive; None where that is not known yet.
         where: the settings' file, for messages.
+        chosen: whether somebody named that file.
     """
 
     settings: Mapping[str, Any] | None = None
     commands: Callable[[float], Array] | None = None
-    morphology: Morphology | None = None
+    robot: Robot | None = None
     where: str = "controller"
+    chosen: bool = False
 
 
 @dataclass(frozen=True)
@@ -43,12 +46,23 @@ class ControllerEntry:
         make: makes it; raises ConfigError where its settings are missing or do not fit.
         settings: the file name of its settings under ``controllers/``; None where it takes none.
         compared: whether a comparison takes it where nobody says which.
+        needs: what a robot has to offer it, see ``Robot.offers``.
     """
 
     summary: str
     make: Callable[[ControllerRequest], Controller]
     settings: str | None = None
     compared: bool = True
+    needs: frozenset[Need] = frozenset()
+
+    def lacks(self, robot: Robot) -> str:
+        """What a robot does not offer it, as a phrase; empty where it offers all."""
+        missing = sorted(self.needs - robot.offers)
+        if not missing:
+            return ""
+        if missing[0] == "inverse":
+            return f"exact equations of motion, which cannot hold the {robot.obstacles[0]} of {robot.name}"
+        return f"lengths of elastic actuators, which {robot.name} does not have"
 
 
 CONTROLLERS: Registry[ControllerEntry] = Registry("controller", ControllerError)
@@ -65,15 +79,20 @@ def register_controller(name: str, entry: ControllerEntry) -> None:
 
 def _pid(given: ControllerRequest) -> Controller:
     if given.settings is None:
-        raise ConfigError(f"{given.where}: the PID has no settings; tune it with: equimus-ctrl autotune-pid")
+        return PidController(None)
     settings = PidSettings.from_dict(given.settings, given.where)
-    if given.morphology is not None:
+    if given.robot is not None and not settings.fits(given.robot):
+        if not given.chosen:
+            return PidController(None)
         try:
-            settings.gain_matrix(settings.channels(given.morphology))
+            settings.gain_matrix(settings.channels(given.robot))
         except ConfigError as error:
             raise ConfigError(f"{given.where}: {error}") from None
     return PidController(settings)
 
+
+EXACT: frozenset[Need] = frozenset(("inverse",))
+LENGTHS: frozenset[Need] = frozenset(("inverse", "lengths"))
 
 register_controller(
     "open_loop",
@@ -84,7 +103,8 @@ register_controller(
     ),
 )
 register_controller(
-    "pid", ControllerEntry("PID on actuator lengths or joint angles with feed-forward", _pid, "pid.toml")
+    "pid",
+    ControllerEntry("PID on joints or actuator lengths with feed-forward", _pid, "pid.toml", needs=EXACT),
 )
 register_controller(
     "lqr",
@@ -92,6 +112,7 @@ register_controller(
         "LQR along the reference on an observer's state, with integral action",
         lambda given: LqrController(LqrSettings.from_dict(given.settings or {}, given.where)),
         "lqr.toml",
+        needs=LENGTHS,
     ),
 )
 register_controller(
@@ -100,6 +121,7 @@ register_controller(
         "nonlinear model-predictive control on an observer's state",
         lambda given: NmpcController(NmpcSettings.from_dict(given.settings or {}, given.where)),
         "nmpc.toml",
+        needs=LENGTHS,
     ),
 )
 register_controller(
@@ -108,13 +130,15 @@ register_controller(
         "sampling MPC in MuJoCo: predictive sampling, MPPI or CEM",
         lambda given: SamplingController(SamplingSettings.from_dict(given.settings or {}, given.where)),
         "sampling.toml",
+        needs=LENGTHS,
     ),
 )
 
 
-def compared_controllers() -> tuple[str, ...]:
-    """Those that a comparison takes where nobody says which."""
-    return tuple(name for name, entry in CONTROLLERS.items() if entry.compared)
+def compared_controllers(robot: Robot | None = None) -> tuple[str, ...]:
+    """Those that a comparison takes where nobody says which, and that can drive a robot."""
+    found = (name for name, entry in CONTROLLERS.items() if entry.compared)
+    return tuple(name for name in found if robot is None or not CONTROLLERS[name].lacks(robot))
 
 
 def make_controller(
@@ -122,19 +146,25 @@ def make_controller(
     settings: Mapping[str, Any] | None = None,
     commands: Callable[[float], Array] | None = None,
     where: str = "controller",
-    morphology: Morphology | None = None,
+    robot: Robot | None = None,
+    chosen: bool = False,
 ) -> Controller:
     """A controller by name.
 
     Args:
         name: see ``CONTROLLERS``.
         settings: what its settings file holds.
-        commands: time → pressures, for ``open_loop``.
+        commands: time → commands, for ``open_loop``.
         where: the settings' file, for messages.
-        morphology: of the robot that it will drive, where that is known.
+        robot: that it will drive, where that is known.
+        chosen: whether somebody named the settings' file.
 
     Raises:
-        ControllerError: for an unknown name.
+        ControllerError: for an unknown name, or one that cannot drive the robot.
         ConfigError: for settings that are missing or wrong.
     """
-    return CONTROLLERS.entry(name).make(ControllerRequest(settings, commands, morphology, where))
+    entry = CONTROLLERS.entry(name)
+    if robot is not None and (missing := entry.lacks(robot)):
+        able = ", ".join(other for other in CONTROLLERS if not CONTROLLERS[other].lacks(robot)) or "none"
+        raise ControllerError(f"{name} computes with {missing}; those that can drive it: {able}")
+    return entry.make(ControllerRequest(settings, commands, robot, where, chosen))

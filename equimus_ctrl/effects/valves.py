@@ -416,23 +416,23 @@ def command_for(
 
 
 def useful_commands(
-    effects: Sequence[Effect], actuators: Sequence[str], low: float, high: float
+    effects: Sequence[Effect], actuators: Sequence[str], low: Array | float, high: Array | float
 ) -> tuple[Array, Array]:
     """(na,) between what each command makes a difference while the others are at their lowest [Pa].
 
     Args:
         effects: all of one robot; shaping is taken to fall nowhere as the command rises.
         actuators: names of all.
-        low: lowest command [Pa].
-        high: highest command [Pa].
+        low: lowest command [Pa]; one for all, or (na,).
+        high: highest command [Pa]; alike.
     """
     na = len(actuators)
-    least, most = np.full(na, low), np.full(na, high)
-    if not shaping_effects(effects):
+    least, most = np.array(np.broadcast_to(low, na), dtype=float), np.array(np.broadcast_to(high, na), dtype=float)
+    if not shaping_effects(effects) or not np.isfinite([least, most]).all():
         return least, most
 
     def arrives(own: Array) -> Array:
-        commands = np.full((na, na), low)
+        commands = np.tile(np.broadcast_to(low, na).astype(float), (na, 1))
         np.fill_diagonal(commands, own)
         return np.diagonal(shaped_commands(effects, actuators, commands))
 

@@ -321,6 +321,7 @@ class Observer:
         n, m = self.prediction.nx, len(mean)
         x, u, d, h = self._slopes.arguments
         after, by_x, _, by_d = self._slopes.results
+        by_d = by_d.reshape(n, -1)  # flat where there is one joint
         f = np.eye(m)
         for part, span, steps in self._parts(start, until, sent):
             u[:], h[:] = part, span

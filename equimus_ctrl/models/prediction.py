@@ -127,14 +127,14 @@ def _step(form: Structure, phase: Phase, laws: Laws) -> tuple[ca.Function, ca.Fu
     for value in later:
         own = [ca.diag(ca.vertcat(*[ca.jacobian(value[i], y[i]) for i in range(na)])) for y in (pressure, u)]
         follows.append(own[0] @ places[2 * nj : 2 * nj + na, :] + own[1] @ places[nx : nx + na, :])
-    first = (x[:nj], x[nj : 2 * nj], x[2 * nj + na :])
+    first = (x[:nj, 0], x[nj : 2 * nj, 0], x[2 * nj + na :, 0])
     moves = ca.vertcat(places[: 2 * nj, :], places[2 * nj + na : nx, :])  # of (q, v, z), by (x, u, d)
 
     def slope(at: tuple[ca.SX, ...], along: ca.SX, k: int) -> tuple[tuple[ca.SX, ...], ca.SX]:
         """Rates of (q, v, z), and their derivatives by (x, u, d)."""
         found, jacobian = rates(*at, later[k], d, m.p)
         moved = jacobian @ ca.vertcat(along, follows[k], places[nx + na :, :])
-        return (at[1], found[:nj], found[nj:]), ca.vertcat(along[nj : 2 * nj, :], moved)
+        return (at[1], found[:nj, 0], found[nj:, 0]), ca.vertcat(along[nj : 2 * nj, :], moved)
 
     def ahead(by: tuple[tuple[ca.SX, ...], ca.SX], share: float) -> tuple[tuple[ca.SX, ...], ca.SX]:
         step = share * h

@@ -21,7 +21,8 @@ class CompareOptions:
     """How controllers are compared.
 
     Attributes:
-        controllers: names, ``path.py:Name``, controllers, classes or functions; all that are made for it by default.
+        controllers: names, ``path.py:Name``, controllers, classes or functions; all that are made for it, and can drive
+            the robot, by default.
         under: names of ``workflow.comparisons.CONDITIONS``, or conditions; by default the first ones, and with a
             corrected model the last ones too.
         draws: how many perturbed robots.

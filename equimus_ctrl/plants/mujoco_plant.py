@@ -1,31 +1,27 @@
-"""A simulated robot: the MuJoCo model of a morphology behind valves and a sensor."""
+"""A simulated robot: a model in MuJoCo behind valves and a sensor."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from equimus_ctrl.effects.base import require_simulated
-from equimus_ctrl.effects.bodies import PayloadMass, changed_bodies
 from equimus_ctrl.effects.command import advance_pressure
-from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, follow, recall, sensor_settings, shown
-from equimus_ctrl.effects.valves import shaped_commands, valve_settings
+from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, follow, recall
+from equimus_ctrl.effects.sensors import shown as seen_by
+from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.limits import MAX_SPEED
-from equimus_ctrl.engines.mujoco_batch import FAST_SETTINGS
-from equimus_ctrl.engines.mujoco_forces import ForceStepper
-from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
-from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.mjcf import compile_model, place
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.quiet import step_quietly
+from equimus_ctrl.plants.body import body_of
 from equimus_ctrl.plants.events import Event, Load, Push
-from equimus_ctrl.robots.elastic.morphology import Morphology, Phase
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.morphology import Phase
+from equimus_ctrl.robots.reading import shown
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
 
 
@@ -63,51 +59,63 @@ class PlantRates:
         whole_ratio(self.physics, self.sensor, "physics rate over sensor rate")
 
 
-def make_spec(
-    morphology: Morphology, control_dt: float, nominal: Morphology | Model | None, phase: Phase = "swing"
-) -> PlantSpec:
+USUAL_CONTROL = 120.0
+"""Commands a second where a robot's own physics step allows it [Hz]."""
+
+
+def rates_of(robot: Robot) -> PlantRates:
+    """The rates of a robot's plant: physics as its description asks for, commands and measurements near 120 Hz."""
+    if robot.timestep is None:
+        return PlantRates()
+    physics = 1 / robot.timestep
+    control = physics / max(round(physics / USUAL_CONTROL), 1)
+    return PlantRates(control, control, physics)
+
+
+def make_spec(robot: Robot, control_dt: float, nominal: Robot | Model | None, phase: Phase = "swing") -> PlantSpec:
     """What a controller may know of a robot: its names, limits, control period and a nominal model with its effects.
 
     Raises:
         ConfigError: where the nominal model is of a robot with other joints or actuators.
     """
-    known = nominal.morphology if isinstance(nominal, Model) else nominal
-    if known is not None and (known.joint_names, known.actuator_names) != (
-        morphology.joint_names,
-        morphology.actuator_names,
-    ):
+    known = nominal.robot if isinstance(nominal, Model) else nominal
+    if known is not None and (known.joint_names, known.actuator_names) != (robot.joint_names, robot.actuator_names):
         raise ConfigError(
             f"the nominal model {known.name} has joints {', '.join(known.joint_names)} and actuators "
-            f"{', '.join(known.actuator_names)}, but {morphology.name} has {', '.join(morphology.joint_names)} and "
-            f"{', '.join(morphology.actuator_names)}"
+            f"{', '.join(known.actuator_names)}, but {robot.name} has {', '.join(robot.joint_names)} and "
+            f"{', '.join(robot.actuator_names)}"
         )
-    low, high = morphology.joint_range
-    n = len(morphology.actuators)
+    low, high = robot.joint_range
+    least, most = robot.command_limits
     return PlantSpec(
-        joints=morphology.joint_names,
-        actuators=morphology.actuator_names,
-        command_low=frozen_array(np.full(n, morphology.command_low)),
-        command_high=frozen_array(np.full(n, morphology.command_high)),
+        joints=robot.joint_names,
+        actuators=robot.actuator_names,
+        command_low=least,
+        command_high=most,
         control_dt=control_dt,
         joint_low=low,
         joint_high=high,
         model=known,
         phase=phase,
         effects=nominal.effects if isinstance(nominal, Model) else (),
+        joint_units=robot.joint_units,
+        command_units=robot.command_units,
+        command_rate=robot.command_rates,
+        goals=robot.goals,
     )
 
 
 class MujocoPlant:
-    """The leg (or any morphology) in MuJoCo: pressures in, angles out at the sensor's rate.
+    """Any robot in MuJoCo: commands in, positions out at the sensor's rate.
 
-    The equalities of the 3-2-1 elements are held as hard as in ``engines.mujoco_batch`` and integrated by RK4, which
-    keeps the angles within 1e-5 rad of the exact Lagrangian at 480 Hz (about 1e-3 rad while a joint hits a stop).
+    What moves is a ``plants.body.Body``: elastic actuators are 3-2-1 elements, a robot of MuJoCo's XML has all that is
+    in there. Events, valves, sensors and noise are alike for all.
 
     Args:
         model: what is simulated, with its effects and phase.
         nominal: what controllers may compute with; the model itself by default.
-        rates: control, sensor and physics rates.
-        noise: standard deviation of white noise on each angle [rad].
+        rates: control, sensor and physics rates; ``rates_of`` the robot by default.
+        noise: standard deviation of white noise on each position [rad or m].
         events: what befalls the robot, see ``plants.events``.
     """
 
@@ -115,63 +123,51 @@ class MujocoPlant:
         self,
         model: Model,
         *,
-        nominal: Morphology | Model | None = None,
+        nominal: Robot | Model | None = None,
         rates: PlantRates | None = None,
         noise: float = 0.0,
         events: Sequence[Event] = (),
     ) -> None:
-        self.rates = rates or PlantRates()
+        self.rates = rates or rates_of(model.robot)
         if not 0 <= noise < float("inf"):
             raise ConfigError(f"noise is {noise:g} rad, expected 0 or more")
         require_simulated(model.effects, f"{model.name}: the MuJoCo plant")
         self.model = model
         self.noise = noise
-        robot = changed_bodies(model.effects, model.morphology)
         self._dt = 1 / self.rates.physics
         self._steps = whole_ratio(self.rates.physics, self.rates.control, "physics rate over control rate")
         self._sensor_steps = whole_ratio(self.rates.physics, self.rates.sensor, "physics rate over sensor rate")
-        self._kinematics = Kinematics(robot, model.phase)
-        self.mujoco_model = compile_model(robot, model.phase, replace(FAST_SETTINGS, timestep=self._dt))
-        self.mujoco_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
-        self._forces = ForceStepper(model, robot, self.mujoco_model)
-        self.data = mujoco.MjData(self.mujoco_model)
-        joints = [self.mujoco_model.joint(name) for name in model.morphology.joint_names]
-        self._qpos = np.array([joint.qposadr[0] for joint in joints])
-        self._dof = np.array([joint.dofadr[0] for joint in joints])
-        self._valve = valve_settings(model.effects, model.morphology.actuator_names)
-        self._sensor = sensor_settings(model.effects, model.morphology.joint_names)
-        self._spec = make_spec(model.morphology, 1 / self.rates.control, nominal or model, model.phase)
+        self._body = body = body_of(model, self._dt)
+        self.mujoco_model, self.data = body.mujoco_model, body.data
+        self._qpos, self._dof, self._control = body.qpos, body.dof, body.control
+        self._valve, self._sensor = body.valve, body.sensor
+        self._spec = make_spec(model.robot, 1 / self.rates.control, nominal or model, model.phase)
         self._step_count = -1
         self._diverged: str | None = None
         self._events = tuple(events)
-        self._loads = self._loaded(robot)
+        self._loads = self._loaded()
 
-    def _loaded(self, robot: Morphology) -> list[tuple[float, dict[str, Array]]]:
+    def _loaded(self) -> list[tuple[float, Mapping[str, Array]]]:
         """When loads are taken up [s], the last first, and MuJoCo's numbers of the bodies from then on."""
-        found = [(-math.inf, _bodies(self.mujoco_model))]
+        found: list[tuple[float, Mapping[str, Array]]] = [(-math.inf, self._body.numbers())]
         for event in self._events:
-            if isinstance(event, Push) and event.torque.shape != (len(robot.joints),):
+            if isinstance(event, Push) and event.torque.shape != (len(self.spec.joints),):
                 raise ConfigError(
                     f"{self.model.name}: a push has {len(event.torque)} torques, expected one for each of "
-                    f"{', '.join(robot.joint_names)}"
+                    f"{', '.join(self.spec.joints)}"
                 )
-        for load in sorted((e for e in self._events if isinstance(e, Load)), key=lambda e: e.time):
-            robot = changed_bodies((PayloadMass(load.location, load.mass),), robot)
-            compiled = compile_model(robot, self.model.phase, replace(FAST_SETTINGS, timestep=self._dt))
-            found.append((load.time, _bodies(compiled)))
+        loads = sorted((e for e in self._events if isinstance(e, Load)), key=lambda e: e.time)
+        for k, load in enumerate(loads):
+            found.append((load.time, self._body.loaded([(own.location, own.mass) for own in loads[: k + 1]])))
         return found[::-1]
 
-    def _befall(self, time: float) -> None:
-        """What the events do from a time on."""
+    def _befall(self, time: float) -> list[Array]:
+        """Torques on the joints from a time on, loads taken up."""
         numbers = next(values for begins, values in self._loads if begins <= time + EARLY)
         for name, values in numbers.items():
             getattr(self.mujoco_model, name)[:] = values
-        torque = self.data.qfrc_applied
-        if not self._forces.active:
-            torque[:] = 0.0
-        for event in self._events:
-            if isinstance(event, Push) and event.time <= time + EARLY < event.time + event.duration:
-                torque[self._dof] += event.torque
+        pushes = [event for event in self._events if isinstance(event, Push)]
+        return [own.torque for own in pushes if own.time <= time + EARLY < own.time + own.duration]
 
     @property
     def spec(self) -> PlantSpec:
@@ -207,7 +203,7 @@ class MujocoPlant:
         """
         start = start or Start()
         na, nj = len(self.spec.actuators), len(self.spec.joints)
-        command = self.spec.command_low if start.command is None else start.command
+        command = self._body.command_before(start.position) if start.command is None else start.command
         for key, array, size in (
             ("command", command, na),
             ("position", start.position, nj),
@@ -218,17 +214,15 @@ class MujocoPlant:
             if array is not None and key != "command" and not np.all(np.isfinite(array)):
                 raise ConfigError(f"start {key} is {array.tolist()}, expected finite numbers")
         if not (np.all(command >= self.spec.command_low) and np.all(command <= self.spec.command_high)):
+            low, high, units = self.spec.command_low, self.spec.command_high, self.spec.command_units
             raise ConfigError(
-                f"start command {_kpa(command)} kPa lies outside {_kpa(self.spec.command_low)} to "
-                f"{_kpa(self.spec.command_high)} kPa"
+                f"start command {shown(command, units)} lies outside {shown(low, units, False)} to {shown(high, units)}"
             )
         reaches = self._shaped(np.asarray(command))
-        position = rest_pose(self.model, command) if start.position is None else start.position
-        mujoco.mj_resetData(self.mujoco_model, self.data)
+        position = self._body.rest(command) if start.position is None else start.position
         if self._events:
             self._befall(-math.inf)
-        self._place(np.asarray(position), start.velocity)
-        self._forces.reset(np.asarray(position))
+        self._body.place(np.asarray(position), start.velocity, reaches)
         self._diverged = None
         self._rng = np.random.default_rng(seed)
         self._step_count = 0
@@ -283,14 +277,11 @@ class MujocoPlant:
         if self._step_count < 0:
             raise ConfigError(f"{self.model.name}: the plant was stepped before it was reset")
 
-    def _place(self, position: Array, velocity: Array | None) -> None:
-        place(self.mujoco_model, self.data, self._kinematics, position, velocity)
-
     def _physics_step(self) -> None:
         n = self._control_count
         t = self._step_count * self._dt
         for i in range(len(self._cursor)):
-            self._pressure[i], self.data.ctrl[i], _, self._cursor[i] = advance_pressure(
+            self._pressure[i], self.data.ctrl[self._control[i]], _, self._cursor[i] = advance_pressure(
                 self._times[:n],
                 self._commands[:n, i],
                 self._before[i],
@@ -300,11 +291,10 @@ class MujocoPlant:
                 self._pressure[i],
                 self._valve[i],
             )
-        self._forces.apply(self.data)
-        if self._events:
-            self._befall(t)
+        self._body.exert()
+        pushes = self._befall(t) if self._events else []
         slow = self._is_slow()
-        sound = step_quietly(self.mujoco_model, self.data)
+        sound = self._body.advance(pushes)
         self._step_count += 1
         if self._sensor_remembers():
             self._remember()
@@ -313,7 +303,8 @@ class MujocoPlant:
         if not (slow and sound and self._is_slow()):
             self._diverged = (
                 f"{self.model.name}: the simulation diverged at {self._step_count * self._dt:.3f} s under commands of "
-                f"{_kpa(self._commands[n - 1])} kPa; a shorter physics step or gentler gains would be needed"
+                f"{shown(self._commands[n - 1], self.spec.command_units)}; a shorter physics step or gentler gains "
+                "would be needed"
             )
             raise SimulationDiverged(self._diverged)
 
@@ -321,8 +312,10 @@ class MujocoPlant:
         return bool(np.all(np.abs(self.data.qvel[self._dof]) < MAX_SPEED))
 
     def _shaped(self, command: Array) -> Array:
-        names = self.model.morphology.actuator_names
-        return np.array(shaped_commands(self.model.effects, names, command[None, :])[0])
+        robot = self.model.robot
+        return np.array(
+            shaped_commands(self.model.effects, robot.actuator_names, command[None, :], robot.command_ranges)[0]
+        )
 
     def _sensor_remembers(self) -> bool:
         return bool(np.any(self._sensor[:, SENSOR_DELAY] > 0) or np.any(self._sensor[:, PLAY] > 0))
@@ -342,7 +335,7 @@ class MujocoPlant:
         self._stamp = self._step_count * self._dt
         seen = np.array([self._held[j] if row[PLAY] > 0 else self._seen(j) for j, row in enumerate(self._sensor)])
         noise = self._rng.normal(0.0, self.noise, len(self._qpos)) if self.noise > 0 else 0.0
-        self._measured = frozen_array(shown(self._sensor, seen) + noise)
+        self._measured = frozen_array(seen_by(self._sensor, seen) + noise)
 
     def _observation(self, applied: Array) -> Observation:
         clipped = self._clipped.copy()
@@ -356,18 +349,5 @@ class MujocoPlant:
         )
 
 
-BODIES = (
-    "body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_invweight0", "dof_invweight0",
-    "dof_M0", "tendon_invweight0", "actuator_acc0",
-)  # fmt: skip
-"""What MuJoCo works out of the bodies' masses."""
 EARLY = 1e-9
 """Times that differ by less are the same [s]."""
-
-
-def _bodies(model: mujoco.MjModel) -> dict[str, Array]:
-    return {name: np.array(getattr(model, name)) for name in BODIES}
-
-
-def _kpa(pressure: Array) -> str:
-    return "(" + ", ".join(f"{value / 1e3:g}" for value in pressure) + ")"

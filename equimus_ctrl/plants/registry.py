@@ -99,7 +99,7 @@ def _replay(given: PlantRequest) -> Plant:
         raise NotAvailable("the replay plant plays the scenario's recording, and there is none")
     if given.noise:
         raise ConfigError("the replay plant shows what was measured; noise cannot be added to it")
-    return ReplayPlant(given.recording, given.model.morphology)
+    return ReplayPlant(given.recording, given.model.robot)
 
 
 def _hardware(given: PlantRequest) -> Plant:
@@ -110,7 +110,10 @@ def _hardware(given: PlantRequest) -> Plant:
     return HardwarePlant(given.model, given.hardware, armed=given.armed, nominal=given.nominal, record=given.record)
 
 
-register_plant("mujoco", PlantEntry("the model in MuJoCo, its actuators as 3-2-1 elements", _mujoco))
+register_plant(
+    "mujoco",
+    PlantEntry("the model in MuJoCo: 3-2-1 elements, or all that an XML has", _mujoco),
+)
 register_plant(
     "replay",
     PlantEntry(

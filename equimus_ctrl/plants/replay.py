@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.plants.mujoco_plant import make_spec
-from equimus_ctrl.robots.elastic.morphology import Morphology
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Observation, PlantSpec, Recording, Start, frozen_array
 
 
@@ -25,7 +25,7 @@ class ReplayPlant:
         ConfigError: where the recording's joints or actuators are not the model's.
     """
 
-    def __init__(self, recording: Recording, model: Morphology, control_rate: float = 120.0) -> None:
+    def __init__(self, recording: Recording, model: Robot, control_rate: float = 120.0) -> None:
         if (recording.joints, recording.actuators) != (model.joint_names, model.actuator_names):
             raise ConfigError(
                 f"{recording.name}: has joints {', '.join(recording.joints)} and actuators "

@@ -9,6 +9,7 @@ from equimus_ctrl.recordings.checks import LEG, Limits, RecordingWarning
 from equimus_ctrl.recordings.csvfile import read, write
 from equimus_ctrl.recordings.download import Fetched, fetch
 from equimus_ctrl.recordings.locate import fetch_folder, find_recordings, leg_file, missing_hint
+from equimus_ctrl.recordings.paths import read_path
 from equimus_ctrl.recordings.sets import Summary, convert, read_set, summarise
 from equimus_ctrl.recordings.upstream import StaticPoses, read_static_poses
 
@@ -26,6 +27,7 @@ __all__ = [
     "leg_file",
     "missing_hint",
     "read",
+    "read_path",
     "read_set",
     "read_static_poses",
     "summarise",

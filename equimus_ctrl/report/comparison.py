@@ -13,9 +13,15 @@ from rich.table import Table
 from rich.text import Text
 
 from equimus_ctrl.report import style
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.scenarios.comparison import Comparison, Entry
 
 MRAD = 1e3
+SMALL = {"rad": "mrad", "m": "mm"}
+"""SI unit of a joint → a thousandth of it."""
+MOST_COLUMNS = 3
+"""Joints that have a column each; of more the table has the worst."""
 WIDTHS = (3.2, 2.2, 1.2)
 """Of the controllers' lines, so that those drawn later hide none."""
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
@@ -27,16 +33,21 @@ def comparison_table(found: Comparison) -> RenderableType:
     """For a terminal of 80 columns: a table for each scenario, a row for each condition and controller."""
     parts: list[RenderableType] = []
     for name, scenario in found.scenarios.items():
-        joints = found.model.morphology.joint_names
+        robot = found.model.robot
+        joints, units = robot.joint_names, [SMALL[unit] for unit in robot.joint_units]
         table = Table(
             title=Text(f"{name}: {scenario.summary}", style="bold"), box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
             title_justify="left",
         )  # fmt: skip
         table.add_column("condition", no_wrap=True)
         table.add_column("by", no_wrap=True)
-        for joint in joints:
-            table.add_column(f"{joint}, mrad\nRMSE/max", justify="right", no_wrap=True)
-        for head in ("effort\nkPa", "limit\n%", "step, ms\np50/p99", "overrun/\nfallback, %"):
+        if len(joints) <= MOST_COLUMNS:
+            heads = [f"{joint}, {unit}\nRMSE/max" for joint, unit in zip(joints, units, strict=True)]
+        else:
+            heads = [f"worst joint, {' or '.join(dict.fromkeys(units))}\nRMSE/max"]
+        for head in heads:
+            table.add_column(head, justify="right", no_wrap=True)
+        for head in (f"effort\n{_effort_unit(robot)}", "limit\n%", "step, ms\np50/p99", "overrun/\nfallback, %"):
             table.add_column(head, justify="right", no_wrap=True)
         for condition in found.conditions:
             rows = [e for e in found.entries if (e.scenario, e.condition) == (name, condition.name)]
@@ -48,7 +59,7 @@ def comparison_table(found: Comparison) -> RenderableType:
         parts.append(Text(f"{entry.controller}, {entry.scenario}, {entry.condition}: {entry.failure}", style="yellow"))
     parts.append(
         Text(
-            "Errors are of the true angles. Limit: commands at one. Late: steps longer than a control period. "
+            "Errors are of the true positions. Limit: commands at one. Late: steps longer than a control period. "
             "Back: commands that fell back.",
             style="dim",
         )
@@ -57,17 +68,29 @@ def comparison_table(found: Comparison) -> RenderableType:
 
 
 def _cells(entry: Entry) -> list[str]:
-    if entry.score is None or entry.error is None:
+    if entry.score is None or entry.error is None or entry.run is None:
         return ["ended early"]
-    cells = []
-    for rmse, largest in zip(entry.error.rmse, entry.error.largest, strict=True):
-        cells.append(f"{MRAD * rmse:.2f}/{MRAD * largest:.0f}")
+    rmse, largest, spec = MRAD * entry.error.rmse, MRAD * entry.error.largest, entry.run.spec
+    if len(rmse) <= MOST_COLUMNS:
+        cells = [f"{own:.2f}/{most:.0f}" for own, most in zip(rmse, largest, strict=True)]
+    else:
+        j = int(rmse.argmax())
+        cells = [f"{spec.joints[j]} {rmse[j]:.2f}/{largest[j]:.0f}"]
     p50, p99 = entry.score.solve_time
-    effort = float(np.sqrt((entry.score.effort**2).mean())) / 1e3
+    kinds = set(spec.command_units)
+    effort = "–"
+    if len(kinds) == 1:
+        effort = f"{reading(kinds.pop()).factor * float(np.sqrt((entry.score.effort**2).mean())):.1f}"
     return [
-        *cells, f"{effort:.1f}", f"{100 * entry.score.saturated:.0f}", f"{1e3 * p50:.2f}/{1e3 * p99:.2f}",
+        *cells, effort, f"{100 * entry.score.saturated:.0f}", f"{1e3 * p50:.2f}/{1e3 * p99:.2f}",
         f"{100 * entry.missed:.1f}/{100 * entry.fallbacks:.1f}",
     ]  # fmt: skip
+
+
+def _effort_unit(robot: Robot) -> str:
+    """Of commands where all have the same; else they cannot be added."""
+    kinds = set(robot.command_units)
+    return reading(kinds.pop()).unit if len(kinds) == 1 else ""
 
 
 def comparison_figures(found: Comparison) -> dict[str, Figure]:
@@ -85,7 +108,7 @@ def _controllers(found: Comparison) -> list[str]:
 def _errors(found: Comparison) -> Figure:
     """Bars of RMSE on a logarithmic scale: a panel for each joint and scenario, a group for each condition."""
     names, controllers = list(found.scenarios), _controllers(found)
-    joints = found.model.morphology.joint_names
+    joints, units = found.model.robot.joint_names, found.model.robot.joint_units
     conditions = [c.name for c in found.conditions]
     width = max(7.0, 1.6 + 0.26 * len(conditions) * (len(controllers) + 1) * len(joints))
     figure = style.new_figure(width, 1.2 + 2.3 * len(names), "Tracking error")
@@ -103,7 +126,8 @@ def _errors(found: Comparison) -> Figure:
             panel.yaxis.set_major_formatter(PLAIN)
             panel.yaxis.set_minor_locator(NullLocator())
             panel.set_xticks(np.arange(len(conditions)), conditions, rotation=25, ha="right", fontsize=style.SMALL_SIZE)
-            style.dress(panel, title=f"{name}, {joint}", y="RMSE [mrad]" if j == 0 else "")
+            alone = len(set(units)) > 1 or j == 0
+            style.dress(panel, title=f"{name}, {joint}", y=f"RMSE [{SMALL[units[j]]}]" if alone else "")
             panel.grid(False, axis="x")
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False)
@@ -136,15 +160,18 @@ def _times(found: Comparison) -> Figure:
     panel.set_xscale("log")
     panel.xaxis.set_major_formatter(PLAIN)
     style.dress(panel, x="time [ms]", y="share of steps [%]")
-    panel.legend(frameon=False, fontsize=style.SMALL_SIZE, loc="lower right")
+    if period is not None:
+        panel.legend(frameon=False, fontsize=style.SMALL_SIZE, loc="lower right")
     return figure
 
 
 def _motion(found: Comparison, name: str) -> Figure:
     """True angles beside the reference, a row for each joint, a column for each of the first conditions."""
-    joints, controllers = found.model.morphology.joint_names, _controllers(found)
+    joints, controllers = found.model.robot.joint_names, _controllers(found)
+    readings = [reading(unit) for unit in found.model.robot.joint_units]
+    what = "true angles" if set(found.model.robot.joint_units) == {"rad"} else "true positions"
     shown: Sequence[str] = [c.name for c in found.conditions][:SHOWN]
-    figure = style.new_figure(1.2 + 3.6 * len(shown), 1.2 + 2.3 * len(joints), f"{name}: true angles")
+    figure = style.new_figure(1.2 + 3.6 * len(shown), 1.2 + 2.3 * len(joints), f"{name}: {what}")
     axes = figure.subplots(len(joints), len(shown), squeeze=False, sharex=True, sharey="row")
     for k, condition in enumerate(shown):
         drawn = False
@@ -155,21 +182,21 @@ def _motion(found: Comparison, name: str) -> Figure:
             for j in range(len(joints)):
                 panel = axes[j][k]
                 if not drawn:
-                    wanted = np.degrees(run.reference[:, j])
+                    wanted = readings[j].factor * run.reference[:, j]
                     panel.plot(
                         run.time, wanted, color=style.REFERENCE, linewidth=style.REFERENCE_WIDTH,
                         linestyle=style.DASHES, label="reference", zorder=5,
                     )  # fmt: skip
                 assert run.truth is not None
                 panel.plot(
-                    run.time, np.degrees(run.truth[:, j]), color=style.actuator_colour(c),
+                    run.time, readings[j].factor * run.truth[:, j], color=style.actuator_colour(c),
                     linewidth=WIDTHS[min(c, len(WIDTHS) - 1)], label=entry.controller,
                 )  # fmt: skip
             drawn = True
         for j, joint in enumerate(joints):
             style.dress(
                 axes[j][k], title=condition if j == 0 else "", x="time [s]" if j == len(joints) - 1 else "",
-                y=f"{joint} [°]" if k == 0 else "",
+                y=f"{joint} [{readings[j].unit}]" if k == 0 else "",
             )  # fmt: skip
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False)

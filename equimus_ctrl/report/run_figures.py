@@ -1,4 +1,4 @@
-"""Figures of one run: joints over time, the foot's path, commanded pressures."""
+"""Figures of one run: joints over time, the foot's path, commands."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.report import style
 from equimus_ctrl.report.drawing import MM, first_pass, label_parts, skeleton, sketch, well_spaced
+from equimus_ctrl.robots.reading import Reading, reading
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import Score, on_grid
 from equimus_ctrl.types import Array, Run
 
-KPA = 1e-3
 MAX_REST_POSES = 400
 SAME_POSE = 0.01  # [rad]
 WIDTH = 10.0
@@ -70,21 +70,28 @@ class Beside:
 
 
 def save_run_figures(
-    run: Run, scenario: Scenario, score: Score, kinematics: Kinematics, folder: Path, label: str
+    run: Run, scenario: Scenario, score: Score, kinematics: Kinematics | None, folder: Path, label: str
 ) -> list[Path]:
-    """Write ``joints.png``, ``foot_path.png`` and ``pressures.png``.
+    """Write ``joints.png``, ``pressures.png`` or ``commands.png``, and ``foot_path.png`` of a robot with a foot.
 
     Args:
         run: what happened.
         scenario: what was to be done, and the recording to show beside.
         score: of the run.
-        kinematics: of the robot, for the foot and for poses at rest.
+        kinematics: of the robot, for the foot and for poses at rest, where it has such.
         folder: made where it does not exist.
         label: what the figures are headed with.
 
     Raises:
         ConfigError: where the run and the kinematics are not of the same robot.
     """
+    pressures = set(run.spec.command_units) == {"Pa"}
+    commands = commands_figure(run, score, label), folder / ("pressures.png" if pressures else "commands.png")
+    if kinematics is None:
+        own, beside = Wanted(run.reference, True), beside_of(run, scenario)
+        return [
+            style.save(joints_figure(run, score, own, beside, label), folder / "joints.png"), style.save(*commands),
+        ]  # fmt: skip
     m = kinematics.morphology
     if (run.spec.joints, run.spec.actuators) != (m.joint_names, m.actuator_names):
         raise ConfigError(
@@ -95,7 +102,7 @@ def save_run_figures(
     return [
         style.save(joints_figure(run, score, wanted, beside, label), folder / "joints.png"),
         style.save(foot_path_figure(run, kinematics, wanted, beside, label), folder / "foot_path.png"),
-        style.save(pressures_figure(run, score, label), folder / "pressures.png"),
+        style.save(*commands),
     ]
 
 
@@ -142,23 +149,32 @@ def beside_of(run: Run, scenario: Scenario) -> Beside | None:
     return Beside(recorded.time[inside], recorded.position[inside], recorded.name)
 
 
+MOST_ROWS = 4
+"""Joints or actuators beside which there is no second column."""
+
+
 def joints_figure(run: Run, score: Score, wanted: Wanted, beside: Beside | None, label: str) -> Figure:
-    """A panel and a residual strip for each joint, in degrees."""
+    """A panel and a residual strip for each joint, in degrees or mm."""
     nj = len(run.spec.joints)
-    figure = style.new_figure(WIDTH, 1.1 + 2.9 * nj, f"{label}: joint angles")
-    panels = figure.subplots(2 * nj, 1, sharex=True, squeeze=False, height_ratios=[2.6, 1.0] * nj)[:, 0]
+    rows, columns = _grid(nj)
+    what = "joint angles" if set(run.spec.joint_units) == {"rad"} else "joint positions"
+    figure = style.new_figure(WIDTH * (1 + 0.4 * (columns - 1)), 1.1 + 2.9 * rows, f"{label}: {what}")
+    panels = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=[2.6, 1.0] * rows)
     partly = score.window[0] > run.time[0] + 0.05 or score.window[1] < run.time[-1] - 0.05
     for j, joint in enumerate(run.spec.joints):
-        axes, strip = panels[2 * j], panels[2 * j + 1]
-        colour = style.joint_colour(j)
-        style.dress(axes, title=_joint_title(run, score, wanted, beside, j), y=f"{joint} [°]")
-        style.dress(strip, y="error [°]", x="time [s]" if j == nj - 1 else "")
-        _plot_wanted(axes, run.time, wanted, np.degrees(wanted.position[:, j]))
+        row, column = divmod(j, columns)
+        axes, strip, last = panels[2 * row, column], panels[2 * row + 1, column], j + columns >= nj
+        colour, own = style.joint_colour(j), reading(run.spec.joint_units[j])
+        style.dress(axes, title=_joint_title(run, score, wanted, beside, j), y=f"{joint} [{own.unit}]")
+        style.dress(strip, y=f"error [{own.unit}]", x="time [s]" if last else "")
+        strip.tick_params(labelbottom=last)
+        _plot_wanted(axes, run.time, wanted, own.factor * wanted.position[:, j])
         if beside is not None:
             axes.plot(
-                beside.time, np.degrees(beside.position[:, j]), color=style.RECORDED, linewidth=style.RECORDED_WIDTH
+                beside.time, own.factor * beside.position[:, j], color=style.RECORDED, linewidth=style.RECORDED_WIDTH
             )
-        axes.plot(run.time, np.degrees(run.position[:, j]), color=colour, linewidth=style.RUN_WIDTH)
+        axes.plot(run.time, own.factor * run.position[:, j], color=colour, linewidth=style.RUN_WIDTH)
+        _widen(axes, own)
         time, residual = _residual(run, wanted, beside, j)
         strip.axhline(0.0, color=style.FAINT, linewidth=style.THIN_WIDTH)
         strip.plot(time, residual, color=colour, linewidth=1.0)
@@ -169,6 +185,7 @@ def joints_figure(run: Run, score: Score, wanted: Wanted, beside: Beside | None,
             for panel in (axes, strip):
                 panel.axvspan(run.time[0], score.window[0], color=style.SHADE, linewidth=0, zorder=0)
                 panel.axvspan(score.window[1], run.time[-1], color=style.SHADE, linewidth=0, zorder=0)
+    _drop(panels[-2:], rows * columns - nj)
     figure.align_ylabels()
     compared = "recorded" if beside is not None else "reference" if wanted.followed else "resting pose"
     handles = [_many_coloured("this run", nj), *_line_handles(wanted, beside)]
@@ -180,14 +197,38 @@ def joints_figure(run: Run, score: Score, wanted: Wanted, beside: Beside | None,
     return figure
 
 
+def _grid(count: int) -> tuple[int, int]:
+    """Rows and columns of so many panels, filled row by row."""
+    columns = 1 if count <= MOST_ROWS else 2
+    return -(-count // columns), columns
+
+
+def _drop(last: Any, count: int) -> None:
+    """Take away so many panels at the end of the last rows, which nothing is drawn in."""
+    for row in last:
+        for axes in row[len(row) - count :]:
+            axes.remove()
+
+
+LEAST_SPAN = 1.0
+"""Of an axis of positions, so that a joint that stands still is drawn so [° or mm]."""
+
+
+def _widen(axes: Axes, own: Reading) -> None:
+    low, high = axes.get_ylim()
+    if own.factor != 1.0 and high - low < LEAST_SPAN:
+        middle = (low + high) / 2
+        axes.set_ylim(middle - LEAST_SPAN / 2, middle + LEAST_SPAN / 2)
+
+
 def _joint_title(run: Run, score: Score, wanted: Wanted, beside: Beside | None, j: int) -> str:
-    parts = []
+    parts, unit = [], run.spec.joint_units[j]
     if beside is not None and score.recorded is not None:
-        parts.append(f"{_angle(score.recorded.rmse[j])} from the recording")
+        parts.append(f"{_text(score.recorded.rmse[j], unit)} from the recording")
     if wanted.followed:
-        parts.append(f"{_angle(score.tracking.rmse[j])} from the reference")
+        parts.append(f"{_text(score.tracking.rmse[j], unit)} from the reference")
     elif not parts:
-        parts.append(f"{_angle(_rest_rmse(run, score, wanted, j))} from the resting pose")
+        parts.append(f"{_text(_rest_rmse(run, score, wanted, j), unit)} from the resting pose")
     return f"{run.spec.joints[j]}   RMSE " + ", ".join(parts)
 
 
@@ -198,16 +239,17 @@ def _rest_rmse(run: Run, score: Score, wanted: Wanted, j: int) -> float:
     return float(np.sqrt(((run.position - wanted.position)[inside, j] ** 2).mean()))
 
 
-def _angle(value: float) -> str:
-    return f"{np.degrees(value):.2f}° ({value:.4f} rad)"
+def _text(value: float, unit: str) -> str:
+    return f"{reading(unit).text(value, '.2f')} ({value:.4f} {unit})"
 
 
 def _residual(run: Run, wanted: Wanted, beside: Beside | None, j: int) -> tuple[Array, Array]:
+    factor = reading(run.spec.joint_units[j]).factor
     if beside is None:
-        return run.time, np.degrees(run.position[:, j] - wanted.position[:, j])
+        return run.time, factor * (run.position[:, j] - wanted.position[:, j])
     inside = (run.time >= beside.time[0]) & (run.time <= beside.time[-1])
     time = run.time[inside]
-    return time, np.degrees(run.position[inside, j] - np.interp(time, beside.time, beside.position[:, j]))
+    return time, factor * (run.position[inside, j] - np.interp(time, beside.time, beside.position[:, j]))
 
 
 def _even_limits(axes: Axes, values: Array) -> None:
@@ -298,32 +340,45 @@ def _equal(axes: Axes, points: Array) -> None:
     axes.set_aspect("equal", adjustable="box")
 
 
-def pressures_figure(run: Run, score: Score, label: str) -> Figure:
-    """A panel of commanded pressure for each actuator, in kPa, with its limits and where they cut a command off."""
-    na = len(run.spec.actuators)
-    figure = style.new_figure(WIDTH, 1.1 + 1.9 * na, f"{label}: commanded pressures")
-    panels = figure.subplots(na, 1, sharex=True, squeeze=False)[:, 0]
-    for i, (axes, name) in enumerate(zip(panels, run.spec.actuators, strict=True)):
-        low, high = run.spec.command_low[i] * KPA, run.spec.command_high[i] * KPA
-        command, asked, clipped = run.command[:, i] * KPA, run.asked[:, i] * KPA, run.clipped[:, i]
-        title = f"{name}   {score.effort[i] * KPA:.1f} kPa RMS"
+def commands_figure(run: Run, score: Score, label: str) -> Figure:
+    """A panel of each actuator's command, with its limits where they are near and where they cut a command off."""
+    spec, na = run.spec, len(run.spec.actuators)
+    rows, columns = _grid(na)
+    pressures = set(spec.command_units) == {"Pa"}
+    title = f"{label}: commanded pressures" if pressures else f"{label}: commands"
+    figure = style.new_figure(WIDTH * (1 + 0.4 * (columns - 1)), 1.1 + 1.9 * rows, title)
+    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for i, name in enumerate(spec.actuators):
+        axes, own = panels[divmod(i, columns)], reading(spec.command_units[i])
+        low, high = spec.command_low[i] * own.factor, spec.command_high[i] * own.factor
+        command, asked, clipped = run.command[:, i] * own.factor, run.asked[:, i] * own.factor, run.clipped[:, i]
+        title = f"{name}   {own.text(score.effort[i], '.1f' if pressures else '.3g')} RMS"
         if clipped.any():
             title += f", {100 * clipped.mean():.1f} % of commands clipped"
-        style.dress(axes, title=title, y=f"{name} [kPa]", x="time [s]" if i == na - 1 else "")
-        axes.set_xlim(run.time[0], run.time[-1] + run.spec.control_dt)
-        bottom, top = _pressure_limits(axes, command, low, high)
+        last = i + columns >= na
+        style.dress(axes, title=title, y=f"{name} [{own.unit}]" if own.unit else name, x="time [s]" if last else "")
+        axes.tick_params(labelbottom=last)
+        axes.set_xlim(run.time[0], run.time[-1] + spec.control_dt)
+        bottom, top = _command_limits(axes, command, low, high, own)
         for edge, beyond in ((low, bottom), (high, top)):
-            axes.axhspan(edge, beyond, color=style.SHADE, linewidth=0, zorder=0)
-            axes.axhline(edge, color=style.FAINT, linewidth=style.THIN_WIDTH)
+            if np.isfinite(edge):
+                axes.axhspan(edge, beyond, color=style.SHADE, linewidth=0, zorder=0)
+                axes.axhline(edge, color=style.FAINT, linewidth=style.THIN_WIDTH)
+        axes.set_ylim(*axes.get_ylim())
         axes.step(run.time, command, where="post", color=style.actuator_colour(i), linewidth=style.RUN_WIDTH)
         for edge, beyond, cut in ((low, bottom, asked < low), (high, top, asked > high)):
             bars = _bars(run, clipped & cut)
-            axes.broken_barh(bars, (min(edge, beyond), abs(beyond - edge)), facecolor=style.ALERT, linewidth=0)
+            if bars:
+                axes.broken_barh(bars, (min(edge, beyond), abs(beyond - edge)), facecolor=style.ALERT, linewidth=0)
+    _drop(panels[-1:], rows * columns - na)
     figure.align_ylabels()
-    handles: list[Artist] = [Patch(facecolor=style.SHADE, edgecolor=style.FAINT, label="beyond the limits")]
+    handles: list[Artist] = []
+    if np.isfinite([*spec.command_low, *spec.command_high]).any():
+        handles.append(Patch(facecolor=style.SHADE, edgecolor=style.FAINT, label="beyond the limits"))
     if run.clipped.any():
         handles.append(Patch(facecolor=style.ALERT, label="clipped: more was asked for than the limit allows"))
-    style.legend_below(figure, handles)
+    if handles:
+        style.legend_below(figure, handles)
     return figure
 
 
@@ -335,23 +390,30 @@ def _bars(run: Run, where: NDArray[np.bool_]) -> list[tuple[float, float]]:
     return [(float(a), max(float(b - a), least)) for a, b in zip(begins, ends, strict=True)]
 
 
-def _pressure_limits(axes: Axes, command: Array, low: float, high: float) -> tuple[float, float]:
-    """Show the whole range where the commands use half of it, else cut it above them and say where the limit is."""
+def _command_limits(axes: Axes, command: Array, low: float, high: float, own: Reading) -> tuple[float, float]:
+    """Show the whole range where the commands use half of it, else what they use, and say where the limits are."""
+    least, most = float(command.min()), float(command.max())
     span = high - low
-    bottom, top = low - 0.06 * span, high + 0.06 * span
-    highest = float(command.max())
-    if highest < low + 0.5 * span:
-        reach = max(highest - low, 0.02 * span)
+    if np.isfinite(low) and most < low + 0.5 * span and least >= low and low >= 0:
+        reach = max(most - low, 0.02 * span if np.isfinite(span) else 1e-3)
         bottom, top = low - 0.08 * reach, low + 1.25 * reach
-        axes.annotate(
-            f"limit {high:g} kPa ↑",
-            (1.0, 1.0),
-            xycoords="axes fraction",
-            xytext=(0, 4),
-            textcoords="offset points",
-            ha="right",
-            fontsize=style.SMALL_SIZE,
-            color=style.FAINT,
-        )
+        if np.isfinite(high):
+            _say_limit(axes, f"limit {high:g} {own.unit} ↑")
+        axes.set_ylim(bottom, top)
+        return bottom, max(top, high)
+    if np.isfinite(span) and (most - least >= 0.5 * span or low >= 0):
+        axes.set_ylim(low - 0.06 * span, high + 0.06 * span)
+        return low - 0.06 * span, high + 0.06 * span
+    reach = max(most - least, 1e-3 * max(abs(most), abs(least)), 1e-6)
+    bottom, top = least - 0.2 * reach, most + 0.2 * reach
+    if bottom > low > -np.inf or top < high < np.inf:
+        _say_limit(axes, f"limits {low:g} to {high:g} {own.unit}".rstrip())
     axes.set_ylim(bottom, top)
-    return bottom, max(top, high)
+    return min(bottom, low), max(top, high)
+
+
+def _say_limit(axes: Axes, text: str) -> None:
+    axes.annotate(
+        text, (1.0, 1.0), xycoords="axes fraction", xytext=(0, 4), textcoords="offset points", ha="right",
+        fontsize=style.SMALL_SIZE, color=style.FAINT,
+    )  # fmt: skip

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from equimus_ctrl.robots.reading import by_unit, reading
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.scenarios.scoring import ErrorFigures, Score
-from equimus_ctrl.types import Array, Run
+from equimus_ctrl.scenarios.scoring import ErrorFigures, Score, StepFigures
+from equimus_ctrl.types import Array, PlantSpec, Run
 
 
 def score_to_dict(score: Score, run: Run, scenario: Scenario, controller_label: str) -> dict[str, Any]:
@@ -26,24 +27,26 @@ def score_to_dict(score: Score, run: Run, scenario: Scenario, controller_label: 
         scenario: what was done.
         controller_label: name of the controller; published figures are carried only where they are of the same one.
     """
-    joints = run.spec.joints
+    spec = run.spec
     recorded = published = None
     if score.recorded is not None and scenario.recorded is not None:
-        recorded = {**_figures(joints, score.recorded), "name": scenario.recorded.name}
+        recorded = {**_figures(spec, score.recorded), "name": scenario.recorded.name}
     if (figures := _published(scenario, controller_label)) is not None:
         published = {
-            "rmse_rad": {str(joint): float(value) for joint, value in figures.items()},
+            **by_unit("rmse", list(figures), ["rad"] * len(figures), list(figures.values())),
             "controller": scenario.published_controller,
         }
     return {
         "scenario": scenario.name,
         "controller": controller_label,
-        **_figures(joints, score.tracking),
+        **_figures(spec, score.tracking),
+        "approach": None if score.approach is None else _figures(spec, score.approach),
+        "step": None if score.step is None else _step_figures(spec, score.step),
         "recorded": recorded,
         "published": published,
         "window_s": [float(edge) for edge in score.window],
         "saturated_share": float(score.saturated),
-        "effort_pa": _named(run.spec.actuators, score.effort),
+        **by_unit("effort", spec.actuators, spec.command_units, score.effort),
         "solve_time_s": {"p50": float(score.solve_time[0]), "p99": float(score.solve_time[1])},
         "missing": scenario.missing,
     }
@@ -63,9 +66,11 @@ def run_table(score: Score, run: Run, scenario: Scenario, controller_label: str)
     )
     table.add_column("joint", overflow="fold")
     table.add_column("against", no_wrap=True)
+    units = run.spec.joint_units
+    alike = set(units) == {"rad"}
     for quantity in ("RMSE", "MAE", "max"):
-        table.add_column(f"{quantity}\nrad", justify="right", no_wrap=True)
-        table.add_column("\ndeg", justify="right", no_wrap=True)
+        table.add_column(f"{quantity}\n{'rad' if alike else 'rad, m'}", justify="right", no_wrap=True)
+        table.add_column("\n" + ("deg" if alike else "°, mm"), justify="right", no_wrap=True)
     if published is not None:
         table.add_column("published\nrad", justify="right", no_wrap=True)
     # Published figures are against a recording, so they keep its row even where there is none to compare with.
@@ -79,11 +84,14 @@ def run_table(score: Score, run: Run, scenario: Scenario, controller_label: str)
                 cells += ["–"] * 6
             else:
                 for values in (figures.rmse, figures.mae, figures.largest):
-                    cells += [f"{values[j]:.4f}", f"{np.degrees(values[j]):.2f}"]
+                    cells += [f"{values[j]:.4f}", f"{values[j] * reading(units[j]).factor:.2f}"]
             if published is not None:
                 cells.append(f"{published[joint]:.4f}" if k == 0 and joint in published else "")
-            table.add_row(*map(Text, cells), end_section=k == len(compared) - 1)
-    parts: list[RenderableType] = [table, Padding(_facts(score, run), (0, 0, 0, 1))]
+            table.add_row(*map(Text, cells), end_section=k == len(compared) - 1 > 0)
+    parts: list[RenderableType] = [table]
+    if score.step is not None:
+        parts.append(_step_table(score.step, run.spec))
+    parts.append(Padding(_facts(score, run), (0, 0, 0, 1)))
     if scenario.missing is not None:
         parts.append(Padding(Text(scenario.missing, style="yellow"), (1, 0, 0, 1)))
     return Group(*parts)
@@ -91,11 +99,14 @@ def run_table(score: Score, run: Run, scenario: Scenario, controller_label: str)
 
 def _facts(score: Score, run: Run) -> Table:
     facts = Table.grid(padding=(0, 2))
-    effort = ", ".join(f"{a} {e / 1e3:.2f} kPa" for a, e in zip(run.spec.actuators, score.effort, strict=True))
+    spec, units = run.spec, run.spec.joint_units
+    effort = _each(spec.actuators, spec.command_units, score.effort)
     low, high = score.window
     p50, p99 = score.solve_time
+    approach = () if score.approach is None else (("before, RMSE", _each(spec.joints, units, score.approach.rmse)),)
     for key, value in (
         ("scored", f"{low:g} to {high:g} s"),
+        *approach,
         ("commands at a limit", f"{100 * score.saturated:.1f} %"),
         ("effort, RMS", effort),
         ("controller step", f"{_duration(p50)} (median), {_duration(p99)} (99th percentile)"),
@@ -114,13 +125,39 @@ def _published(scenario: Scenario, controller_label: str) -> Mapping[str, float]
     return scenario.published
 
 
-def _figures(joints: Iterable[str], figures: ErrorFigures) -> dict[str, Any]:
+def _figures(spec: PlantSpec, figures: ErrorFigures) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for what, values in (("rmse", figures.rmse), ("mae", figures.mae), ("max", figures.largest)):
+        found |= by_unit(what, spec.joints, spec.joint_units, values)
+    return found
+
+
+def _step_figures(spec: PlantSpec, step: StepFigures) -> dict[str, Any]:
+    def table(values: Array) -> dict[str, float | None]:
+        return {name: None if math.isnan(v) else v for name, v in zip(spec.joints, values.tolist(), strict=True)}
+
     return {
-        "rmse_rad": _named(joints, figures.rmse),
-        "mae_rad": _named(joints, figures.mae),
-        "max_rad": _named(joints, figures.largest),
+        **by_unit("size", spec.joints, spec.joint_units, step.size),
+        **by_unit("offset", spec.joints, spec.joint_units, step.offset),
+        "rise_s": table(step.rise),
+        "settling_s": table(step.settling),
+        "overshoot_share": table(step.overshoot),
     }
 
 
-def _named(names: Iterable[str], values: Array) -> dict[str, float]:
-    return {name: float(value) for name, value in zip(names, values, strict=True)}
+def _step_table(step: StepFigures, spec: PlantSpec) -> Table:
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("joint", overflow="fold")
+    for head in ("step", "rise, s", "overshoot, %", "settled, s", "left at the end"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for j, joint in enumerate(spec.joints):
+        text = reading(spec.joint_units[j]).text
+        numbers = [(step.rise[j], ".3f"), (100 * step.overshoot[j], ".1f"), (step.settling[j], ".3f")]
+        shown = ["–" if math.isnan(value) else f"{value:{digits}}" for value, digits in numbers]
+        table.add_row(*map(Text, (joint, text(step.size[j], ".1f"), *shown, text(step.offset[j], ".3f"))))
+    return table
+
+
+def _each(names: Iterable[str], units: Iterable[str], values: Array) -> str:
+    found = zip(names, units, values.tolist(), strict=True)
+    return ", ".join(f"{name} {reading(unit).text(value, '.2f')}" for name, unit, value in found)

@@ -10,10 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from equimus_ctrl.controllers.pid import PidSettings
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.report import style
+from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.tuning.autotune import TuningResult, unseen_problem
 from equimus_ctrl.tuning.objective import Evaluation, Problem
+from equimus_ctrl.tuning.plant_tuning import PlantTuning
 
 STAGES = {
     "start": ("start", style.INK),
@@ -26,8 +28,11 @@ MOST_LEGS = 20
 LINES: tuple[tuple[float, Sequence[float]], ...] = ((0, ()), (0, (1, 1)), (0, (4, 1, 1, 1)))
 
 
-def save_tuning_figures(result: TuningResult, folder: Path) -> list[Path]:
-    """Write convergence.png, response.png and robustness.png."""
+def save_tuning_figures(result: TuningResult | PlantTuning, folder: Path) -> list[Path]:
+    """Write convergence.png, response.png and, of a leg, robustness.png."""
+    if isinstance(result, PlantTuning):
+        own = {"convergence": convergence_figure(result), "response": plant_response_figure(result)}
+        return [style.save(figure, folder / f"{name}.png") for name, figure in own.items()]
     figures = {
         "convergence": convergence_figure(result),
         "response": response_figure(result),
@@ -36,7 +41,7 @@ def save_tuning_figures(result: TuningResult, folder: Path) -> list[Path]:
     return [style.save(figure, folder / f"{name}.png") for name, figure in figures.items()]
 
 
-def convergence_figure(result: TuningResult) -> Figure:
+def convergence_figure(result: TuningResult | PlantTuning) -> Figure:
     """Cost of every candidate, in the order they were tried, and the best so far."""
     figure = style.new_figure(9.0, 4.6, "Convergence")
     axes = figure.add_subplot()
@@ -74,13 +79,43 @@ def convergence_figure(result: TuningResult) -> Figure:
     handles.append(Line2D([], [], color=style.INK, linewidth=1.6, label="best so far"))
     axes.set_ylim(low - 0.06 * (high - low), top + 0.05 * (high - low))
     before, after = result.start_evaluation.cost, result.best.evaluation.cost
-    legs = len(result.problem.members)
+    robots = len(result.problem.members)
     style.dress(
         axes,
-        title=f"cost {before:.3f} before, {after:.3f} after {len(trials)} sets of gains on {legs} legs",
+        title=f"cost {before:.3f} before, {after:.3f} after {len(trials)} sets of gains on {robots} robots",
         x="set of gains, in the order tried",
         y="cost",
     )
+    style.legend_below(figure, handles)
+    return figure
+
+
+def plant_response_figure(result: PlantTuning) -> Figure:
+    """Errors of the true positions with the first and with the tuned gains, on every robot of the ensemble."""
+    problem = result.problem
+    robot = problem.model.robot
+    shown = [j for j, acts in enumerate(problem.driven) if acts]
+    width = 5.0 * len(problem.tasks) + 1.0
+    figure = style.new_figure(width, 1.7 * len(shown) + 1.4, "Errors before and after")
+    grid = figure.subplots(len(shown), len(problem.tasks), squeeze=False, sharex="col")
+    for k, task in enumerate(problem.tasks):
+        for settings, colour in ((result.start, BEFORE), (result.settings, AFTER)):
+            for member in range(len(problem.members)):
+                run = problem.driven_by(settings, member, k)
+                assert run.truth is not None  # a simulated plant knows it
+                for row, j in enumerate(shown):
+                    own = reading(robot.joint_units[j])
+                    error = own.factor * (run.truth[:, j] - run.reference[:, j])
+                    grid[row, k].plot(run.time, error, color=colour, linewidth=1.6 if member == 0 else 0.7, alpha=0.9)
+        for row, j in enumerate(shown):
+            unit, last = reading(robot.joint_units[j]).unit, row == len(shown) - 1
+            title = f"{task.name}: {robot.joint_names[j]}"
+            style.dress(grid[row, k], title=title, y=f"error [{unit}]", x="time [s]" if last else "")
+    handles = [
+        Line2D([], [], color=BEFORE, label="first gains"),
+        Line2D([], [], color=AFTER, label="tuned"),
+        Line2D([], [], color=style.INK, linewidth=0.7, label="on the other robots of the ensemble"),
+    ]
     style.legend_below(figure, handles)
     return figure
 

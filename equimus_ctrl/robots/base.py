@@ -6,14 +6,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 
 from equimus_ctrl.effects import base as effects_base
 from equimus_ctrl.effects.base import Effect, Robots
 from equimus_ctrl.robots.mechanics import Mechanics
-from equimus_ctrl.types import Array
+from equimus_ctrl.types import Array, frozen_array
+
+Need = Literal["lengths", "inverse"]
+"""What a controller may compute with: lengths of actuators and the statics of pressures along them, or the exact
+equations of motion solved for forces (``models.dynamics``)."""
 
 
 class _Named(Protocol):
@@ -56,6 +60,8 @@ class RobotTraits:
             itself.
         least_motion: a joint that stays within this does not move [rad or m].
         most_angle: angles beyond this are degrees, not radians [rad].
+        usual_lag: time constant of what usually stands between a command and its force, where nobody knows it [s].
+        usual_delay: dead time of the same [s].
     """
 
     catalogue: Robots
@@ -73,6 +79,8 @@ class RobotTraits:
     least_command: float
     least_motion: float
     most_angle: float
+    usual_lag: float
+    usual_delay: float
 
     @property
     def has_elastic_actuators(self) -> bool:
@@ -237,6 +245,10 @@ class Robot(ABC):
         """The base parameters: inertial ones that inverse dynamics identify; none where a robot has no such list."""
         return []
 
+    @abstractmethod
+    def varying(self) -> list[tuple[str, tuple[str, ...]]]:
+        """What differs between robots built alike: kinds such as ``mass``, and parameters that vary together."""
+
     # Units.
 
     def slides(self, joint: str) -> bool:
@@ -264,6 +276,66 @@ class Robot(ABC):
     @abstractmethod
     def length_unit(self, actuator: str) -> str:
         """Of the coordinate along which an actuator acts; its rate is that over s."""
+
+    # What plants and controllers ask.
+
+    @property
+    def fingerprint(self) -> str:
+        """Of all that it is beside ``to_dict``, such as the text of its file."""
+        return ""
+
+    @cached_property
+    def joint_units(self) -> tuple[str, ...]:
+        """SI units of the joints' positions."""
+        return tuple("m" if self.slides(joint) else "rad" for joint in self.joint_names)
+
+    @cached_property
+    def command_units(self) -> tuple[str, ...]:
+        """SI units of the actuators' commands; ``1`` where they have none."""
+        return tuple(self.command_unit(actuator) for actuator in self.actuator_names)
+
+    @property
+    @abstractmethod
+    def command_limits(self) -> tuple[Array, Array]:
+        """(low, high), each (na,): between what commands make a difference, ±inf where nothing limits them."""
+
+    @property
+    def command_rates(self) -> Array:
+        """(na,) how fast what a command asks for can change by the description itself, +inf where nothing says so."""
+        return frozen_array(np.full(len(self.actuator_names), np.inf))
+
+    @property
+    def goals(self) -> tuple[bool, ...]:
+        """Of each actuator whether its command is a goal for where something is."""
+        return (False,) * len(self.actuator_names)
+
+    @property
+    def keyframes(self) -> Mapping[str, Array]:
+        """Name → (nj,) pose [rad or m] that its description names."""
+        return {}
+
+    @property
+    def home(self) -> Array | None:
+        """(nj,) the pose in which its description has it, within its ranges [rad or m]; the first keyframe if any.
+
+        None where it names none: then springs decide.
+        """
+        return next(iter(self.keyframes.values()), None)
+
+    @property
+    def timestep(self) -> float | None:
+        """The physics step that its description asks for [s]; None where it asks for none."""
+        return None
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """What compiled equations of motion cannot hold of it, a phrase each; contacts are another matter."""
+        return ()
+
+    @property
+    @abstractmethod
+    def offers(self) -> frozenset[Need]:
+        """What a controller of it can compute with."""
 
     # What effects and recordings ask.
 

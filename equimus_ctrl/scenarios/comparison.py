@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.reading import by_unit
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import ErrorFigures, Score
 from equimus_ctrl.types import Array, Run
@@ -66,15 +67,15 @@ class Entry:
             return {**named, "failure": self.failure}
         spec, score = self.run.spec, self.score
 
-        def table(names: Sequence[str], values: Array) -> dict[str, float]:
-            return {name: float(value) for name, value in zip(names, values, strict=True)}
+        def table(what: str, values: Array) -> dict[str, dict[str, float]]:
+            return by_unit(what, spec.joints, spec.joint_units, values)
 
         return {
             **named,
-            "rmse_rad": table(spec.joints, self.error.rmse),
-            "max_abs_rad": table(spec.joints, self.error.largest),
-            "measured_rmse_rad": table(spec.joints, score.tracking.rmse),
-            "effort_pa": table(spec.actuators, score.effort),
+            **table("rmse", self.error.rmse),
+            **table("max_abs", self.error.largest),
+            **table("measured_rmse", score.tracking.rmse),
+            **by_unit("effort", spec.actuators, spec.command_units, score.effort),
             "saturated_share": score.saturated,
             "solve_time_s": {"p50": score.solve_time[0], "p99": score.solve_time[1]},
             "deadline_missed_share": self.missed,

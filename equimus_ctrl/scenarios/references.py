@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -169,3 +170,19 @@ def foot_path(
     repeats = int(np.ceil(duration / period)) + 1
     values = np.concatenate([one] * repeats)
     return SampledReference(np.arange(len(values)) * leg_time / per_leg, values)
+
+
+def joint_path(corners: ArrayLike, leg_time: float, rate: float = 120.0) -> tuple[Array, Array]:
+    """Times (n,) [s] and positions (n, nj) of a path through poses, from rest to rest with the least jerk.
+
+    Args:
+        corners: (m, nj) poses [rad or m].
+        leg_time: from each to the next [s].
+        rate: samples a second.
+    """
+    poses = np.asarray(corners, dtype=np.float64)
+    per_leg = max(round(rate * leg_time), 2)
+    shares = minimum_jerk(np.arange(1, per_leg + 1) / per_leg)[:, None]
+    legs = [a + shares * (b - a) for a, b in pairwise(poses)]
+    values = np.vstack([poses[:1], *legs])
+    return np.arange(len(values)) * leg_time / per_leg, values

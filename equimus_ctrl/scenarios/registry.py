@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from equimus_ctrl.registry import Registry
-from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario, option_defaults
+from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext, build_scenario, option_defaults, takes_joints
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,9 @@ class ScenarioEntry:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Name → default of each option."""
-        return option_defaults(self.build)
+        """Name → default of each option; ``JOINT`` where each joint of the robot is one."""
+        joints = {"JOINT": "as in the keyframe"} if takes_joints(self.build) else {}
+        return {**option_defaults(self.build), **joints}
 
     def scenario(self, context: ScenarioContext, options: Mapping[str, str] | None = None) -> Scenario:
         """The scenario with options given as text, see ``build_scenario``."""

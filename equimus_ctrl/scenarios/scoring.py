@@ -16,9 +16,9 @@ class ErrorFigures:
     """Root mean square, mean absolute and largest error of each joint.
 
     Attributes:
-        rmse: (nj,) [rad].
-        mae: (nj,) [rad].
-        largest: (nj,) [rad].
+        rmse: (nj,) [rad or m].
+        mae: (nj,) [rad or m].
+        largest: (nj,) [rad or m].
     """
 
     rmse: Array
@@ -27,8 +27,59 @@ class ErrorFigures:
 
     @classmethod
     def of(cls, error: Array) -> ErrorFigures:
-        """Figures of (n, nj) errors [rad]."""
+        """Figures of (n, nj) errors [rad or m]."""
         return cls(np.sqrt((error**2).mean(axis=0)), np.abs(error).mean(axis=0), np.abs(error).max(axis=0))
+
+
+SMALLEST_STEP = 1e-2
+"""Step of a reference of which more is told than what is left of it [rad or m]."""
+SETTLED = 0.02
+"""Share of a step within which a joint has settled (Åström & Murray, *Feedback Systems*, chapter 6)."""
+LAST = 0.1
+"""Share of the time after a step, its last, over which what is left is averaged."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepFigures:
+    """How joints answer a step of the reference; nan where one does not step, or does not get there.
+
+    Attributes:
+        size: (nj,) from where each was to where it is to be [rad or m].
+        rise: (nj,) time from a tenth of the step to nine tenths [s].
+        overshoot: (nj,) beyond the step, as a share of it.
+        settling: (nj,) time after which it stays within ``SETTLED`` of the step [s].
+        offset: (nj,) mean of what is left at the end, position less reference [rad or m].
+    """
+
+    size: Array
+    rise: Array
+    overshoot: Array
+    settling: Array
+    offset: Array
+
+    @classmethod
+    def of(cls, time: Array, position: Array, first: Array, target: Array) -> StepFigures:
+        """Of a joint's answer.
+
+        Args:
+            time: (n,) since the step [s].
+            position: (n, nj) of the joints [rad or m].
+            first: (nj,) from where they step.
+            target: (nj,) where they are to be.
+        """
+        size, nj = target - first, position.shape[1]
+        rise, overshoot, settling = np.full((3, nj), np.nan)
+        for j in np.flatnonzero(np.abs(size) >= SMALLEST_STEP):
+            share = (position[:, j] - first[j]) / size[j]
+            low, high = (int(np.argmax(share >= level)) for level in (0.1, 0.9))
+            if share.max() >= 0.9:
+                rise[j] = time[high] - time[low]
+            overshoot[j] = max(float(share.max()) - 1.0, 0.0)
+            outside = np.flatnonzero(np.abs(share - 1.0) > SETTLED)
+            if len(outside) == 0 or outside[-1] < len(time) - 1:
+                settling[j] = time[outside[-1] + 1] if len(outside) else 0.0
+        last = time >= time[-1] - LAST * (time[-1] - time[0])
+        return cls(size, rise, overshoot, settling, (position[last] - target).mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +90,11 @@ class Score:
         tracking: measured against reference.
         recorded: simulated against recorded, or None without a recording.
         saturated: share of commands that were at a limit or had to be clipped.
-        effort: (na,) root mean square command [Pa].
+        effort: (na,) root mean square command [Pa, or the unit of commands].
         solve_time: (median, 99th percentile) of the controller's step [s].
         window: (from, to) [s] that was scored.
+        approach: measured against reference before the window; None where there is nothing before.
+        step: of a reference that steps; of the true positions where they are known.
     """
 
     tracking: ErrorFigures
@@ -50,6 +103,8 @@ class Score:
     effort: Array
     solve_time: tuple[float, float]
     window: tuple[float, float]
+    approach: ErrorFigures | None = None
+    step: StepFigures | None = None
 
 
 def on_grid(time: Array, values: Array, grid: Array) -> Array:
@@ -91,4 +146,22 @@ def score_run(run: Run, scenario: Scenario) -> Score:
         effort=np.sqrt((run.command**2).mean(axis=0)),
         solve_time=(float(np.median(run.solve_time)), float(np.quantile(run.solve_time, 0.99))),
         window=(float(grid[0]), float(grid[-1])),
+        approach=_approach(run, float(grid[0])),
+        step=_step(run, scenario.step_at),
     )
+
+
+def _approach(run: Run, begins: float) -> ErrorFigures | None:
+    before = run.time < begins - run.spec.control_dt / 2
+    return ErrorFigures.of((run.position - run.reference)[before]) if before.any() else None
+
+
+def _step(run: Run, begins: float | None) -> StepFigures | None:
+    if begins is None:
+        return None
+    after = run.time >= begins - run.spec.control_dt / 2
+    if after.sum() < 2:
+        return None
+    seen = run.position if run.truth is None else run.truth
+    first = seen[0] if after.all() else run.reference[~after][-1]
+    return StepFigures.of(run.time[after] - run.time[after][0], seen[after], first, run.reference[-1])

@@ -17,7 +17,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from equimus_ctrl.computer import worker_count
-from equimus_ctrl.controllers.pid import PidController, PidSettings
+from equimus_ctrl.controllers.pid import PidController
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.valves import valve_effects
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.errors import EquimusError

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.inverse import Inverse
-from equimus_ctrl.controllers.pid import PidSettings
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, sensor_settings, shown

@@ -12,8 +12,8 @@ from equimus_ctrl.effects.command import POWER
 from equimus_ctrl.effects.valves import ValveEffect, valve_settings
 from equimus_ctrl.engines.rest import rest_pose
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.spread import OF_ACTUATORS, groups, latin_hypercube, perturbed
-from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack
+from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
+from equimus_ctrl.robots.elastic.morphology import VARYING, Morphology, Phase, pack
 from equimus_ctrl.tuning.study import EnsembleSettings
 from equimus_ctrl.types import Array
 
@@ -61,7 +61,7 @@ def make_ensemble(model: Model, settings: EnsembleSettings, count: int, seed: in
     """
     require_simulated(model.effects, f"{model.name}: the tuning loop")
     m = changed_bodies(model.effects, model.morphology)
-    spreads = groups(m, {key: getattr(settings, key) for key in (*OF_ACTUATORS, "mass")})
+    spreads = groups(m, {key: getattr(settings, key) for key in (*VARYING, "mass")})
     na = len(m.actuators)
     corner = [
         1.0 if names[0].endswith(".area") else 0.5 if names[0].endswith(".rest_length") else 0.0 for names, _ in spreads

@@ -14,8 +14,8 @@ import numpy as np
 from equimus_ctrl.computer import worker_count
 from equimus_ctrl.controllers import precompile
 from equimus_ctrl.controllers.inverse import Inverse
-from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import KD
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.sensors import behind, sensor_settings, shown
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.model import Model
@@ -359,50 +359,8 @@ class Problem:
         return found
 
     def judge(self, legs: Sequence[LegOutcome]) -> Evaluation:
-        """The cost of what happened on every leg.
-
-        Stable candidates within the limits cost their weighted terms; those beyond a limit cost 1e3 and more, those
-        that diverge, do not come to rest or have an unstable linearised loop 1e6 and more.
-        """
-        weights = np.array([getattr(self.weights, key) for key in TERMS])
-        shares = np.array([task.weight for task in self.tasks]) / sum(task.weight for task in self.tasks)
-        terms = np.array([[run.terms for run in leg.runs] for leg in legs])  # (members, tasks, terms)
-        runs = [run for leg in legs for run in leg.runs]
-        restless = max(run.restless for run in runs)
-        diverged = sum(run.diverged for run in runs)
-        saturation = max(run.saturation for run in runs)
-        overshoot = float(terms[:, :, 1].max())
-        calm = diverged == 0 and restless <= BAND
-        if diverged:
-            nothing = dict.fromkeys(TERMS, math.nan)
-            members = (math.nan,) * len(legs)
-            return Evaluation(1e9 * diverged, nothing, members, math.inf, saturation, math.nan, math.nan, False, False)
-        weighted = np.einsum("mtk,t->mk", terms, shares) * weights
-        member_costs = weighted.sum(axis=1)
-        cost = (1 - self.weights.worst) * member_costs.mean() + self.weights.worst * member_costs.max()
-        beyond = max(overshoot - self.limits.overshoot, 0.0) + max(saturation - self.limits.saturation, 0.0)
-        modulus = max(leg.modulus for leg in legs) if calm else math.nan
-        stable = calm and modulus < 1
-        raised = max(leg.raised_modulus for leg in legs) if stable else math.nan
-        feasible = bool(stable and beyond == 0 and modulus <= self.limits.modulus and raised < 1)
-        if not calm:
-            cost = 1e6 * (1 + restless)
-        elif not stable:
-            cost = 1e6 * modulus
-        elif not feasible:
-            slow = max(modulus - self.limits.modulus, 0.0) / (1 - self.limits.modulus)
-            cost = 1e3 * (1 + beyond + slow + 10 * max(raised - 1, 0.0))
-        return Evaluation(
-            float(cost),
-            {key: float(value) for key, value in zip(TERMS, weighted.mean(axis=0), strict=True)},
-            tuple(float(c) for c in member_costs),
-            overshoot,
-            saturation,
-            modulus,
-            raised,
-            stable,
-            feasible,
-        )
+        """The cost of what happened on every leg, see ``judged``."""
+        return judged(legs, [task.weight for task in self.tasks], self.weights, self.limits)
 
     def evaluate(
         self, candidates: Sequence[PidSettings], pool: ThreadPoolExecutor, workers: int | None = None
@@ -442,3 +400,56 @@ class Problem:
         finally:
             for job in jobs:
                 job.cancel()
+
+
+def judged(legs: Sequence[LegOutcome], counts: Sequence[float], weighing: Weights, limits: Limits) -> Evaluation:
+    """The cost of what happened on every leg, or other robot.
+
+    Stable candidates within the limits cost their weighted terms; those beyond a limit cost 1e3 and more, those
+    that diverge, do not come to rest or have an unstable linearised loop 1e6 and more.
+
+    Args:
+        legs: what happened on each.
+        counts: weights of the scenarios.
+        weighing: of the terms.
+        limits: hard ones.
+    """
+    weights = np.array([getattr(weighing, key) for key in TERMS])
+    shares = np.array(counts) / sum(counts)
+    terms = np.array([[run.terms for run in leg.runs] for leg in legs])  # (members, tasks, terms)
+    runs = [run for leg in legs for run in leg.runs]
+    restless = max(run.restless for run in runs)
+    diverged = sum(run.diverged for run in runs)
+    saturation = max(run.saturation for run in runs)
+    overshoot = float(terms[:, :, 1].max())
+    calm = diverged == 0 and restless <= BAND
+    if diverged:
+        nothing = dict.fromkeys(TERMS, math.nan)
+        members = (math.nan,) * len(legs)
+        return Evaluation(1e9 * diverged, nothing, members, math.inf, saturation, math.nan, math.nan, False, False)
+    weighted = np.einsum("mtk,t->mk", terms, shares) * weights
+    member_costs = weighted.sum(axis=1)
+    cost = (1 - weighing.worst) * member_costs.mean() + weighing.worst * member_costs.max()
+    beyond = max(overshoot - limits.overshoot, 0.0) + max(saturation - limits.saturation, 0.0)
+    modulus = max(leg.modulus for leg in legs) if calm else math.nan
+    stable = calm and modulus < 1
+    raised = max(leg.raised_modulus for leg in legs) if stable else math.nan
+    feasible = bool(stable and beyond == 0 and modulus <= limits.modulus and raised < 1)
+    if not calm:
+        cost = 1e6 * (1 + restless)
+    elif not stable:
+        cost = 1e6 * modulus
+    elif not feasible:
+        slow = max(modulus - limits.modulus, 0.0) / (1 - limits.modulus)
+        cost = 1e3 * (1 + beyond + slow + 10 * max(raised - 1, 0.0))
+    return Evaluation(
+        float(cost),
+        {key: float(value) for key, value in zip(TERMS, weighted.mean(axis=0), strict=True)},
+        tuple(float(c) for c in member_costs),
+        overshoot,
+        saturation,
+        modulus,
+        raised,
+        stable,
+        feasible,
+    )

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from equimus_ctrl.controllers.pid import PidSettings
 from equimus_ctrl.controllers.pid_kernel import FILTER, KD, KI, KP
+from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.force import ForceEffect

@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any, get_args, get_type_hints
 
-from equimus_ctrl.controllers.pid import PidGains, PidSettings, Space
+from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings, Space
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.types import Array
 
-FORMAT = "equimus-ctrl/tuning/1"
+FORMAT, ON_PLANT = "equimus-ctrl/tuning/1", "equimus-ctrl/plant-tuning/1"
+"""Of studies of gains of robots with elastic actuators on the compiled loop, and of factors on placed gains of any
+robot on its plant (``tuning.plant_tuning``)."""
 SHORTEST = 0.1
 """An objective runs at least this long [s]; there is nothing to judge in less."""
 
@@ -220,6 +222,20 @@ class Study:
         return PidSettings(gains, self.space, derivative_time=rounded[-1], inverse=self.inverse)
 
 
+def suits(data: Mapping[str, Any], joints: tuple[str, ...], where: str = "study") -> bool:
+    """Whether a study is for a robot with these joints: one that names none is for any.
+
+    Raises:
+        ConfigError: where ``joints`` is no list of names.
+    """
+    named = data.get("joints")
+    if named is None:
+        return True
+    if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
+        raise ConfigError(f"{where}: joints is {named!r}, expected a list of names of joints")
+    return tuple(named) == joints
+
+
 def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study:
     """A study from what its TOML file holds.
 
@@ -227,8 +243,10 @@ def study_from_dict(data: Mapping[str, Any], where: str = "study") -> Study:
         ConfigError: for an unknown or missing key or a value that cannot be, in a sentence that names the file.
     """
     table = dict(data)
-    if table.pop("format", FORMAT) != FORMAT:
-        raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r}")
+    if table.pop("format", FORMAT) not in (FORMAT, ON_PLANT):
+        raise ConfigError(f"{where}: format is {data['format']!r}, expected {FORMAT!r} or {ON_PLANT!r}")
+    suits(data, (), where)
+    table.pop("joints", None)
     parts: dict[str, Any] = {"weights": Weights, "limits": Limits, "ensemble": EnsembleSettings}
     try:
         for key, cls in parts.items():

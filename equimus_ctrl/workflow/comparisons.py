@@ -12,12 +12,14 @@ from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.horizon import FALLBACKS
 from equimus_ctrl.controllers.registry import compared_controllers
 from equimus_ctrl.effects import FirstOrderLag, TransportDelay
-from equimus_ctrl.effects.bodies import BodyEffect
+from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
 from equimus_ctrl.effects.valves import ValveEffect
 from equimus_ctrl.errors import ConfigError, ControllerError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.models.spread import groups, latin_hypercube, perturbed
 from equimus_ctrl.options import CompareOptions, with_changes
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.scenarios.comparison import Comparison, Condition, Entry
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import ErrorFigures, score_run
@@ -28,23 +30,26 @@ from equimus_ctrl.types import Controller
 from equimus_ctrl.workflow.runs import load_controller, load_scenario
 
 NOISE = 2e-3
-"""Standard deviation of measured angles where there is noise [rad]."""
-LAG, DELAY = 0.1, 0.1
-"""Time constant of the lag and dead time of the delayed valves [s]."""
+"""Standard deviation of measured positions where there is noise [rad or m]."""
 SPREAD = EnsembleSettings(stiffness=0.15, area=0.15, damping=0.4, rest_length=0.02, mass=0.15)
 """Relative perturbation of the parameters of perturbed robots, at most."""
 
 
 CONDITIONS = {
     "nominal": "the model, and the controller knows it",
-    "noisy": f"the same with {1e3 * NOISE:g} mrad of noise on each angle",
-    "delayed": f"noisy, valves with a lag of {LAG:g} s and a dead time of {DELAY:g} s, which the controller knows",
+    "noisy": f"the same with {1e3 * NOISE:g} mrad (slides mm) of noise on each position",
+    "delayed": "noisy, {late} between a command and what it does, which the controller knows",
     "unmodelled_delay": "the same, which the controller does not know",
-    "perturbed": "noisy, stiffness, area and mass ±15 %, damping ±40 %, rest lengths ±2 %, which it does not know",
+    "perturbed": "noisy, {spread}, which it does not know",
     "corrected": "noisy, the augmented model of a diagnosis, and the controller knows it",
     "uncorrected": "the same, but the controller knows the model as it was",
 }
 """Name → one line. The last two need a corrected model."""
+WORDS = {
+    "mass": "masses and inertias", "damping": "damping and friction", "stiffness": "stiffness", "area": "areas",
+    "rest_length": "rest lengths",
+}  # fmt: skip
+"""Of what varies, see ``Robot.varying``."""
 USUAL, CORRECTED = ("nominal", "noisy", "delayed", "perturbed"), ("corrected", "uncorrected")
 """Conditions that are compared by default; the latter with a corrected model."""
 
@@ -74,15 +79,13 @@ def conditions(
     for name in names:
         if name not in CONDITIONS:
             raise ConfigError(unknown_name("condition", name, CONDITIONS))
-        summary = CONDITIONS[name]
+        summary = CONDITIONS[name].format(late=_lateness(model.robot), spread=_spread(model.robot))
         if name in CORRECTED:
             if corrected is None:
                 raise ConfigError(f"condition {name} needs a corrected model; give it with --corrected FILE")
             found.append(Condition(name, summary, corrected, corrected if name == "corrected" else model, NOISE))
         elif name == "perturbed":
-            own = tuple(effect for effect in model.effects if not isinstance(effect, BodyEffect))
-            for k, member in enumerate(make_ensemble(model, SPREAD, draws, seed, fixed=False)):
-                other = Model(member.morphology, own, model.phase)
+            for k, other in enumerate(_perturbed(model, draws, seed)):
                 found.append(Condition(f"{name} {k + 1}" if draws > 1 else name, summary, other, model, NOISE))
         else:
             delayed = _delayed(model) if name in ("delayed", "unmodelled_delay") else model
@@ -91,11 +94,34 @@ def conditions(
     return found
 
 
+def _lateness(robot: Robot) -> str:
+    lag, delay = robot.traits.usual_lag, robot.traits.usual_delay
+    return f"a lag of {lag:g} s and a dead time of {delay:g} s" if lag else f"a dead time of {delay:g} s"
+
+
+def _spread(robot: Robot) -> str:
+    kinds = dict.fromkeys(kind for kind, _ in robot.varying())
+    return ", ".join(f"{WORDS[kind]} ±{100 * getattr(SPREAD, kind):g} %" for kind in kinds)
+
+
+def _perturbed(model: Model, draws: int, seed: int) -> list[Model]:
+    own = tuple(effect for effect in model.effects if not isinstance(effect, BodyEffect))
+    if "lengths" in model.robot.offers:
+        legs = make_ensemble(model, SPREAD, draws, seed, fixed=False)
+        return [Model(leg.morphology, own, model.phase) for leg in legs]
+    robot = changed_bodies(model.effects, model.robot)
+    spreads = groups(robot, {key: getattr(SPREAD, key) for key in WORDS})
+    rows = latin_hypercube(draws, len(spreads), np.random.default_rng(seed))
+    return [Model(perturbed(robot, spreads, row), own, model.phase) for row in rows]
+
+
 def _delayed(model: Model) -> Model:
-    """The model with delayed valves in place of its own."""
+    """The model with late drives in place of its own."""
     effects = [effect for effect in model.effects if not isinstance(effect, ValveEffect)]
-    for actuator in model.morphology.actuator_names:
-        effects += [FirstOrderLag(actuator, time_constant=LAG), TransportDelay(actuator, delay=DELAY)]
+    traits = model.robot.traits
+    for actuator in model.robot.actuator_names:
+        effects += [FirstOrderLag(actuator, time_constant=traits.usual_lag)] if traits.usual_lag else []
+        effects.append(TransportDelay(actuator, delay=traits.usual_delay))
     return replace(model, effects=tuple(effects))
 
 
@@ -131,7 +157,7 @@ def compare(
     model = model or nominal_model()
     named = {"controllers": controllers, "under": under}
     options = with_changes(CompareOptions, options, {**changes, **{k: v for k, v in named.items() if v is not None}})
-    controllers = compared_controllers() if options.controllers is None else options.controllers
+    controllers = compared_controllers(model.robot) if options.controllers is None else options.controllers
     under = (USUAL if corrected is None else (*USUAL, *CORRECTED)) if options.under is None else options.under
     seed, settings = options.seed, options.settings or {}
     if not scenarios or not controllers or not under:
@@ -142,7 +168,12 @@ def compare(
         s
         if isinstance(s, Scenario)
         else load_scenario(
-            s, model.morphology, phase=model.phase, options=options.scenario_options, recordings=options.recordings
+            s,
+            model.robot,
+            phase=model.phase,
+            effects=model.effects,
+            options=options.scenario_options,
+            recordings=options.recordings,
         )
         for s in scenarios
     ]
@@ -155,7 +186,7 @@ def compare(
     for scenario in built:
         for controller in controllers:
             if isinstance(controller, str):
-                driven = load_controller(controller, scenario, settings.get(controller), model.morphology)
+                driven = load_controller(controller, scenario, settings.get(controller), model.robot)
                 made[scenario.name, _label(controller)] = driven
             else:
                 made[scenario.name, _label(controller)] = as_controller(controller, _label(controller))

@@ -13,17 +13,22 @@ from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import AutotuneOptions, with_changes
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
-from equimus_ctrl.recordings import locate, read_set
-from equimus_ctrl.robots.elastic.morphology import Morphology
+from equimus_ctrl.recordings import locate, read_path, read_set
+from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.robots.elastic.morphology import elastic_of
 from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_paragraph
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
+from equimus_ctrl.types import Array, Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
+
+STUDIES = ("pid.toml", "pid_any.toml")
+"""Of the PID's tuning: the first that suits a robot."""
 
 
 def recordings_of(folder: Path | None = None) -> Callable[[str], tuple[Recording, ...]]:
@@ -65,9 +70,10 @@ def _script(name: str) -> ScenarioEntry:
 
 def load_scenario(
     name: str,
-    morphology: Morphology,
+    robot: Robot,
     *,
     phase: Any = "swing",
+    effects: Sequence[Effect] = (),
     options: Mapping[str, str] | None = None,
     recordings: Path | None = None,
     search: bool = True,
@@ -76,8 +82,9 @@ def load_scenario(
 
     Args:
         name: see ``scenario_entry``.
-        morphology: the nominal robot.
+        robot: the nominal one.
         phase: base fixed or foot pinned.
+        effects: what is known to be attached to it.
         options: the script's options as text.
         recordings: folder to look for recordings in.
         search: whether recordings are looked for at all.
@@ -86,20 +93,24 @@ def load_scenario(
         ConfigError: where there is no such scenario, or an option does not fit.
     """
     find = recordings_of(recordings) if search else (lambda kind: ())
-    context = ScenarioContext(morphology, phase, find, locate.missing_hint())
+    context = ScenarioContext(robot, phase, find, locate.missing_hint(), tuple(effects), _path_of)
     return scenario_entry(name).scenario(context, options)
 
 
+def _path_of(file: str, robot: Robot) -> tuple[Array, Array]:
+    return read_path(file, robot.joint_names)
+
+
 def load_controller(
-    name: str, scenario: Scenario, settings: Path | None = None, morphology: Morphology | None = None
+    name: str, scenario: Scenario, settings: Path | None = None, robot: Robot | None = None
 ) -> Controller:
     """A controller by name, or a user's own as ``path/to/file.py:Name``.
 
     Args:
         name: see ``CONTROLLERS``.
         scenario: whose commands ``open_loop`` plays.
-        settings: its settings file; ``controllers/<name>.toml`` by default.
-        morphology: of the robot, to check the settings against.
+        settings: its settings file; by default ``controllers/<name>_<robot>.toml`` or ``controllers/<name>.toml``.
+        robot: to check the settings against.
 
     Raises:
         ControllerError, ConfigError: where there is no such controller or its settings are wrong.
@@ -110,10 +121,13 @@ def load_controller(
         raise ConfigError(f"controller {name} takes no settings file, but {settings} was given")
     if own:
         return as_controller(presets.load_object(name), name)
-    path = presets.find("controllers", takes) if settings is None and takes is not None else settings
+    path = settings
+    if settings is None and takes is not None:
+        names = [own_settings(takes, robot), takes] if robot is not None else [takes]
+        path = next((found for each in names if (found := presets.find("controllers", each)) is not None), None)
     table = presets.read_toml(path) if path is not None else None
     commands = scenario.commands.at if scenario.commands is not None else None
-    return make_controller(name, table, commands, str(path or name), morphology)
+    return make_controller(name, table, commands, str(path or name), robot, settings is not None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +151,12 @@ class ScenarioRun:
     model: Model
     plant: str
     loop: Counts | None = None
+
+    @property
+    def kinematics(self) -> Kinematics | None:
+        """Geometry and statics of what was simulated, where it has lengths of actuators."""
+        robot = self.model.robot
+        return Kinematics(elastic_of(robot), self.model.phase) if "lengths" in robot.offers else None
 
 
 def run_scenario(
@@ -187,13 +207,15 @@ def run_scenario(
     if isinstance(plant, str):
         PLANTS.entry(plant).check_effects(effects, model.effects)
     if effects:
-        model = Model(model.morphology, (*model.effects, *effects), model.phase)
+        model = Model(model.robot, (*model.effects, *effects), model.phase)
     if isinstance(scenario, str):
-        scenario = load_scenario(scenario, model.morphology, phase=model.phase, options=options, recordings=recordings)
+        scenario = load_scenario(
+            scenario, model.robot, phase=model.phase, effects=known.effects, options=options, recordings=recordings
+        )
     if controller is None:
         controller = scenario.controller
     if isinstance(controller, str):
-        label, driven = controller, load_controller(controller, scenario, settings, model.morphology)
+        label, driven = controller, load_controller(controller, scenario, settings, model.robot)
     else:
         label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
@@ -244,7 +266,7 @@ def tune_pid(
     """Tune the PID of a study and write its settings and record; started again, it goes on where it was stopped.
 
     Args:
-        study: a study file; ``tuning/pid.toml`` by default.
+        study: a study file; by default ``tuning/pid.toml`` for the leg, ``tuning/pid_any.toml`` for other robots.
         model: the centre of the ensemble; the nominal leg by default.
         options: see ``AutotuneOptions``.
         begin: called with the number of candidates before the first.
@@ -254,42 +276,44 @@ def tune_pid(
     Raises:
         EquimusError: where an input is wrong, or nothing within the limits was found; nothing is written then.
     """
-    from equimus_ctrl.tuning import autotune, journal
-    from equimus_ctrl.tuning.study import Objective, study_from_dict
+    from equimus_ctrl.tuning import autotune, journal, plant_tuning
+    from equimus_ctrl.tuning.study import ON_PLANT, Objective, study_from_dict
 
-    options = with_changes(AutotuneOptions, options, changes)
-    path = study or presets.find("tuning", "pid.toml")
-    if path is None:
-        raise ConfigError("there is no tuning/pid.toml; name a study with --study")
-    settings = study_from_dict(presets.read_toml(path), str(path))
+    options, model = with_changes(AutotuneOptions, options, changes), model or nominal_model()
+    path = study or _study_for(model)
+    table = presets.read_toml(path)
+    settings = study_from_dict(table, str(path))
+    on_plant = table.get("format") == ON_PLANT
     own: dict[str, Any] = {"candidates": options.candidates, "seed": options.seed}
     if options.scenarios:
         own["objectives"] = tuple(Objective(name) for name in options.scenarios)
     settings = replace(settings, **{key: value for key, value in own.items() if value is not None})
-    model, recordings = model or nominal_model(), options.recordings
+    recordings = options.recordings
     if recordings is not None:
         locate.find_recordings(recordings)
+    search = recordings is not None
     built = [
-        load_scenario(
-            o.scenario, model.morphology, phase=model.phase, recordings=recordings, search=recordings is not None
-        )
+        load_scenario(o.scenario, model.robot, phase=model.phase, recordings=recordings, search=search)
         for o in settings.objectives
     ]
-    problem = autotune.make_problem(settings, model, built)
+    make = plant_tuning.make_plant_problem if on_plant else autotune.make_problem
+    problem: Any = make(settings, model, built)
     root = presets.workspace()
-    target = options.output or root / "controllers" / "pid.toml"
-    results = options.folder or root / "tuning" / "results" / path.stem
+    name = own_settings("pid.toml", model.robot) if on_plant else "pid.toml"
+    target = options.output or root / "controllers" / name
+    stem = f"{path.stem}_{_plain(model.name)}" if on_plant else path.stem
+    results = options.folder or root / "tuning" / "results" / stem
     presets.check_toml(target)
     presets.check_folder(results)
+    key = plant_tuning.study_key(settings, problem) if on_plant else autotune.study_key(settings, problem)
     store = presets.JsonLines(
-        results / "journal.jsonl",
-        {"format": "equimus-ctrl/journal/1", "key": autotune.study_key(settings, problem)},
-        options.fresh,
+        results / "journal.jsonl", {"format": "equimus-ctrl/journal/1", "key": key}, options.fresh
     )
     reused = len(store.rows)
     begin(settings.candidates)
+    tune: Any = plant_tuning.tune_on_plant if on_plant else autotune.autotune
     try:
-        result = autotune.autotune(settings, problem, journal.RowJournal(store), notify, options.workers)
+        result = tune(settings, problem, journal.RowJournal(store), notify, options.workers)
     finally:
         store.close()
     record = results / "record.json"
@@ -298,9 +322,35 @@ def tune_pid(
     return TunedPid(result, target, record, results, reused)
 
 
+def _study_for(model: Model) -> Path:
+    """The study of a robot's own, else the one for any.
+
+    Raises:
+        ConfigError: where there is none.
+    """
+    from equimus_ctrl.tuning.study import suits
+
+    found = [path for name in STUDIES if (path := presets.find("tuning", name)) is not None]
+    for path in found:
+        if suits(presets.read_toml(path), model.robot.joint_names, str(path)):
+            return path
+    raise ConfigError(f"there is no tuning/{STUDIES[-1]}; name a study with --study")
+
+
+def own_settings(file: str, robot: Robot) -> str:
+    """What a settings file is called that is for one robot alone."""
+    stem, dot, suffix = file.rpartition(".")
+    return f"{stem}_{_plain(robot.name)}{dot}{suffix}"
+
+
+def _plain(name: str) -> str:
+    return "".join(ch if ch.isalnum() or ch in "-_" else "_" for ch in name)
+
+
 def _settings_comment(result: Any, study: Path) -> str:
     best = result.best.evaluation
     unit = "N and m" if result.settings.space == "length" else "N·m and rad"
+    unit = "1/s², 1/s³ and 1/s" if result.settings.decoupled else unit
     return (
         f"PID gains, in {unit}; written by `equimus-ctrl autotune-pid`, free to edit.\n"
         f"Study {study.name}, seed {result.study.seed}, {len(result.history)} sets of gains tried, "

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 
-from equimus_ctrl.robots.elastic.morphology import BUILT_IN, Morphology
+from equimus_ctrl.robots.elastic.morphology import BUILT_IN, KEYFRAMES, Morphology
 from equimus_ctrl.robots.elastic.parts import ElasticActuator, Joint, JointStop, Link, Point
+from equimus_ctrl.types import frozen_array
 
 HIP_STOPS = (math.pi / 6, 5 * math.pi / 6)
 KNEE_STOPS = (-0.035, 2.0)
@@ -80,3 +81,4 @@ def ideal_leg() -> Morphology:
 
 MORPHOLOGIES = {"nominal_leg": nominal_leg, "ideal_leg": ideal_leg}
 BUILT_IN.update(MORPHOLOGIES)
+KEYFRAMES[("hip", "knee"), ("maa", "baa")] = {"stretched": frozen_array([math.pi / 2, 0.0])}

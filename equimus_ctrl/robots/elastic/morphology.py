@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal, TypeVar
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError, ModelError, nearest, unknown_name
-from equimus_ctrl.robots.base import Robot, RobotTraits
+from equimus_ctrl.robots.base import Need, Robot, RobotTraits
 from equimus_ctrl.robots.elastic.form import ElasticForm
 from equimus_ctrl.robots.elastic.parts import (
     BASE,
@@ -32,6 +32,7 @@ from equimus_ctrl.robots.elastic.parts import (
     check_least,
     require,
 )
+from equimus_ctrl.robots.elastic.traits import TRAITS
 from equimus_ctrl.robots.mechanics import Channel, Mechanics
 from equimus_ctrl.types import Array, frozen_array
 
@@ -45,6 +46,8 @@ Phase = Literal["swing", "stance"]
 
 RESERVED = (BASE, "world")
 
+VARYING = ("stiffness", "area", "damping", "rest_length")
+"""Of actuators that are built alike."""
 DEFAULT_KINDS = ("stiffness", "area", "rest_length", "damping")
 """The least certain of an actuator's bench values: free by default, with the joints' damping."""
 _FACTOR = {"stiffness": 3.0, "area": 3.0, "mass": 3.0, "inertia": 3.0, "damping": 10.0}
@@ -54,25 +57,6 @@ _UNIT = {
     "area": "m²", "rest_length": "m", "mass": "kg", "base_mass": "kg", "com": "m", "inertia": "kg·m²", "length": "m",
     "radius": "m", "angle": "rad", "tilt": "rad", "gravity": "m/s²", "command_low": "Pa", "command_high": "Pa",
 }  # fmt: skip
-
-TRAITS = RobotTraits(
-    catalogue="elastic",
-    starts_at_rest=True,
-    held_in_place=True,
-    smooth_motion=True,
-    forces_along_actuators=True,
-    commands_are_pressures=True,
-    same_kind_of_trials=True,
-    notes_set_parameters=False,
-    keeps_states_of_laws=True,
-    has_stance=True,
-    damping_known_within=4.0,
-    bounds_of_any_size=False,
-    least_command=500.0,
-    least_motion=5e-3,
-    most_angle=12.6,
-)
-"""Pneumatic muscles pull a robot with end stops to one pose; it is driven by valves, from rest, on a test bench."""
 
 
 @dataclass(frozen=True)
@@ -336,6 +320,12 @@ class Morphology(Robot):
         names = [f"{a.name}.{key}" for key in DEFAULT_KINDS for a in self.actuators]
         return names + [f"{joint.name}.damping" for joint in self.joints]
 
+    def varying(self) -> list[tuple[str, tuple[str, ...]]]:
+        """As of any robot: numbers of the actuators, damping of the joints, masses with inertias."""
+        own = [(key, (f"{a.name}.{key}",)) for a in self.actuators for key in VARYING]
+        own += [("damping", (f"{joint.name}.damping",)) for joint in self.joints]
+        return own + [("mass", (f"{link.name}.mass", f"{link.name}.inertia")) for link in self.links]
+
     def place_unit(self, unit: str, place: str) -> str:
         """The unit of something at a joint or actuator, see ``Robot.place_unit``."""
         joint, _, actuator = unit.partition(" | ")
@@ -355,6 +345,22 @@ class Morphology(Robot):
     def length_unit(self, actuator: str) -> str:
         """Of an actuator's length."""
         return "m"
+
+    @property
+    def command_limits(self) -> tuple[Array, Array]:
+        """(low, high), each (na,): of the pressures [Pa]."""
+        n = len(self.actuators)
+        return frozen_array(np.full(n, self.command_low)), frozen_array(np.full(n, self.command_high))
+
+    @property
+    def keyframes(self) -> Mapping[str, Array]:
+        """As of any robot; those of the built-in robots with these joints and actuators."""
+        return KEYFRAMES.get((self.joint_names, self.actuator_names), {})
+
+    @property
+    def offers(self) -> frozenset[Need]:
+        """As of any robot."""
+        return frozenset[Need](("lengths", "inverse"))
 
     def mechanics(self) -> Mechanics:
         everywhere = np.arange(len(self.joints))
@@ -380,6 +386,8 @@ class Morphology(Robot):
 
 BUILT_IN: dict[str, Callable[[], Morphology]] = {}
 """The robots that model files know by name; ``robots.elastic.leg`` puts them there."""
+KEYFRAMES: dict[tuple[tuple[str, ...], tuple[str, ...]], Mapping[str, Array]] = {}
+"""Names of joints and actuators → poses of robots that have them; from there too."""
 
 
 def elastic_of(robot: Robot) -> Morphology:

@@ -24,6 +24,7 @@ from equimus_ctrl.robots.base import Robot, RobotTraits
 from equimus_ctrl.robots.mechanics import Mechanics
 from equimus_ctrl.robots.mjcf.actuators import OWN, exerts_its_command
 from equimus_ctrl.robots.mjcf.bounds import POSITIVE, bounds_of, size_of
+from equimus_ctrl.robots.mjcf.driving import Driven
 from equimus_ctrl.robots.mjcf.editing import Edits
 from equimus_ctrl.robots.mjcf.entries import SLIDING, Axis, Drive
 from equimus_ctrl.robots.mjcf.independent import base_names, default_names
@@ -55,7 +56,7 @@ LEAST_PLAY = 2e-9
 
 
 @dataclass(frozen=True, eq=False)
-class MjcfRobot(Robot):
+class MjcfRobot(Driven):
     """A robot from a MuJoCo model.
 
     Attributes:
@@ -105,6 +106,11 @@ class MjcfRobot(Robot):
         given = self.edits.prescribe, sorted(self.edits.turns.items()), self.edits.unmeasured
         whole = (*parts, *(own for own in (self.tethers, self.surfaces, self.couplings, *given) if own))
         return hashlib.sha256(repr(whole).encode()).hexdigest()
+
+    @property
+    def fingerprint(self) -> str:
+        """As of any robot."""
+        return self.digest
 
     @cached_property
     def plan(self) -> Plan:
@@ -350,13 +356,6 @@ class MjcfRobot(Robot):
         old = there.pop(sign, Coupling(joint, other, sign))
         new = replace(old, friction=old.friction + friction, damping=old.damping + damping)
         return replace(self, couplings=(*(own for own in self.couplings if own != old), new))
-
-    @property
-    def command_ranges(self) -> Array | None:
-        """(2, na) the XML's ``ctrlrange`` of each command, where MuJoCo clips commands there."""
-        if self.plan.base.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
-            return None
-        return np.array([drive.range for drive in self.actuators]).reshape(-1, 2).T
 
     @property
     def sharing(self) -> tuple[str, ...]:

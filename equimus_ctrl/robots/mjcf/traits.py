@@ -22,5 +22,8 @@ TRAITS = RobotTraits(
     least_command=0.0,
     least_motion=1e-4,
     most_angle=math.inf,
+    usual_lag=0.0,
+    usual_delay=0.02,
 )
-"""Motors drive hinges and slides that nothing need hold in place; recordings are what somebody has."""
+"""Motors drive hinges and slides that nothing need hold in place; recordings are what somebody has. Their commands go
+over a bus, which takes some 20 ms."""

@@ -1,0 +1,238 @@
+"""The exact equations of motion of any robot, as functions of arrays that controllers compute with.
+
+    M(q) a + h(q, v) = τ(q, v, u),    τ = B(q, v) u + τ₀(q, v) within the limits of forces
+
+h has all that is passive, τ is what the drives exert under commands u, with what effects exert beside them, their
+states as after a long rest at q. Ends of joints take no part; dry friction acts against motion, not on what rests.
+Nothing is compiled: CasADi evaluates ``models.augmented``'s expressions, which takes some microseconds a joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import lsq_linear
+
+from equimus_ctrl.effects.bodies import changed_bodies
+from equimus_ctrl.effects.force import laws_of
+from equimus_ctrl.errors import NotAvailable
+from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
+from equimus_ctrl.models.buffered import Buffered
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.robots.elastic.morphology import Phase
+from equimus_ctrl.robots.mechanics import Structure
+from equimus_ctrl.types import Array
+
+FAR = 1e150
+"""Stands for no limit of a command."""
+SOUND = 1e-6
+"""Smallest singular value of B that counts, as a share of the largest: below it commands exert nothing there."""
+
+
+@lru_cache(maxsize=32)
+def _functions(form: Structure, phase: Phase, laws: Laws) -> dict[str, ca.Function]:
+    m, base = augmented_model(form, phase, laws), build(form, phase)
+    a = ca.SX.sym("a", m.q.numel())
+    inside = base.inside.state.numel()
+    own = ca.vertcat(base.p, base.inside.state), ca.vertcat(m.p[: base.p.numel()], m.z[:inside, 0])
+    mass, bias = (ca.substitute(x, *own) for x in (base.mass, base.smooth_bias))
+    still = ca.SX.zeros(m.v.shape)
+
+    def at_rest(*expressions: ca.SX) -> list[ca.SX]:
+        return ca.substitute(list(expressions), [m.z], [m.rest_state])
+
+    mass, bias, drive, rubbed, bound = at_rest(mass, bias, m.drive + m.torque, sliding_friction(m), m.bound_here)
+    needed = mass @ a + bias
+    # Of what the joints need against what the drives give: how it changes with the motion, dry friction apart.
+    open_ended = ca.substitute(needed, a, ca.SX.zeros(a.shape)) - drive
+    grip, bound = ca.SX(m.q.numel(), 1), ca.substitute(bound, m.v, still)
+    for k, (kind, i) in enumerate(m.rubbing):
+        if kind == "joint":
+            grip[i] = bound[k]
+    given = [m.q, m.v, m.pressure, m.p]
+    outputs = {
+        "mass": ([m.q, m.p], [mass]),
+        "needed": ([m.q, m.v, a, m.p], [needed - rubbed]),
+        "drive": (given, [drive, ca.jacobian(drive, m.pressure)]),
+        "slopes": (given, [ca.jacobian(open_ended, m.q), ca.jacobian(open_ended, m.v)]),
+        "grip": ([m.q, m.pressure, m.p], [grip]),
+    }
+    return {name: ca.Function(name, symbols, [ca.densify(x) for x in own]) for name, (symbols, own) in outputs.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A robot about a pose at rest: M δa + D δv + K δq = B δu.
+
+    Attributes:
+        mass: M (nj, nj).
+        damping: D (nj, nj).
+        stiffness: K (nj, nj), of springs, of gravity and of drives that hold where they are.
+        drive: B (nj, na).
+    """
+
+    mass: Array
+    damping: Array
+    stiffness: Array
+    drive: Array
+
+    def matrices(self) -> tuple[Array, Array]:
+        """A (2 nj, 2 nj) and B (2 nj, na) of d/dt (δq, δv)."""
+        n = len(self.mass)
+        inverse = np.linalg.inv(self.mass)
+        a = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ self.stiffness, -inverse @ self.damping]])
+        return a, np.vstack([np.zeros((n, self.drive.shape[1])), inverse @ self.drive])
+
+
+class Dynamics:
+    """The exact equations of motion of a model.
+
+    Args:
+        model: a robot with what is known to be attached to it.
+
+    Attributes:
+        model: the same.
+        robot: with all effects on bodies and drives.
+
+    Raises:
+        NotAvailable: where the equations cannot hold the robot, or it has joints that are not measured.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.robot = robot = changed_bodies(model.effects, model.robot)
+        if robot.obstacles:
+            raise NotAvailable(
+                f"{robot.name}: controllers compute with exact equations of motion, which cannot hold its "
+                f"{robot.obstacles[0]}"
+            )
+        others = (*robot.prescribed_names, *robot.unmeasured_names)
+        if others:
+            raise NotAvailable(
+                f"{robot.name}: the motion of {', '.join(others)} is not measured or not its own, expected all joints "
+                "of a robot that is controlled to be measured"
+            )
+        mechanics = robot.mechanics()
+        form, laws = mechanics.form, laws_of(model.effects)
+        slots = augmented_model(form, model.phase, laws).slots
+        names = (mechanics.law_places["joint"], mechanics.law_places["actuator"])
+        own = law_parameters(slots, model.effects, *names)
+        self._order = np.argsort(mechanics.joints)  # of the joints in the form's order
+        self._joints = mechanics.joints
+        found = _functions(form, model.phase, laws)
+        self._mass, self._needed, self._slopes = (Buffered(found[key]) for key in ("mass", "needed", "slopes"))
+        self._bounded, self._free = Buffered(found["drive"]), Buffered(found["drive"])
+        self._grip = Buffered(found["grip"])
+        within = np.array([*mechanics.parameters, *own])
+        beyond = np.array([*form.unlimited(mechanics.parameters), *own])
+        for call in (self._mass, self._needed, self._bounded, self._grip):
+            call.arguments[-1][:] = within
+        for call in (self._free, self._slopes):
+            call.arguments[-1][:] = beyond
+        self.low, self.high = robot.command_limits
+        ends = np.nan_to_num(self.low, neginf=-FAR), np.nan_to_num(self.high, posinf=FAR)
+        both = np.isfinite(self.low) & np.isfinite(self.high)
+        self._inside = np.where(both, (ends[0] + ends[1]) / 2, np.clip(0.0, *ends))
+        self._weights = np.where(both & (ends[0] < ends[1]), (ends[1] - ends[0]) / 2, 1.0)
+
+    def _joint(self, values: Array) -> Array:
+        """(nj, …) of the form's coordinates as the robot's joints are ordered."""
+        return np.array(values[self._joints])
+
+    def mass(self, q: ArrayLike) -> Array:
+        """(nj, nj) M [kg·m², kg·m or kg]."""
+        self._mass.arguments[0][:] = np.asarray(q)[self._order]
+        self._mass()
+        return self._joint(self._joint(self._mass.results[0].reshape(len(self._joints), -1)).T)
+
+    def needed(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """(nj,) what the drives have to exert for a motion, dry friction that slides included [N·m or N].
+
+        Args:
+            q: (nj,) positions [rad or m].
+            v: (nj,) rates.
+            a: (nj,) accelerations.
+        """
+        for argument, values in zip(self._needed.arguments, (q, v, a), strict=False):
+            argument[:] = np.asarray(values)[self._order]
+        self._needed()
+        return self._joint(self._needed.results[0])
+
+    def exerted(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Array:
+        """(nj,) what the drives exert under commands u (na,), limits of forces included [N·m or N]."""
+        return self._driven(self._bounded, q, v, u)[0]
+
+    def authority(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        """B (nj, na) and τ₀ (nj,) of what the drives would exert if nothing limited them."""
+        torque, slope = self._driven(self._free, q, v, self._inside)
+        return slope, torque - slope @ self._inside
+
+    def _driven(self, call: Buffered, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
+        call.arguments[0][:], call.arguments[1][:] = np.asarray(q)[self._order], np.asarray(v)[self._order]
+        call.arguments[2][:] = u
+        call()
+        slope = call.results[1].reshape(len(self._joints), -1)
+        return self._joint(call.results[0]), self._joint(slope)
+
+    def effective_mass(self, q: ArrayLike, driven: NDArray[np.bool_]) -> Array:
+        """(nj, nj) the mass matrix of driven joints (nj,), those without actuator free; 0 for these."""
+        found, inverse = np.zeros((len(driven), len(driven))), np.linalg.inv(self.mass(q))
+        found[np.ix_(driven, driven)] = np.linalg.inv(inverse[np.ix_(driven, driven)])
+        return found
+
+    def answer(self, drive: Array, torque: Array) -> Array:
+        """(na,) the commands of least size, by their ranges, that exert a torque as nearly as can be.
+
+        Args:
+            drive: B (nj, na).
+            torque: (nj,) [N·m or N].
+        """
+        scaled = np.linalg.pinv(drive * self._weights, rcond=SOUND) @ torque
+        return np.asarray(self._weights * scaled)
+
+    def commands(self, q: ArrayLike, v: ArrayLike, torque: ArrayLike) -> Array:
+        """(na,) commands, whatever their limits, that exert a torque (nj,) [N·m or N] as nearly as can be."""
+        drive, own = self.authority(q, v)
+        return self.answer(drive, np.asarray(torque) - own)
+
+    def holding(self, q: ArrayLike) -> tuple[Array, Array]:
+        """The commands within their limits that come nearest to holding a pose at rest, and what is lacking then.
+
+        Args:
+            q: (nj,) the pose [rad or m].
+
+        Returns:
+            Commands (na,), and (nj,) the torque that each joint lacks beyond its dry friction [N·m or N].
+        """
+        still = np.zeros(len(self._joints))
+        drive, own = self.authority(q, still)
+        wanted = self.needed(q, still, still) - own
+        command = self.answer(drive, wanted)
+        if np.any((command < self.low) | (command > self.high)):
+            ends = (self.low / self._weights, self.high / self._weights)
+            command = self._weights * lsq_linear(drive * self._weights, wanted, ends).x
+        self._grip.arguments[0][:], self._grip.arguments[1][:] = np.asarray(q)[self._order], command
+        self._grip()
+        grip = self._joint(self._grip.results[0])
+        off = wanted + own - self.exerted(q, still, command)
+        return np.asarray(command), np.sign(off) * np.maximum(np.abs(off) - grip, 0.0)
+
+    def linear(self, q: ArrayLike, u: ArrayLike | None = None) -> Linear:
+        """The robot about a pose at rest, no limit of forces near.
+
+        Args:
+            q: (nj,) the pose [rad or m].
+            u: (na,) what is commanded there; what holds it by default.
+        """
+        still = np.zeros(len(self._joints))
+        command = self.commands(q, still, self.needed(q, still, still)) if u is None else u
+        self._slopes.arguments[0][:], self._slopes.arguments[1][:] = np.asarray(q)[self._order], 0.0
+        self._slopes.arguments[2][:] = command
+        self._slopes()
+        by_q, by_v = (self._joint(self._joint(part.reshape(len(still), -1)).T).T for part in self._slopes.results)
+        return Linear(self.mass(q), by_v, by_q, self.authority(q, still)[0])

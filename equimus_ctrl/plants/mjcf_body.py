@@ -1,0 +1,120 @@
+"""A robot of MuJoCo's XML in the simulated plant, with all that the XML has: contacts, tendons, integrator and step.
+
+Laws that MuJoCo has no field for are stepped beside it, see ``engines.mjcf_kernel``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from equimus_ctrl.effects.bodies import PayloadMass
+from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.mjcf_commands import integrate_from_here
+from equimus_ctrl.engines.mjcf_realised import function_address, realise
+from equimus_ctrl.errors import ConfigError, NotAvailable
+from equimus_ctrl.models.dynamics import Dynamics
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import quietly
+from equimus_ctrl.plants.loads import numbers_of
+from equimus_ctrl.robots.mjcf.robot import mjcf_of
+from equimus_ctrl.types import Array
+
+LOST = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+"""What MuJoCo warns of where its numbers are no motion any more."""
+
+
+class MjcfBody:
+    """See ``plants.body.Body``.
+
+    Args:
+        model: with its effects.
+        dt: physics step [s].
+
+    Raises:
+        ConfigError: where the motion of some joints is an input, which no plant has.
+    """
+
+    def __init__(self, model: Model, dt: float) -> None:
+        robot = mjcf_of(model.robot)
+        if robot.prescribed_names:
+            raise ConfigError(
+                f"{robot.name}: the motion of {', '.join(robot.prescribed_names)} is an input, expected none in a plant"
+            )
+        self._model, self._dt = model, dt
+        self._own = own = realise(model, dt=dt)
+        self._home = own.robot.home
+        self.mujoco_model = own.mujoco
+        self.mujoco_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+        self.data = mujoco.MjData(self.mujoco_model)
+        self.qpos, self.dof = own.places[:, 0], own.places[:, 1]
+        self.control = np.array([drive.control for drive in own.robot.actuators], dtype=np.int64)
+        self.valve, self.sensor = own.valve, own.sensor
+        self._generated, self._kernel = compiled.load_mjcf(own.stepped)
+        self._step = function_address("mj_step")
+        self._fastest = np.full(len(self.dof), MAX_SPEED)
+        nj, m = len(self.dof), self.mujoco_model
+        self._out = np.empty((2, nj)), np.empty((2, nj))
+        self._none, self._whole = np.empty((2, 0)), np.empty((0, m.nq + m.nv + m.na))
+
+    def command_before(self, position: Array | None) -> Array:
+        """What holds a pose, the file's own by default, as nearly as can be; nothing where that is not known."""
+        low, high = self._own.robot.command_limits
+        try:
+            dynamics = Dynamics(self._model)
+        except NotAvailable:
+            return np.clip(np.zeros(len(low)), low, high)
+        return np.clip(dynamics.holding(self._home if position is None else position)[0], low, high)
+
+    def rest(self, command: Array) -> Array:
+        """The pose in which the file has it."""
+        return self._home
+
+    def place(self, position: Array, velocity: Array | None, arrived: Array) -> None:
+        """As of any body; filters have settled, integrators begin where their actuators are."""
+        own, model, data = self._own, self.mujoco_model, self.data
+        mujoco.mj_resetData(model, data)
+        rates = np.zeros(len(position)) if velocity is None else velocity
+        beside = np.zeros(2 * own.robot.loose_count)
+        data.qpos[self.qpos], data.qvel[self.dof] = position, rates
+        whole = own.robot.with_unmeasured(position, rates, beside)
+        data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = (values[len(position) :] for values in whole)
+        for q, v, joint in own.rotors:
+            data.qpos[q], data.qvel[v] = position[joint], rates[joint]
+        model.dof_frictionloss[self.dof] = own.loss
+        data.ctrl[self.control] = arrived
+        for drive, settled in zip(own.robot.actuators, arrived.tolist(), strict=True):
+            if drive.state is not None:
+                data.act[drive.state] = min(max(settled, 0.0), 1.0) if drive.activates else settled
+        integrate_from_here(model, data)
+        mujoco.mj_forward(model, data)
+        joints = zip(position.tolist(), rates.tolist(), own.laws, strict=True)
+        self._states = np.array([self._generated.joint_start((q, v, 0.0), c) for q, v, c in joints])
+
+    def exert(self) -> None:
+        """Nothing: the kernel does it."""
+
+    def advance(self, pushes: Sequence[Array]) -> bool:
+        """As of any body."""
+        own, model, data = self._own, self.mujoco_model, self.data
+        force = np.array(pushes).sum(axis=0)[None] if pushes else np.empty((0, len(self.dof)))
+        with quietly():
+            sound = self._kernel.run_mjcf(
+                self._step, model._address, data._address, own.places, own.laws, own.loss, self._fastest,
+                np.array(data.ctrl)[None], force, self._states, data.qpos, data.qvel, data.ctrl, data.qfrc_applied,
+                model.dof_frictionloss, data.qfrc_actuator, self._dt, own.moved, self._none, self._none, *self._out,
+                data.act, self._whole,
+            )  # fmt: skip
+        return sound == len(self._out[0]) and not any(data.warning[kind].number for kind in LOST)
+
+    def numbers(self) -> Mapping[str, Array]:
+        """As of any body."""
+        return numbers_of(self.mujoco_model)
+
+    def loaded(self, loads: Sequence[tuple[str, float]]) -> Mapping[str, Array]:
+        """As of any body."""
+        effects = (*self._model.effects, *(PayloadMass(place, mass) for place, mass in loads))
+        return numbers_of(realise(Model(self._model.robot, effects, self._model.phase), dt=self._dt).mujoco)

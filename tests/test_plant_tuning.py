@@ -1,0 +1,107 @@
+"""Tuning the PID of any robot on its plant: what varies, what counts, what is written and found again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mjcf_models import RIG, pendulum, refusal
+
+from equimus_ctrl import presets, workflow
+from equimus_ctrl.effects import PayloadMass, TransportDelay
+from equimus_ctrl.models.model import Model, nominal_model
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.tuning.plant_tuning import PlantProblem, make_members, make_plant_problem
+from equimus_ctrl.tuning.study import Study, study_from_dict
+from equimus_ctrl.workflow.runs import own_settings
+
+ROOT = Path(__file__).parents[1]
+STUDY = study_from_dict(presets.read_toml(ROOT / "tuning" / "pid_any.toml"))
+ARM = MjcfRobot("arm", pendulum('damping="0.3"').replace('timestep="0.001"', 'timestep="0.004"'))
+
+
+def quick(**changes: object) -> Study:
+    short = tuple(replace(o, duration=1.6) for o in STUDY.objectives)
+    ensemble = replace(STUDY.ensemble, members=2, unseen=1)
+    return replace(STUDY, objectives=short, ensemble=ensemble, candidates=3, **changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def problem() -> PlantProblem:
+    study, model = quick(), Model(ARM)
+    scenarios = [workflow.load_scenario(o.scenario, ARM, search=False) for o in study.objectives]
+    return make_plant_problem(study, model, scenarios)
+
+
+def test_members_are_the_model_the_latest_and_others_within_the_spread() -> None:
+    model = Model(RIG, (PayloadMass("tip", 0.2), TransportDelay("push", 0.01)))
+    members = make_members(model, STUDY.ensemble, 6, 3)
+    delays = [{e.location: e.delay for e in m.effects if isinstance(e, TransportDelay)} for m in members]
+    assert delays[0] == {"lift": 0.01, "push": 0.02} and delays[1] == {"lift": 0.02, "push": 0.03}
+    known = members[0].robot.parameters()
+    assert known["shoulder.damping"] == RIG.parameters()["shoulder.damping"]
+    latest = members[1].robot.parameters()
+    assert latest["shoulder.damping"] == pytest.approx(0.6 * known["shoulder.damping"])
+    assert latest["arm.mass"] == pytest.approx(0.85 * known["arm.mass"])
+    for member in members[2:]:
+        share = member.robot.parameters()["rod.mass"] / known["rod.mass"]
+        assert 0.85 <= share <= 1.15
+        assert member.robot.parameters()["rod.inertia"] / known["rod.inertia"] == pytest.approx(share)
+    assert members == members and repr(make_members(model, STUDY.ensemble, 6, 3)[4].robot.parameters()) == repr(
+        members[4].robot.parameters()
+    )
+
+
+def test_candidates_are_factors_on_placed_gains_to_six_digits(problem: PlantProblem) -> None:
+    placed, found = problem.placed, problem.settings(np.array([2.0, 0.5, 1.0, 3.0]))
+    own, first = found.gains["pivot"], placed.gains["pivot"]
+    assert own.kp == pytest.approx(2 * first.kp, rel=1e-5) and own.ki == pytest.approx(first.ki / 2, rel=1e-5)
+    assert found.derivative_time == pytest.approx(3 * placed.derivative_time, rel=1e-5) and found.decoupled
+    assert own.kd == float(f"{own.kd:.6g}")
+
+
+def test_placed_gains_are_stable_on_the_ensemble_and_wild_ones_are_refused(problem: PlantProblem) -> None:
+    good = problem.evaluation(problem.placed)
+    assert good.stable and good.cost < 1e4 and len(good.member_costs) == 2
+    wild = problem.evaluation(problem.settings(np.array([1.0, 1.0, 40.0, 0.3])))
+    assert not wild.feasible and wild.cost > 1e3
+    assert problem.moduli(problem.placed, 0)[0] < 1 < problem.moduli(problem.settings(np.full(4, 40.0)), 0)[0]
+
+
+def test_a_study_that_names_joints_is_for_these_alone(tmp_path: Path) -> None:
+    table = presets.read_toml(ROOT / "tuning" / "pid.toml")
+    assert table["joints"] == ["hip", "knee"]
+    said = refusal(lambda: study_from_dict({**table, "joints": "hip"}, "mine.toml"))
+    assert said == "mine.toml: joints is 'hip', expected a list of names of joints"
+    assert own_settings("pid.toml", ARM) == "pid_arm.toml"
+
+
+def test_what_is_tuned_is_written_for_that_robot_and_run_takes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tuning").mkdir()
+    text = (ROOT / "tuning" / "pid_any.toml").read_text()
+    text = text.replace("members = 4 ", "members = 1 ").replace("unseen = 8 ", "unseen = 1 ")
+    text = text.replace("duration = 3.0", "duration = 1.5").replace("duration = 4.0", "duration = 1.5")
+    (tmp_path / "tuning" / "pid_any.toml").write_text(text)
+    model = Model(ARM)
+    tuned = workflow.tune_pid(None, model, candidates=3, workers=1)
+    assert tuned.settings == tmp_path / "controllers" / "pid_arm.toml" and tuned.reused == 0
+    record = json.loads(tuned.record.read_text())
+    assert record["evaluated"] == 3 and record["unseen"]["robots"] == 1
+    again = workflow.tune_pid(None, model, candidates=3, workers=1)
+    assert again.reused == 3 and again.settings.read_text() == tuned.settings.read_text()
+    done = workflow.run_scenario("hold", "pid", model=model, options={"duration": "0.5"})
+    assert done.run.note == ""  # gains that were tuned
+    assert workflow.run_scenario("hold", "pid", options={"duration": "0.1"}).run.note == ""
+
+
+def test_the_leg_has_its_own_study() -> None:
+    from equimus_ctrl.workflow.runs import _study_for
+
+    assert _study_for(nominal_model()).name == "pid.toml"
+    assert _study_for(Model(ARM)).name == "pid_any.toml"
