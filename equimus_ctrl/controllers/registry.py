@@ -27,7 +27,7 @@ class ControllerRequest:
         commands: time [s] → commands (na,) that the scenario has to play; None where it has none.
         robot: that it will drive; None where that is not known yet.
         where: the settings' file, for messages.
-        chosen: whether somebody named that file.
+        chosen: whether somebody named that file, or it is the robot's own by its name.
     """
 
     settings: Mapping[str, Any] | None = None
@@ -81,11 +81,13 @@ def _pid(given: ControllerRequest) -> Controller:
     if given.settings is None:
         return PidController(None)
     settings = PidSettings.from_dict(given.settings, given.where)
-    if given.robot is not None and not settings.fits(given.robot):
-        if not given.chosen:
+    robot = given.robot
+    if robot is not None and not settings.fits(robot):
+        # Gains that name nothing of this robot are another's; a name that is wrong among right ones is a mistake.
+        if not given.chosen and not settings.gains.keys() & {*robot.joint_names, *robot.actuator_names}:
             return PidController(None)
         try:
-            settings.gain_matrix(settings.channels(given.robot))
+            settings.gain_matrix(settings.channels(robot))
         except ConfigError as error:
             raise ConfigError(f"{given.where}: {error}") from None
     return PidController(settings)
@@ -157,7 +159,7 @@ def make_controller(
         commands: time → commands, for ``open_loop``.
         where: the settings' file, for messages.
         robot: that it will drive, where that is known.
-        chosen: whether somebody named the settings' file.
+        chosen: whether somebody named the settings' file, or it is the robot's own by its name.
 
     Raises:
         ControllerError: for an unknown name, or one that cannot drive the robot.
