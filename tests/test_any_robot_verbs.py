@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mjcf_models import RIG, pendulum, refusal
 
@@ -14,8 +16,10 @@ from equimus_ctrl.cli.main import main
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.effects import PayloadMass
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
+from equimus_ctrl.scenarios.scenario import CommandProfile, Scenario
 
 Ran = Callable[..., tuple[int, str, str]]
 UNLIMITED = '<mujoco model="wild"><worldbody><body name="block"><joint name="z" type="slide" axis="0 0 1"/>\
@@ -145,3 +149,115 @@ def test_a_wrong_name_among_ones_own_gains_is_told(tmp_path: Path, monkeypatch: 
     assert isinstance(placed, PidController) and placed.settings is None
     (tmp_path / "controllers" / "pid_rig.toml").write_text('space = "joint"\n[gains.sholder]\nkp = 1.0\n')
     assert "no joint channel 'sholder'" in refusal(lambda: workflow.load_controller("pid", scenario, robot=RIG))
+
+
+MUSCLE = (
+    pendulum(body='<site name="end" pos="0.05 0 -0.1"/>', head="", drive="")
+    .replace("<worldbody>", '<worldbody><site name="root" pos="0.05 0 0.1"/>')
+    .replace(
+        "<actuator></actuator>",
+        '<tendon><spatial name="t"><site site="root"/><site site="end"/></spatial></tendon>'
+        '<actuator><muscle name="flexor" tendon="t" force="300" lengthrange="0.1 0.4"/></actuator>',
+    )
+)
+
+
+def test_who_cannot_drive_a_robot_is_told_with_what_stands_in_the_way() -> None:
+    model = Model(MjcfRobot("limb", MUSCLE))
+    for name in ("pid", "open_loop"):
+        said = refusal(lambda name=name: workflow.run_scenario("hold", name, model=model))
+        assert f"{name} computes with exact equations of motion, which cannot hold the muscle 'flexor' of limb" in said
+        assert said.endswith("those that can drive it: none")
+    said = refusal(lambda: workflow.compare(["hold"], model=model))
+    assert "no controller that is compared by default can drive limb: pid computes with" in said and "flexor" in said
+    scenario = workflow.load_scenario("hold", model.robot, search=False)
+    played = replace(scenario, commands=CommandProfile([0.0], [[0.2]]), duration=0.1)
+    assert workflow.run_scenario(played, "open_loop", model=model).run.command[-1] == 0.2
+
+
+# --- options of scenarios -----------------------------------------------------------------------------------------
+
+
+def built(name: str, robot: Robot, **options: str) -> Scenario:
+    return workflow.load_scenario(name, robot, options=options, search=False)
+
+
+SERVO = MjcfRobot(
+    "servo",
+    pendulum(
+        'range="-1.5 1.5" limited="true"',
+        drive='<position name="goal" joint="pivot" kp="40" ctrlrange="-1.57 1.57" forcerange="-6 6"/>',
+    ),
+)
+WEAK = MjcfRobot("weak", pendulum(drive='<motor name="motor" joint="pivot" ctrlrange="-1 1"/>'))
+
+
+@pytest.mark.parametrize(
+    ("name", "robot", "options", "said"),
+    [
+        ("multisine", RIG, {"period": "0"}, "period 0 s; expected 0 < duration and 0 < 1/period <= high"),
+        ("track", RIG, {"waypoints": ";"}, "waypoints are ';', expected poses such as 'elbow=30; elbow=0'"),
+        ("track", RIG, {"duration": "1"}, "the scored window 2 to 8 s holds no samples of the first 1 s"),
+        ("track", WEAK, {"waypoints": "pivot=0; pivot=80; pivot=5"}, "pivot cannot be held at 80°"),
+        ("chirp", RIG, {"mean": "20"}, "mean is of robots whose pressures sweep; rig sweeps its joints, see swing"),
+        (
+            "chirp",
+            nominal_leg(),
+            {"swing": "5"},
+            "swing is of robots whose joints sweep; nominal_leg sweeps its pressu",
+        ),
+        ("hold", SERVO, {"pivot": "120"}, "servo: a pose to be held has pivot at 120.0°, outside the joint's range of"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else getattr(value, "name", ""),
+)
+def test_options_that_cannot_be_are_told_before_a_run(
+    name: str, robot: Robot, options: dict[str, str], said: str
+) -> None:
+    assert said in refusal(lambda: built(name, robot, **options))
+
+
+def test_a_path_of_one_row_is_told(tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text("time,pos.shoulder,pos.reach\n0,0,0\n")
+    said = refusal(lambda: built("track", RIG, file=str(tmp_path / "one.csv")))
+    assert "one.csv: there is one row, expected a path of at least two" in said
+
+
+def test_a_force_the_wrong_way_is_told_with_its_sign() -> None:
+    narrow = MjcfRobot(
+        "narrow", pendulum(drive='<position name="goal" joint="pivot" kp="40" ctrlrange="-0.2 0.2" forcerange="-6 6"/>')
+    )
+    said = refusal(lambda: built("hold", narrow, pivot="60"))
+    assert "takes 2.55 N·m: its actuators exert -6 N·m at most" in said
+
+
+def test_a_swing_along_a_path_is_made_smaller_where_actuators_cannot_do_as_much() -> None:
+    path = built("track", WEAK, swing="60")
+    most = max(abs(float(path.reference.position(time)[0])) for time in np.arange(0, 8, 0.05))
+    assert 0.1 < most < np.arcsin(1 / 2.943)
+
+
+def test_sines_of_many_joints_are_no_faster_than_was_asked_for() -> None:
+    joints = 5
+    links = "".join(
+        f'<body name="b{k}"><joint name="j{k}" type="slide" axis="1 0 0"/>'
+        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
+        for k in range(joints)
+    )
+    drives = "".join(f'<motor joint="j{k}"/>' for k in range(joints))
+    robot = MjcfRobot(
+        "many",
+        f"<mujoco><worldbody>{links}{'</body>' * joints}</worldbody><actuator>{drives}</actuator></mujoco>",
+    )
+    scenario = built("multisine", robot, high="0.3", duration="60")  # three multiples of a tenth of a hertz
+    times = 1.0 + np.arange(0, 50, 0.05)  # three of the periods of 16.7 s
+    values = np.array([scenario.reference.position(float(time)) for time in times])
+    power = np.abs(np.fft.rfft(values - values.mean(axis=0), axis=0)) ** 2
+    frequencies = np.fft.rfftfreq(len(times), 0.05)
+    assert np.all(power[frequencies > 0.31].sum(axis=0) < 1e-3 * power.sum(axis=0))
+    assert len(set(power.argmax(axis=0))) == joints
+
+
+def test_a_joint_that_is_called_like_an_option_has_a_name_of_its_own() -> None:
+    robot = MjcfRobot("odd", pendulum().replace("pivot", "duration"))
+    scenario = built("hold", robot, **{"pos.duration": "30", "duration": "3"})
+    assert scenario.duration == 3.0 and scenario.reference.position(0.0) == pytest.approx([np.pi / 6])
