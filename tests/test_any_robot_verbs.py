@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mjcf_models import RIG, pendulum, refusal
+from rich.console import Console
 
 from equimus_ctrl import recordings, workflow
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.effects import PayloadMass
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.report.comparison import comparison_table
+from equimus_ctrl.report.run_figures import commands_figure
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -261,3 +265,42 @@ def test_a_joint_that_is_called_like_an_option_has_a_name_of_its_own() -> None:
     robot = MjcfRobot("odd", pendulum().replace("pivot", "duration"))
     scenario = built("hold", robot, **{"pos.duration": "30", "duration": "3"})
     assert scenario.duration == 3.0 and scenario.reference.position(0.0) == pytest.approx([np.pi / 6])
+
+
+# --- what people look at ------------------------------------------------------------------------------------------
+
+
+def test_a_table_that_would_be_too_wide_has_the_worst_joint_and_whole_names() -> None:
+    found = workflow.compare(
+        ["hold"], under=["nominal", "unmodelled_delay"], model=Model(RIG), scenario_options={"duration": "0.3"}
+    )
+    shown = {}
+    for width in (60, 80, 120):
+        out = StringIO()
+        Console(file=out, width=width).print(comparison_table(found))
+        shown[width] = out.getvalue()
+        assert "…" not in shown[width] and " pid " in shown[width]
+    assert "shoulder, mrad" in shown[120] and "reach, mm" in shown[120] and "unmodelled_delay" in shown[120]
+    assert all("worst" in shown[k] and "shoulder, mrad" not in shown[k] for k in (60, 80))
+
+
+def test_the_legend_of_commands_has_limits_where_they_are_in_view() -> None:
+    wide = MjcfRobot("wide", pendulum(drive='<motor name="motor" joint="pivot" ctrlrange="-1000 1000"/>'))
+    labels = []
+    for robot in (wide, WEAK):
+        done = workflow.run_scenario("hold", model=Model(robot), options={"pivot": "15", "duration": "0.3"})
+        (legend,) = commands_figure(done.run, done.score, "").legends or [None]
+        labels.append([] if legend is None else [text.get_text() for text in legend.get_texts()])
+    assert labels[0] == [] and "beyond the limits" in labels[1]
+
+
+def test_a_base_whose_motion_recordings_tell_is_refused_by_a_run_as_such(ran: Ran, tmp_path: Path) -> None:
+    (tmp_path / "free.xml").write_text(
+        '<mujoco model="floater"><worldbody><body name="trunk"><freejoint name="root"/><geom size="0.1"/>'
+        '<body name="leg" pos="0 0 -0.2"><joint name="hip" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody>'
+        '<actuator><motor name="m" joint="hip"/></actuator></mujoco>'
+    )
+    code, _, err = ran("hold", "--model", "free.xml")
+    assert code == 2 and "from recordings by --prescribe root" in err
+    code, _, err = ran("hold", "--model", "free.xml", "--prescribe", "root")
+    assert code == 2 and "root.turn_x is an input from recordings, which a run does not have" in err

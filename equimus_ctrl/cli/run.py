@@ -105,6 +105,11 @@ def run(
         if place is not None:
             presets.check_folder(place)
     robot = chosen.read()
+    if given := robot.robot.prescribed_names:
+        raise ConfigError(
+            f"{robot.name}: the motion of {', '.join(given)} is an input from recordings, which a run does not have; "
+            "expected a base that is fixed"
+        )
     if video is not None:
         check_robot(robot.robot)
     real = PLANTS.entry(plant).real
