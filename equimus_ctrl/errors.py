@@ -32,9 +32,13 @@ class SimulationDiverged(EquimusError):
 
     Attributes:
         run: what happened before, a ``types.Run``, where it was driven by ``simulate.run``; else None.
+        scenario: name of what was done, where that has one.
+        controller: name of what drove it, likewise.
     """
 
     run: Any = None
+    scenario: str = ""
+    controller: str = ""
 
 
 class HardwareFault(EquimusError):

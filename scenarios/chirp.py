@@ -7,15 +7,18 @@ import numpy as np
 
 import equimus_ctrl as eq
 
+MEAN, AMPLITUDE, SWING = 15.0, 12.0, 10.0
+"""Of pressures [kPa], and of joints [° or mm]."""
+
 
 def build(
     context: eq.ScenarioContext,
     duration: float = 20.0,
-    mean: float = 15.0,
-    amplitude: float = 12.0,
+    mean: float = MEAN,
+    amplitude: float = AMPLITUDE,
     low: float = 0.05,
     high: float = 2.0,
-    swing: float = 10.0,
+    swing: float = SWING,
 ) -> eq.Scenario:
     """Mean and amplitude of pressures in kPa, of joints by ``swing`` in degrees (slides mm); frequencies in Hz.
 
@@ -28,7 +31,16 @@ def build(
     times = np.arange(0.0, duration, 1 / 120)
     rate = np.log(high / low) / duration
     phase = 2 * np.pi * low * (np.exp(rate * times) - 1) / rate
-    if not context.robot.traits.held_in_place:
+    robot = context.robot
+    springs = robot.traits.held_in_place
+    unused = {"swing": swing != SWING} if springs else {"mean": mean != MEAN, "amplitude": amplitude != AMPLITUDE}
+    if any(unused.values()):
+        name = next(name for name, given in unused.items() if given)
+        raise eq.ConfigError(
+            f"{name} is of robots whose {'joints sweep' if springs else 'pressures sweep'}; {robot.name} sweeps its "
+            f"{'pressures, see mean and amplitude' if springs else 'joints, see swing'}"
+        )
+    if not springs:
         middle, most = context.swings(swing)
         waves = np.stack([np.sin(phase * (1 + 0.37 * j)) for j in range(len(middle))], axis=1)
         share, wanted = context.within_means(times, middle, most * waves)

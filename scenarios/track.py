@@ -21,7 +21,8 @@ def build(
     """Way points as ``shoulder=30 elbow=-20; shoulder=0``, in degrees, slides in mm, other joints as in a keyframe.
 
     Or a CSV file with ``time`` and ``pos.<joint>`` in SI units. Without either the joints swing about the keyframe, the
-    first by default. Times in seconds, the duration that of the path by default; what comes before it is not scored.
+    first by default, by less where a robot cannot do as much. Times in seconds, the duration that of the path by
+    default; what comes before it is not scored.
     """
     robot = context.robot
     if file:
@@ -29,10 +30,12 @@ def build(
     else:
         if not (0 < leg_time < 1e4 and rounds >= 1):
             raise eq.ConfigError(f"leg_time is {leg_time:g} s, rounds {rounds}; expected more than 0, and at least 1")
-        corners = _corners(context, waypoints, keyframe, swing)
+        middle, corners = _corners(context, waypoints, keyframe, swing)
         around = np.vstack([*[corners] * rounds, corners[:1]])
         times, values = eq.joint_path(around, leg_time)
-    for pose in (values[0], values[-1]):
+        if not waypoints:
+            _, values = context.within_means(times, middle, values - middle)
+    for pose in (values[0], values[-1]) if file else (corners if waypoints else [middle]):
         context.check_held(pose)
     first = context.home
     lead = np.arange(0.0, LEAD, 1 / 120)
@@ -49,10 +52,13 @@ def build(
     )
 
 
-def _corners(context: eq.ScenarioContext, waypoints: str, keyframe: str, swing: float) -> np.ndarray:
+def _corners(context: eq.ScenarioContext, waypoints: str, keyframe: str, swing: float) -> tuple[np.ndarray, np.ndarray]:
+    """A pose (nj,) to swing about, and (n, nj) the corners of the path [rad or m]."""
     if waypoints:
         poses = [context.pose(context.joints_of(text), keyframe) for text in waypoints.split(";") if text.strip()]
-        return np.array(poses)
+        if not poses:
+            raise eq.ConfigError(f"waypoints are {waypoints!r}, expected poses such as 'elbow=30; elbow=0'")
+        return poses[0], np.array(poses)
     middle, most = context.swings(swing, context.pose({}, keyframe))
     signs = np.array([[(-1) ** (j * k // 2 + k) for j in range(len(middle))] for k in range(3)])
-    return np.asarray(middle + signs * most)
+    return middle, np.asarray(middle + signs * most)

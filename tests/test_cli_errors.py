@@ -164,9 +164,11 @@ def test_wrong_usage_has_its_own_box(arguments: Sequence[str], said: str, run_th
 # Exit code 3.
 
 
-def test_a_diverged_run(run_there: Callable[..., Ran]) -> None:
-    found = sentence(run_there((*RUN, "--model", "fast.toml")), 3)
+def test_a_diverged_run(run_there: Callable[..., Ran], tmp_path: Path) -> None:
+    """Nothing but what it was goes to its folder."""
+    found = sentence(run_there((*RUN, "--model", "fast.toml", "--output", tmp_path)), 3)
     assert "the simulation diverged at 0.0" in found and "kPa" in found
+    assert [p.name for p in tmp_path.iterdir()] == ["score.json"]
 
 
 def test_a_diverged_score(run_there: Callable[..., Ran]) -> None:

@@ -147,6 +147,36 @@ def test_an_option_sets_its_field_and_no_other(verb: str, name: str, told: dict[
     assert told["options"] != kind()
 
 
+MODEL_EXAMPLES: dict[str, tuple[str, Any]] = {
+    "model": ("--model robot.xml", Path("robot.xml")),
+    "lock": ("--lock wrist=0.5 --lock grip", {"wrist": 0.5, "grip": 0.0}),
+    "ignore": ("--ignore gripper --ignore box", ["gripper", "box"]),
+    "motors": ("--motors", True),
+    "prescribe": ("--prescribe base_*", ["base_*"]),
+    "unmeasured": ("--unmeasured toe", ["toe"]),
+}
+"""Of ``ModelChoice``, likewise."""
+
+
+@pytest.mark.parametrize("verb", [("run", "hold"), ("identify", "trials")], ids=lambda verb: verb[0])
+@pytest.mark.parametrize("name", offered(ModelChoice))
+def test_a_model_is_chosen_alike_by_every_verb(
+    verb: tuple[str, str], name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    seen: list[dict[str, Any]] = []
+
+    def load(model: Path | None, **more: Any) -> None:
+        seen.append({"model": model, **more})
+        raise EquimusError("seen")
+
+    monkeypatch.setattr(workflow, "load_model", load)
+    text, value = MODEL_EXAMPLES[name]
+    assert main([*verb]) == main([*verb, *text.split()]) == 2
+    without, given = seen
+    assert given == {**without, name: value} and given != without
+
+
 def test_defaults_that_other_modules_have_too_are_the_same() -> None:
     assert DiagnoseOptions().most == SearchSettings().most_parts
     assert get_args(Kind) == KINDS

@@ -25,6 +25,12 @@ from equimus_ctrl.cli.progress import share_bar
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from equimus_ctrl.errors import SimulationDiverged
+    from equimus_ctrl.types import Run
+
+RESULTS = ("score.json", "series.csv", "joints.png", "foot_path.png", "pressures.png", "commands.png")
+"""What a run writes into its folder, as far as its robot has it and it is asked for."""
+
 
 @with_options
 def run(
@@ -86,13 +92,12 @@ def run(
     from equimus_ctrl.effects import parse
     from equimus_ctrl.errors import ConfigError, EquimusError, SimulationDiverged
     from equimus_ctrl.plants.registry import PLANTS
-    from equimus_ctrl.recordings import write
     from equimus_ctrl.report.tables import run_table, score_to_dict
 
     console = people()
     workflow.load_plugins(plugins or ())
     if video is not None:
-        from equimus_ctrl.report.video import check_suffix
+        from equimus_ctrl.report.video import check_robot, check_suffix
 
         check_suffix(video)
         presets.check_folder(video.parent)
@@ -100,6 +105,13 @@ def run(
         if place is not None:
             presets.check_folder(place)
     robot = chosen.read()
+    if given := robot.robot.prescribed_names:
+        raise ConfigError(
+            f"{robot.name}: the motion of {', '.join(given)} is an input from recordings, which a run does not have; "
+            "expected a base that is fixed"
+        )
+    if video is not None:
+        check_robot(robot.robot)
     real = PLANTS.entry(plant).real
     if not real and (arm or hardware is not None or domain is not None):
         known = " or ".join(name for name, entry in PLANTS.items() if entry.real)
@@ -126,19 +138,19 @@ def run(
             )
     except SimulationDiverged as stop:
         if stop.run is not None:
-            from equimus_ctrl.report.series import save_series
-
-            name = f"{Path(scenario).stem}-{_file_name(controller or 'own')}"
-            folder = output or presets.workspace() / "results" / "run" / name
-            print_files(console, [save_series(stop.run, folder / "series.csv")])
+            kept = {"plant": plant, "model": robot.name, "seed": seed}
+            result, files = keep_diverged(stop, output, record, figures, kept)
+            print_files(console, files)
+            if as_json:
+                print_json(result)
         raise
     except (EquimusError, KeyboardInterrupt) as stop:
         if streamed is not None:
             print_stopped(console, stop, streamed)
         raise
     label = f"{done.scenario.name}, {done.controller}"
-    folder = output or presets.workspace() / "results" / "run" / f"{done.scenario.name}-{_file_name(done.controller)}"
-    files: list[Path] = []
+    folder = emptied(output, done.scenario.name, done.controller)
+    files = []
     if figures:
         from equimus_ctrl.report.run_figures import save_run_figures
         from equimus_ctrl.report.series import save_series
@@ -148,11 +160,8 @@ def run(
     if streamed is not None:
         files.append(streamed)
     elif record is not None and not real:
-        presets.make_folder(record)
-        path = record / f"{done.scenario.name}.csv"
         notes = {"scenario": done.scenario.name, "controller": done.controller, "seed": str(seed)}
-        write(path, done.run.recording(done.scenario.name, notes))
-        files.append(path)
+        files.append(recorded(done.run, record, done.scenario.name, notes))
     result = score_to_dict(done.score, done.run, done.scenario, done.controller)
     note = None
     if video is not None:
@@ -167,6 +176,7 @@ def run(
         "plant": done.plant,
         "model": done.model.name,
         "seed": seed,
+        "failure": None,
         "files": [str(f) for f in files],
     }
     presets.write_text(folder / "score.json", presets.json_text(result))
@@ -181,6 +191,61 @@ def run(
     print_files(console, files)
     if as_json:
         print_json(result)
+
+
+def emptied(output: Path | None, scenario: str, controller: str) -> Path:
+    """The folder of a run, without what another run left there under the names that this one may write."""
+    from equimus_ctrl import presets
+
+    folder = output or presets.workspace() / "results" / "run" / f"{scenario}-{_file_name(controller)}"
+    for name in RESULTS:
+        (folder / name).unlink(missing_ok=True)
+    return folder
+
+
+def recorded(run: Run, folder: Path, scenario: str, notes: dict[str, str]) -> Path:
+    """Write a run as a recording into a folder; its file."""
+    from equimus_ctrl import presets
+    from equimus_ctrl.recordings import write
+
+    presets.make_folder(folder)
+    path = folder / f"{scenario}.csv"
+    write(path, run.recording(scenario, notes))
+    return path
+
+
+def keep_diverged(
+    stop: SimulationDiverged, output: Path | None, record: Path | None, figures: bool, names: dict[str, Any]
+) -> tuple[dict[str, Any], list[Path]]:
+    """Write what a run came to until its simulation diverged, with the reason: the JSON, and the files.
+
+    Args:
+        stop: what has the run.
+        output: folder of the results; the run's own by default.
+        record: folder for the recording, if one was asked for.
+        figures: whether a table over time was asked for, beside which figures stand.
+        names: what else stands in the JSON.
+    """
+    from equimus_ctrl import presets
+    from equimus_ctrl.report.series import save_series
+
+    folder, files = emptied(output, stop.scenario, stop.controller), []
+    if figures:
+        files.append(save_series(stop.run, folder / "series.csv"))
+    if record is not None and len(stop.run.time) > 1:  # a recording has at least two rows
+        notes = {"scenario": stop.scenario, "controller": stop.controller, "seed": str(names["seed"])}
+        files.append(recorded(stop.run, record, stop.scenario, {**notes, "failure": str(stop)}))
+    result = {
+        "scenario": stop.scenario,
+        "controller": stop.controller,
+        "note": stop.run.note,
+        **names,
+        "failure": str(stop),
+        "ended_s": float(stop.run.time[-1]),
+        "files": [str(file) for file in files],
+    }
+    presets.write_text(folder / "score.json", presets.json_text(result))
+    return result, files
 
 
 def new_file(folder: Path, scenario: str) -> Path:

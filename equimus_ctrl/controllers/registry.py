@@ -27,7 +27,7 @@ class ControllerRequest:
         commands: time [s] → commands (na,) that the scenario has to play; None where it has none.
         robot: that it will drive; None where that is not known yet.
         where: the settings' file, for messages.
-        chosen: whether somebody named that file.
+        chosen: whether somebody named that file, or it is the robot's own by its name.
     """
 
     settings: Mapping[str, Any] | None = None
@@ -47,6 +47,7 @@ class ControllerEntry:
         settings: the file name of its settings under ``controllers/``; None where it takes none.
         compared: whether a comparison takes it where nobody says which.
         needs: what a robot has to offer it, see ``Robot.offers``.
+        plays: whether it needs that only where a scenario has no commands to play.
     """
 
     summary: str
@@ -54,11 +55,17 @@ class ControllerEntry:
     settings: str | None = None
     compared: bool = True
     needs: frozenset[Need] = frozenset()
+    plays: bool = False
 
-    def lacks(self, robot: Robot) -> str:
-        """What a robot does not offer it, as a phrase; empty where it offers all."""
+    def lacks(self, robot: Robot, commands: bool = False) -> str:
+        """What a robot does not offer it, as a phrase; empty where it offers all.
+
+        Args:
+            robot: that it would drive.
+            commands: whether there are commands to play.
+        """
         missing = sorted(self.needs - robot.offers)
-        if not missing:
+        if not missing or (self.plays and commands):
             return ""
         if missing[0] == "inverse":
             return f"exact equations of motion, which cannot hold the {robot.obstacles[0]} of {robot.name}"
@@ -81,11 +88,13 @@ def _pid(given: ControllerRequest) -> Controller:
     if given.settings is None:
         return PidController(None)
     settings = PidSettings.from_dict(given.settings, given.where)
-    if given.robot is not None and not settings.fits(given.robot):
-        if not given.chosen:
+    robot = given.robot
+    if robot is not None and not settings.fits(robot):
+        # Gains that name nothing of this robot are another's; a name that is wrong among right ones is a mistake.
+        if not given.chosen and not settings.gains.keys() & {*robot.joint_names, *robot.actuator_names}:
             return PidController(None)
         try:
-            settings.gain_matrix(settings.channels(given.robot))
+            settings.gain_matrix(settings.channels(robot))
         except ConfigError as error:
             raise ConfigError(f"{given.where}: {error}") from None
     return PidController(settings)
@@ -100,6 +109,8 @@ register_controller(
         "the scenario's commands, or its reference's static pressures",
         lambda given: OpenLoopController(given.commands),
         compared=False,
+        needs=EXACT,
+        plays=True,
     ),
 )
 register_controller(
@@ -136,9 +147,20 @@ register_controller(
 
 
 def compared_controllers(robot: Robot | None = None) -> tuple[str, ...]:
-    """Those that a comparison takes where nobody says which, and that can drive a robot."""
+    """Those that a comparison takes where nobody says which, and that can drive a robot.
+
+    Raises:
+        ControllerError: where none can.
+    """
     found = (name for name, entry in CONTROLLERS.items() if entry.compared)
-    return tuple(name for name in found if robot is None or not CONTROLLERS[name].lacks(robot))
+    able = tuple(name for name in found if robot is None or not CONTROLLERS[name].lacks(robot))
+    if robot is not None and not able:
+        name, entry = next((name, entry) for name, entry in CONTROLLERS.items() if entry.compared)
+        raise ControllerError(
+            f"no controller that is compared by default can drive {robot.name}: {name} computes with "
+            f"{entry.lacks(robot)}; name one of your own, path/to/file.py:Name"
+        )
+    return able
 
 
 def make_controller(
@@ -157,14 +179,15 @@ def make_controller(
         commands: time → commands, for ``open_loop``.
         where: the settings' file, for messages.
         robot: that it will drive, where that is known.
-        chosen: whether somebody named the settings' file.
+        chosen: whether somebody named the settings' file, or it is the robot's own by its name.
 
     Raises:
         ControllerError: for an unknown name, or one that cannot drive the robot.
         ConfigError: for settings that are missing or wrong.
     """
     entry = CONTROLLERS.entry(name)
-    if robot is not None and (missing := entry.lacks(robot)):
-        able = ", ".join(other for other in CONTROLLERS if not CONTROLLERS[other].lacks(robot)) or "none"
+    given = commands is not None
+    if robot is not None and (missing := entry.lacks(robot, given)):
+        able = ", ".join(other for other in CONTROLLERS if not CONTROLLERS[other].lacks(robot, given)) or "none"
         raise ControllerError(f"{name} computes with {missing}; those that can drive it: {able}")
     return entry.make(ControllerRequest(settings, commands, robot, where, chosen))

@@ -72,6 +72,16 @@ def rates_of(robot: Robot) -> PlantRates:
     return PlantRates(control, control, physics)
 
 
+def check_nominal(known: Robot, robot: Robot) -> None:
+    """Raise ConfigError where a nominal model is of a robot with other joints or actuators than the robot."""
+    if (known.joint_names, known.actuator_names) != (robot.joint_names, robot.actuator_names):
+        raise ConfigError(
+            f"the nominal model {known.name} has joints {', '.join(known.joint_names)} and actuators "
+            f"{', '.join(known.actuator_names)}, but {robot.name} has {', '.join(robot.joint_names)} and "
+            f"{', '.join(robot.actuator_names)}"
+        )
+
+
 def make_spec(robot: Robot, control_dt: float, nominal: Robot | Model | None, phase: Phase = "swing") -> PlantSpec:
     """What a controller may know of a robot: its names, limits, control period and a nominal model with its effects.
 
@@ -79,12 +89,8 @@ def make_spec(robot: Robot, control_dt: float, nominal: Robot | Model | None, ph
         ConfigError: where the nominal model is of a robot with other joints or actuators.
     """
     known = nominal.robot if isinstance(nominal, Model) else nominal
-    if known is not None and (known.joint_names, known.actuator_names) != (robot.joint_names, robot.actuator_names):
-        raise ConfigError(
-            f"the nominal model {known.name} has joints {', '.join(known.joint_names)} and actuators "
-            f"{', '.join(known.actuator_names)}, but {robot.name} has {', '.join(robot.joint_names)} and "
-            f"{', '.join(robot.actuator_names)}"
-        )
+    if known is not None:
+        check_nominal(known, robot)
     low, high = robot.joint_range
     least, most = robot.command_limits
     return PlantSpec(

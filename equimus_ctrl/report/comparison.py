@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from rich.box import SIMPLE_HEAD
-from rich.console import Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
@@ -21,7 +23,7 @@ MRAD = 1e3
 SMALL = {"rad": "mrad", "m": "mm"}
 """SI unit of a joint → a thousandth of it."""
 MOST_COLUMNS = 3
-"""Joints that have a column each; of more the table has the worst."""
+"""Joints that have a column each; of more, or where these are too wide, the table has the worst."""
 WIDTHS = (3.2, 2.2, 1.2)
 """Of the controllers' lines, so that those drawn later hide none."""
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
@@ -29,32 +31,30 @@ SHOWN = 4
 """Conditions whose motion is drawn, at most."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Fitting:
+    """The first of some tables that is not too wide, else the last."""
+
+    tables: Sequence[Table]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        whole = options.update(max_width=10_000)
+        for table in self.tables[:-1]:
+            if Measurement.get(console, whole, table).maximum <= options.max_width:
+                yield table
+                return
+        yield self.tables[-1]
+
+
 def comparison_table(found: Comparison) -> RenderableType:
-    """For a terminal of 80 columns: a table for each scenario, a row for each condition and controller."""
+    """For a terminal of 80 columns: a table for each scenario, a row for each condition and controller.
+
+    Where joints, or a column each, are too many it has the worst joint; controllers are never cut short.
+    """
     parts: list[RenderableType] = []
-    for name, scenario in found.scenarios.items():
-        robot = found.model.robot
-        joints, units = robot.joint_names, [SMALL[unit] for unit in robot.joint_units]
-        table = Table(
-            title=Text(f"{name}: {scenario.summary}", style="bold"), box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
-            title_justify="left",
-        )  # fmt: skip
-        table.add_column("condition", no_wrap=True)
-        table.add_column("by", no_wrap=True)
-        if len(joints) <= MOST_COLUMNS:
-            heads = [f"{joint}, {unit}\nRMSE/max" for joint, unit in zip(joints, units, strict=True)]
-        else:
-            heads = [f"worst joint, {' or '.join(dict.fromkeys(units))}\nRMSE/max"]
-        for head in heads:
-            table.add_column(head, justify="right", no_wrap=True)
-        for head in (f"effort\n{_effort_unit(robot)}", "limit\n%", "step, ms\np50/p99", "overrun/\nfallback, %"):
-            table.add_column(head, justify="right", no_wrap=True)
-        for condition in found.conditions:
-            rows = [e for e in found.entries if (e.scenario, e.condition) == (name, condition.name)]
-            for k, entry in enumerate(rows):
-                cells = [condition.name if k == 0 else "", entry.controller, *_cells(entry)]
-                table.add_row(*map(Text, cells), end_section=k == len(rows) - 1)
-        parts.append(table)
+    few = len(found.model.robot.joint_names) <= MOST_COLUMNS
+    for name in found.scenarios:
+        parts.append(_Fitting([*([_table(found, name, each=True)] if few else []), _table(found, name, each=False)]))
     for entry in found.failures:
         parts.append(Text(f"{entry.controller}, {entry.scenario}, {entry.condition}: {entry.failure}", style="yellow"))
     parts.append(
@@ -67,11 +67,36 @@ def comparison_table(found: Comparison) -> RenderableType:
     return Group(*parts)
 
 
-def _cells(entry: Entry) -> list[str]:
+def _table(found: Comparison, name: str, *, each: bool) -> Table:
+    """Of a scenario, with a column for each joint or one for the worst, whose words may be broken."""
+    robot = found.model.robot
+    joints, units = robot.joint_names, [SMALL[unit] for unit in robot.joint_units]
+    table = Table(
+        title=Text(f"{name}: {found.scenarios[name].summary}", style="bold"), box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
+        title_justify="left",
+    )  # fmt: skip
+    heads = [f"{joint}, {unit}\nRMSE/max" for joint, unit in zip(joints, units, strict=True)]
+    if not each:
+        heads = [f"worst joint, {' or '.join(dict.fromkeys(units))}\nRMSE/max"]
+    for head in ("condition", "by"):
+        table.add_column(head, no_wrap=each, overflow="fold")
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=each, overflow="fold")
+    for head in (f"effort\n{_effort_unit(robot)}", "limit\n%", "step, ms\np50/p99", "overrun/\nfallback, %"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for condition in found.conditions:
+        rows = [e for e in found.entries if (e.scenario, e.condition) == (name, condition.name)]
+        for k, entry in enumerate(rows):
+            cells = [condition.name if k == 0 else "", entry.controller, *_cells(entry, each)]
+            table.add_row(*map(Text, cells), end_section=k == len(rows) - 1)
+    return table
+
+
+def _cells(entry: Entry, each: bool) -> list[str]:
     if entry.score is None or entry.error is None or entry.run is None:
         return ["ended early"]
     rmse, largest, spec = MRAD * entry.error.rmse, MRAD * entry.error.largest, entry.run.spec
-    if len(rmse) <= MOST_COLUMNS:
+    if each:
         cells = [f"{own:.2f}/{most:.0f}" for own, most in zip(rmse, largest, strict=True)]
     else:
         j = int(rmse.argmax())
@@ -198,6 +223,7 @@ def _motion(found: Comparison, name: str) -> Figure:
                 axes[j][k], title=condition if j == 0 else "", x="time [s]" if j == len(joints) - 1 else "",
                 y=f"{joint} [{readings[j].unit}]" if k == 0 else "",
             )  # fmt: skip
+    figure.align_ylabels()
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False)
     return figure

@@ -347,7 +347,7 @@ def commands_figure(run: Run, score: Score, label: str) -> Figure:
     pressures = set(spec.command_units) == {"Pa"}
     title = f"{label}: commanded pressures" if pressures else f"{label}: commands"
     figure = style.new_figure(WIDTH * (1 + 0.4 * (columns - 1)), 1.1 + 1.9 * rows, title)
-    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    panels, limited = figure.subplots(rows, columns, sharex=True, squeeze=False), False
     for i, name in enumerate(spec.actuators):
         axes, own = panels[divmod(i, columns)], reading(spec.command_units[i])
         low, high = spec.command_low[i] * own.factor, spec.command_high[i] * own.factor
@@ -364,7 +364,9 @@ def commands_figure(run: Run, score: Score, label: str) -> Figure:
             if np.isfinite(edge):
                 axes.axhspan(edge, beyond, color=style.SHADE, linewidth=0, zorder=0)
                 axes.axhline(edge, color=style.FAINT, linewidth=style.THIN_WIDTH)
-        axes.set_ylim(*axes.get_ylim())
+        view = axes.get_ylim()
+        axes.set_ylim(*view)
+        limited = limited or view[0] < low or high < view[1]
         axes.step(run.time, command, where="post", color=style.actuator_colour(i), linewidth=style.RUN_WIDTH)
         for edge, beyond, cut in ((low, bottom, asked < low), (high, top, asked > high)):
             bars = _bars(run, clipped & cut)
@@ -373,7 +375,7 @@ def commands_figure(run: Run, score: Score, label: str) -> Figure:
     _drop(panels[-1:], rows * columns - na)
     figure.align_ylabels()
     handles: list[Artist] = []
-    if np.isfinite([*spec.command_low, *spec.command_high]).any():
+    if limited:
         handles.append(Patch(facecolor=style.SHADE, edgecolor=style.FAINT, label="beyond the limits"))
     if run.clipped.any():
         handles.append(Patch(facecolor=style.ALERT, label="clipped: more was asked for than the limit allows"))

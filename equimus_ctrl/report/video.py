@@ -18,6 +18,7 @@ from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.film import Film, Frame, Strip, make_film, palette_colours
 from equimus_ctrl.report.film_frames import MujocoPictures, SketchPictures
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.types import Run
 
 _Progress = Callable[[float], None] | None
@@ -55,6 +56,14 @@ def check_suffix(path: Path) -> str:
             f"{path}: a video can be written as .mp4 or .gif, not as {suffix or 'a file without ending'}"
         )
     return suffix
+
+
+def check_robot(robot: Robot) -> None:
+    """Raise NotAvailable where no video can show a robot: drawn are links in a plane and elastic actuators."""
+    if "lengths" not in robot.offers:
+        raise NotAvailable(
+            f"{robot.name}: a video shows robots with elastic actuators alone, and it has none; run it without --video"
+        )
 
 
 def save_video(

@@ -22,6 +22,10 @@ from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, elastic_of
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.types import Array, Recording, Start, frozen_array
 
+POSITION = "pos."
+"""Before a joint's name where something else has that name too, as in columns of recordings."""
+RANGE_MARGIN = {"rad": 0.1, "m": 1e-3}
+"""SI unit → how far into a joint's stop a reference may go: an equilibrium may press on a stop."""
 INSIDE = 0.9
 """Of a joint's range what swings may take."""
 ASIDE = 0.1
@@ -160,6 +164,7 @@ class ScenarioContext:
             raise ConfigError(unknown_name("keyframe", keyframe, robot.keyframes, robot.name))
         pose = np.array(robot.keyframes[keyframe] if keyframe else self.home)
         for joint, value in given.items():
+            joint = joint if joint in robot.joint_names else joint.removeprefix(POSITION)
             if joint not in robot.joint_names:
                 raise ConfigError(unknown_name("joint", joint, robot.joint_names, robot.name))
             if not math.isfinite(value):
@@ -200,11 +205,13 @@ class ScenarioContext:
         """Times (n,) from 0 on [s] and positions (n, nj) [rad or m] that a CSV file says.
 
         Raises:
-            ConfigError, RecordingError: where no file can be read here, or not this.
+            ConfigError, RecordingError: where no file can be read here, or not this, or it is no path.
         """
         if self.read_path is None:
             raise ConfigError(f"{file}: no files are read here")
         times, values = self.read_path(file, self.robot)
+        if len(times) < 2:
+            raise ConfigError(f"{file}: there is one row, expected a path of at least two")
         return times - times[0], values
 
     def start(self, pose: Array) -> Start:
@@ -260,11 +267,16 @@ class ScenarioContext:
     def check_held(self, pose: Array) -> None:
         """Raise ConfigError where a joint cannot be held in a pose (nj,) [rad or m], and nothing else holds the robot.
 
-        The sentence says which joint lacks what. Ends of joints and dry friction hold what they can. Where springs pull
-        the robot to one pose whatever is commanded, it comes to rest as near as it can, and nothing is said.
+        The sentence says which joint is out of its range, or lacks what. Ends of joints and dry friction hold what they
+        can. Where springs pull the robot to one pose whatever is commanded, it comes to rest as near as it can, and
+        nothing is said.
         """
         robot = self.robot
-        if robot.traits.held_in_place or "inverse" not in robot.offers:
+        if robot.traits.held_in_place:
+            return
+        if outside := out_of_range(robot, pose):
+            raise ConfigError(f"{robot.name}: a pose to be held has {outside}")
+        if "inverse" not in robot.offers:
             return
         command, lack = self.dynamics.holding(pose)
         low, high = robot.joint_range
@@ -277,8 +289,22 @@ class ScenarioContext:
         j = int(np.argmax(np.where(short, np.abs(lack), 0.0)))
         joint, place = robot.joint_names[j], reading(robot.joint_units[j]).text(pose[j])
         force = robot.place_unit("N·m", joint)
-        where = f"{robot.name}: {joint} cannot be held at {place}, which takes {abs(needed[j]):.3g} {force}"
+        way = np.sign(needed[j]) or np.sign(lack[j])
+        where = f"{robot.name}: {joint} cannot be held at {place}, which takes {way * needed[j]:.3g} {force}"
         if not np.any(self.dynamics.authority(pose, still)[0][j]):
             raise ConfigError(f"{where}: no actuator acts on it; expected a pose in which it rests by itself")
-        given = self.dynamics.exerted(pose, still, command)[j]
-        raise ConfigError(f"{where}: its actuators exert {abs(given):.3g} {force} at most")
+        given, bound = way * self.dynamics.exerted(pose, still, command)[j], "most" if way * lack[j] > 0 else "least"
+        raise ConfigError(f"{where}: its actuators exert {given:.3g} {force} at {bound}")
+
+
+def out_of_range(robot: Robot, pose: Array) -> str:
+    """Which joint of a pose (nj,) [rad or m] is beyond its range, and that range, in words; empty where none is."""
+    low, high = robot.joint_range
+    for joint, unit, place, least, most in zip(robot.joint_names, robot.joint_units, pose, low, high, strict=True):
+        margin, text = RANGE_MARGIN.get(unit, 0.0), reading(unit).text
+        if not least - margin <= place <= most + margin:
+            return (
+                f"{joint} at {text(place, '.1f')}, outside the joint's range of {text(least, '.1f')} to "
+                f"{text(most, '.1f')}"
+            )
+    return ""

@@ -12,13 +12,12 @@ import numpy as np
 
 from equimus_ctrl.errors import ConfigError, EquimusError, unknown_name
 from equimus_ctrl.plants.events import Event
-from equimus_ctrl.robots.reading import position_word, reading
+from equimus_ctrl.robots.reading import position_word
+from equimus_ctrl.scenarios.context import POSITION, out_of_range
 from equimus_ctrl.scenarios.context import CommandProfile as CommandProfile
 from equimus_ctrl.scenarios.context import ScenarioContext as ScenarioContext
 from equimus_ctrl.types import Recording, Reference, Start
 
-RANGE_MARGIN = {"rad": 0.1, "m": 1e-3}
-"""SI unit → how far into a joint's stop a reference may go: an equilibrium may press on a stop."""
 LOOKED_AT = 20.0
 """How often a reference is looked at before anything runs [Hz]."""
 
@@ -66,6 +65,12 @@ class Scenario:
     def __post_init__(self) -> None:
         if not 0 < self.duration < float("inf"):
             raise ConfigError(f"scenario {self.name}: duration is {self.duration:g} s, expected more than 0")
+        low, high = self.score_window or (0.0, self.duration)
+        if self.score_window and min(high, self.duration) - low < 1 / self.score_rate:
+            raise ConfigError(
+                f"scenario {self.name}: the scored window {low:g} to {high:g} s holds no samples of the first "
+                f"{self.duration:g} s, its duration"
+            )
         if self.step_like and self.step_at is None:
             object.__setattr__(self, "step_at", 0.0)
 
@@ -75,13 +80,15 @@ def build_scenario(
 ) -> Scenario:
     """Call a scenario script's ``build`` with options given as text.
 
-    The options are the function's keyword parameters after the context; a text is read as the type of the default.
+    The options are the function's keyword parameters after the context; a text is read as the type of the default. A
+    joint that is called like one of them is ``pos.<joint>``.
 
     Raises:
         ConfigError: for an unknown option or a text that is not of the default's type.
     """
     joints = context.robot.joint_names if takes_joints(build) else ()
-    known = {**dict.fromkeys(joints, 0.0), **option_defaults(build)}
+    own = option_defaults(build)
+    known = {**{POSITION + joint if joint in own else joint: 0.0 for joint in joints}, **own}
     for key, default in known.items():
         if default is inspect.Parameter.empty:
             raise ConfigError(f"{where}: build's parameter {key!r} has no default; each option of a scenario needs one")
@@ -127,17 +134,11 @@ def _check_scenario(scenario: object, context: ScenarioContext) -> None:
             f"the reference of scenario {scenario.name} begins at {pose.tolist()}, expected one finite "
             f"{position_word(m.joint_units)} for each of {', '.join(m.joint_names)}"
         )
-    low, high = m.joint_range
     for time in np.arange(0.0, scenario.duration, 1 / LOOKED_AT).tolist():
         pose = np.asarray(scenario.reference.position(time), dtype=np.float64)
-        for joint, unit, angle, least, most in zip(m.joint_names, m.joint_units, pose, low, high, strict=True):
-            margin, text = RANGE_MARGIN.get(unit, 0.0), reading(unit).text
-            if not least - margin <= angle <= most + margin:
-                when = "begins with" if time == 0 else f"at {time:.2f} s has"
-                raise ConfigError(
-                    f"the reference of scenario {scenario.name} {when} {joint} at {text(angle, '.1f')}, outside the "
-                    f"joint's range of {text(least, '.1f')} to {text(most, '.1f')}"
-                )
+        if outside := out_of_range(m, pose):
+            when = "begins with" if time == 0 else f"at {time:.2f} s has"
+            raise ConfigError(f"the reference of scenario {scenario.name} {when} {outside}")
 
 
 def option_defaults(build: Callable[..., Scenario]) -> dict[str, Any]:

@@ -12,11 +12,12 @@ from equimus_ctrl import presets
 from equimus_ctrl.controllers.custom import as_controller
 from equimus_ctrl.controllers.registry import CONTROLLERS, make_controller
 from equimus_ctrl.effects.base import Effect
-from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model, nominal_model
 from equimus_ctrl.options import AutotuneOptions, with_changes
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
+from equimus_ctrl.plants.mujoco_plant import check_nominal
 from equimus_ctrl.plants.registry import PLANTS, PlantRequest, make_plant
 from equimus_ctrl.recordings import locate, read_path, read_set
 from equimus_ctrl.robots.base import Robot
@@ -123,8 +124,9 @@ def load_controller(
         return as_controller(presets.load_object(name), name)
     path = settings
     if settings is None and takes is not None:
-        names = [own_settings(takes, robot), takes] if robot is not None else [takes]
-        path = next((found for each in names if (found := presets.find("controllers", each)) is not None), None)
+        if robot is not None:
+            path = settings = presets.find("controllers", own_settings(takes, robot))
+        path = path or presets.find("controllers", takes)
     table = presets.read_toml(path) if path is not None else None
     commands = scenario.commands.at if scenario.commands is not None else None
     return make_controller(name, table, commands, str(path or name), robot, settings is not None)
@@ -180,7 +182,7 @@ def run_scenario(
     """Run a scenario and score it.
 
     Args:
-        scenario: name or path of a script, or a scenario.
+        scenario: name or path of a script, or a scenario; a script builds on what is known.
         controller: name, ``path.py:Name``, controller, class or function; the scenario's own by default.
         model: what is simulated; the nominal leg by default.
         effects: attached to the model on top of its own.
@@ -198,10 +200,12 @@ def run_scenario(
 
     Raises:
         EquimusError: for anything a user can get wrong, in one sentence.
+        SimulationDiverged: where the simulation did; it has the run until then, and the names of what was done.
         HardwareFault: where a real robot had to be vented.
     """
     model = model or nominal_model()
     known = nominal or model
+    check_nominal(known.robot, model.robot)
     if seed < 0:
         raise ConfigError(f"seed is {seed}, expected at least 0")
     if isinstance(plant, str):
@@ -210,12 +214,12 @@ def run_scenario(
         model = Model(model.robot, (*model.effects, *effects), model.phase)
     if isinstance(scenario, str):
         scenario = load_scenario(
-            scenario, model.robot, phase=model.phase, effects=known.effects, options=options, recordings=recordings
+            scenario, known.robot, phase=model.phase, effects=known.effects, options=options, recordings=recordings
         )
     if controller is None:
         controller = scenario.controller
     if isinstance(controller, str):
-        label, driven = controller, load_controller(controller, scenario, settings, model.robot)
+        label, driven = controller, load_controller(controller, scenario, settings, known.robot)
     else:
         label = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
         driven = as_controller(controller, label)
@@ -229,6 +233,9 @@ def run_scenario(
         duration = min(duration, machine.duration)
     try:
         outcome = run(machine, driven, scenario.reference, duration, start=scenario.start, seed=seed, progress=progress)
+    except SimulationDiverged as error:
+        error.scenario, error.controller = scenario.name, label
+        raise
     finally:
         machine.close()
     counts = machine.counts if isinstance(machine, CountsInstants) else None

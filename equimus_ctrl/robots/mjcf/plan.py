@@ -216,10 +216,10 @@ def _kept_range(base: Any, joint: Axis) -> tuple[float, float]:
 def _free(base: Any, name: str, index: int) -> str:
     """What to do about a free joint: of a base, and where there is a robot without its body of a loose object."""
     joint, body = base.joint(index).name, int(base.jnt_bodyid[index])
-    measured = "it gets a name, by which --prescribe takes its measured pose"
+    measured = "it gets a name, by which --prescribe takes its measured pose where recordings tell of it"
     if joint:
         columns = ", ".join(f"pos.{own}" for own in columns_of(joint))
-        measured = f"its pose measured ({columns}) and taken as it is by --prescribe {joint}"
+        measured = f"its pose measured ({columns}) and taken as it is from recordings by --prescribe {joint}"
     loose = ""
     if any(int(base.body_rootid[other]) != int(base.body_rootid[body]) for other in base.jnt_bodyid):
         own = base.body(body).name or "BODY, for which its body needs a name"
