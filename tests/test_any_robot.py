@@ -16,7 +16,7 @@ from equimus_ctrl.controllers.exact_pid import ExactPidState
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings
 from equimus_ctrl.controllers.placement import placed_gains
-from equimus_ctrl.effects import CoulombFriction, PayloadMass, TransportDelay
+from equimus_ctrl.effects import CoulombFriction, PayloadMass, SensorDelay, TransportDelay
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
@@ -239,6 +239,63 @@ def test_placed_gains_are_slower_where_drives_are_late() -> None:
         done = run(plant, PidController(None), HoldReference(HINGES.home + 0.1), 6.0)
         assert np.abs(done.position[-50:] - HINGES.home - 0.1).max() < 0.01
     assert found[0] > 2 * found[1] > 2 * found[2]
+
+
+def test_late_sensors_are_reckoned_with() -> None:
+    late = Model(HINGES, tuple(SensorDelay(joint, 0.05) for joint in HINGES.joint_names))
+    plant, dynamics = MujocoPlant(late), Dynamics(late)
+    at_once = placed_gains(Dynamics(Model(HINGES)), plant.spec, HINGES.home)
+    assert placed_gains(dynamics, plant.spec, HINGES.home).bandwidth < at_once.bandwidth / 2
+    done = run(plant, PidController(None), HoldReference(HINGES.home + 0.1), 8.0)
+    assert np.abs(done.position[-100:] - HINGES.home - 0.1).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("joint", "drive"),
+    [
+        ('damping="0.1"', '<motor name="motor" joint="pivot" ctrlrange="-200 200"/>'),
+        ('damping="40"', '<motor name="motor" joint="pivot" ctrlrange="-200 200"/>'),
+        ('damping="0.5"', '<velocity name="speed" joint="pivot" kv="30" ctrlrange="-5 5"/>'),
+    ],
+    ids=["light", "damped", "velocity"],
+)
+def test_a_step_hardly_overshoots_however_much_a_joint_is_damped(joint: str, drive: str) -> None:
+    robot = MjcfRobot("one", pendulum(joint, drive=drive))
+    done = workflow.run_scenario("step", "pid", model=Model(robot), options={"duration": "4"})
+    assert done.score.step is not None
+    assert done.score.step.overshoot[0] < 0.1 and done.score.step.settling[0] < 1.0
+    np.testing.assert_allclose(done.score.step.offset, 0.0, atol=1e-4)
+
+
+def test_a_delay_that_nobody_told_of_is_borne() -> None:
+    robot = MjcfRobot("limited", HINGES.xml.replace("<motor", '<motor ctrlrange="-60 60"'))
+    found = workflow.compare(["step"], ["pid"], under=["nominal", "unmodelled_delay"], model=Model(robot))
+    known, unknown = (entry.score for entry in found.entries)
+    assert known is not None and unknown is not None and unknown.step is not None
+    assert np.all(unknown.tracking.rmse < 1.2 * known.tracking.rmse)
+    moved = ~np.isnan(unknown.step.overshoot)
+    assert np.all(unknown.step.overshoot[moved] < 0.2)
+
+
+def test_commands_change_no_faster_than_an_actuator_can() -> None:
+    drive = '<pid name="goal" joint="pivot" kp="40" slewmax="0.5" input="pos"/>'
+    plant = MujocoPlant(Model(MjcfRobot("slow", pendulum('damping="2"', drive=drive))))
+    done = run(plant, PidController(None), FunctionReference(lambda t: np.array([0.0 if t < 0.5 else 0.6])), 8.0)
+    assert np.isfinite(plant.spec.command_rate).all()
+    fastest = np.abs(np.diff(done.command, axis=0)).max()
+    assert fastest == pytest.approx(0.5 * plant.spec.control_dt)
+    assert np.abs(done.position[-50:] - 0.6).max() < 0.01
+
+
+def test_it_says_what_keeps_it_from_placing_gains() -> None:
+    idle = MjcfRobot("idle", pendulum(drive='<damper name="brake" joint="pivot" kv="5" ctrlrange="0 2"/>'))
+    said = refusal(lambda: workflow.run_scenario("hold", "pid", model=Model(idle)))
+    assert "idle: no command exerts anything on a joint at rest" in said
+    up = MjcfRobot("up", pendulum(inertial='mass="1" pos="0 0 0.3" diaginertia="0.01 0.01 0.01"'))
+    late = Model(up, (TransportDelay("motor", 0.2),))
+    said = refusal(lambda: workflow.run_scenario("hold", "pid", model=late))
+    assert "up: pivot moves away from 0° under any PID placed for 0.008 to 0.094 Hz" in said
+    assert "up to 0.2 s late" in said
 
 
 def test_a_joint_without_actuator_that_falls_is_told() -> None:

@@ -50,6 +50,50 @@ def test_commands_exert_what_was_asked_for_and_a_limit_of_force_is_seen() -> Non
     np.testing.assert_allclose(dynamics.exerted(q, v, beyond), [4.0, 20.0], atol=1e-12)
 
 
+SHARED = MjcfRobot(
+    "shared",
+    pendulum(
+        drive='<position name="goal" joint="pivot" kp="60" kv="1" ctrlrange="-3 3" forcerange="-1 1"/>'
+        '<motor name="motor" joint="pivot" ctrlrange="-10 10"/>'
+    ),
+)
+"""A servo of little force beside a motor."""
+
+
+def test_what_a_limit_of_force_stops_another_actuator_exerts() -> None:
+    dynamics, still = Dynamics(Model(SHARED)), np.zeros(1)
+    for torque in (0.4, 2.6, -7.0):
+        command = dynamics.commands([0.5], still, [torque])
+        np.testing.assert_allclose(dynamics.exerted([0.5], still, command), torque, atol=1e-9)
+    command, lack = dynamics.holding([np.pi / 2])
+    np.testing.assert_allclose(lack, 0.0, atol=1e-9)
+    np.testing.assert_allclose(command[1], 9.81 * 0.3 - 1.0, atol=1e-9)
+    beyond = dynamics.shared([0.5], still, np.array([0.5, 0.0]), np.array([20.0]), dynamics.low, dynamics.high)
+    np.testing.assert_allclose(dynamics.exerted([0.5], still, beyond), 11.0, atol=1e-9)
+
+
+def test_a_stopped_actuator_is_no_spring_about_the_pose_that_it_helps_to_hold() -> None:
+    dynamics = Dynamics(Model(SHARED))
+    held, resting = dynamics.linear([np.pi / 2]), dynamics.linear([0.0])
+    np.testing.assert_allclose(held.stiffness, 0.0, atol=1e-9)
+    np.testing.assert_allclose(held.drive, [[0.0, 1.0]])
+    np.testing.assert_allclose(resting.stiffness, 60 + 9.81 * 0.3, rtol=1e-9)
+
+
+def test_ties_of_joints_and_integrating_actuators_are_told() -> None:
+    body = (
+        '<body name="hand" pos="0 0 -0.6"><joint name="wrist" axis="0 1 0"/>'
+        '<inertial mass="0.5" pos="0 0 -0.2" diaginertia="0.01 0.01 0.01"/></body>'
+    )
+    tie = '<equality><joint joint1="wrist" joint2="pivot" {}/></equality>'
+    tied, free = (MjcfRobot("tied", pendulum(body=body, tail=tie.format(of))) for of in ("", 'active="false"'))
+    assert "which cannot hold its equality of wrist and pivot" in refusal(lambda: Dynamics(Model(tied)))
+    assert not tied.offers and not tied.obstacles and "inverse" in free.offers
+    drive = '<intvelocity name="goal" joint="pivot" kp="40" kv="2" actrange="-2 2"/>'
+    rate = MjcfRobot("rate", pendulum(drive=drive))
+    assert "which cannot hold its integrating actuator 'goal'" in refusal(lambda: Dynamics(Model(rate)))
+
+
 def test_what_a_joint_lacks_is_told_beyond_its_friction() -> None:
     weak = MjcfRobot("weak", pendulum(drive='<motor name="motor" joint="pivot" ctrlrange="-1 1"/>'))
     level = np.array([np.pi / 2])

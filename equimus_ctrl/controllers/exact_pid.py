@@ -55,6 +55,7 @@ class ExactPidState:
         followed: how far that has followed the reference.
         dt: control period [s].
         driven: (nj,) joints on which an actuator acts.
+        reach: (na,) by how much what commands ask for can change from one command to the next.
         possible: of the instants from ``SMOOTHING`` before now to as much after, what share of the motion can be done.
         shown: (nj,) reference of the measurement before.
         note: where the gains come from; empty where somebody gave them.
@@ -69,6 +70,7 @@ class ExactPidState:
     followed: InverseState
     dt: float
     driven: NDArray[np.bool_]
+    reach: Array
     shown: Array
     possible: tuple[float, ...] = ()
     note: str = ""
@@ -96,7 +98,8 @@ def begin(settings: PidSettings, spec: PlantSpec, observation: Observation, dyna
     memory = np.zeros((3, len(y)))
     memory[INTEGRAL] = effort - gains[KP] * (gains[WEIGHT_P] - 1.0) * y
     memory[PREVIOUS] = (gains[WEIGHT_D] - 1.0) * y
-    return ExactPidState(s, memory, gains, observation.time, dynamics, inverse, followed, spec.control_dt, driven, y)
+    dt, reach = spec.control_dt, spec.command_rate * spec.control_dt
+    return ExactPidState(s, memory, gains, observation.time, dynamics, inverse, followed, dt, driven, reach, y)
 
 
 def step(observation: Observation, reference: Reference, state: ExactPidState) -> tuple[Array, ExactPidState]:
@@ -121,20 +124,32 @@ def step(observation: Observation, reference: Reference, state: ExactPidState) -
     memory[PREVIOUS] = weighted
     effort = gains[KP] * (gains[WEIGHT_P] * r - y) + memory[INTEGRAL] + gains[KD] * memory[DERIVATIVE]
     weight = dynamics.effective_mass(q, state.driven) if s.decoupled else np.eye(len(y))
+    # As far as a command gets until the next; that of before is within the limits.
+    low = np.maximum(inverse.low, observation.command - state.reach)
+    high = np.minimum(inverse.high, observation.command + state.reach)
+    low, high = np.minimum(low, inverse.high), np.maximum(high, inverse.low)
     # What limits take away of the feed-forward alone is none of the integral's business.
-    fed = np.clip(fed, inverse.low, inverse.high)
+    fed = np.clip(fed, low, high)
     asked = fed + dynamics.answer(dynamics.authority(q, v)[0], weight @ effort)
-    command = np.clip(asked, inverse.low, inverse.high)
-    lost = np.linalg.pinv(weight) @ (_lost(dynamics, y, v, asked, command) - _lost(dynamics, q, v, fed, fed))
+    # Which actuators limits of forces stop is told by where the robot is.
+    command = dynamics.shared(y, v, asked, dynamics.exerted(y, v, fed) + weight @ effort, low, high)
+    ends = low, high
+    lost = np.linalg.pinv(weight) @ (
+        _lost(dynamics, y, v, asked, command, ends) - _lost(dynamics, q, v, fed, fed, ends)
+    )
     back = np.where(gains[TRACKING] > 0, np.minimum(dt / np.where(gains[TRACKING] > 0, gains[TRACKING], 1.0), 1.0), 1.0)
     memory[INTEGRAL] += np.where(gains[KI] > 0, dt * gains[KI] * (r - y) + back * lost, 0.0)
     return frozen_array(command), replace(state, memory=memory, followed=followed, possible=possible, shown=r)
 
 
-def _lost(dynamics: Dynamics, q: Array, v: Array, asked: Array, command: Array) -> Array:
-    """(nj,) what is exerted under a command less what would be, without limits, under the one asked for."""
+def _lost(dynamics: Dynamics, q: Array, v: Array, asked: Array, command: Array, ends: tuple[Array, Array]) -> Array:
+    """(nj,) what is exerted under a command less what would be, without limits, under the one asked for.
+
+    What a limit takes from one actuator's feedback of its own, as a servo's, counts where no other could exert it.
+    """
     drive, own = dynamics.authority(q, v)
-    return np.asarray(dynamics.exerted(q, v, command) - (drive @ asked + own))
+    wanted = drive @ asked + own
+    return np.asarray(dynamics.exerted(q, v, dynamics.shared(q, v, command, wanted, *ends)) - wanted)
 
 
 def _possible(dynamics: Dynamics, q: Array, v: Array, a: Array) -> float:
@@ -143,9 +158,11 @@ def _possible(dynamics: Dynamics, q: Array, v: Array, a: Array) -> float:
     moving, resting = dynamics.needed(q, v, a), dynamics.needed(q, still, still)
     drive, own = dynamics.authority(q, v)
     commands = np.column_stack([dynamics.answer(drive, torque - own) for torque in (moving, resting)])
-    within = np.clip(commands, dynamics.low[:, None], dynamics.high[:, None])
     asked, at_rest = (drive @ commands + own[:, None]).T
-    given, held = (dynamics.exerted(q, v, command) for command in within.T)
+    given, held = (
+        dynamics.exerted(q, v, dynamics.shared(q, v, command, torque, dynamics.low, dynamics.high))
+        for command, torque in zip(commands.T, (asked, at_rest), strict=True)
+    )
     most = float(np.linalg.norm(asked - at_rest))
     lost = float(np.linalg.norm((asked - given) - (at_rest - held)))
     return 1.0 if lost <= EXACT * max(most, 1.0) else max(1.0 - lost / max(most, EXACT), 0.0)

@@ -2,20 +2,25 @@
 
 Decoupled by the mass matrix (``PidSettings.decoupled``), each joint gets the characteristic polynomial
 
-    (s² + 2 ζ ω s + ω²)(s + α ω)
+    (s² + 2 ζ ω s + ω²)(s + p),    p = max(α ω, δ − 2 ζ ω)
 
-    k_p = ω² (1 + 2 ζ α) − κ,    k_d = ω (2 ζ + α) − δ,    k_i = α ω (k_p + κ)/(1 + 2 ζ α)
+    k_p = ω² + 2 ζ ω p − κ,    k_d = (2 ζ + α) ω − δ₀,    k_i = ω² p
 
-none below 0. κ and δ are the least stiffness and damping by inertia that the robot has by itself in any pose looked
-at, the least eigenvalues of K v = κ M v and D v = δ M v: a servo that is stiffer by itself keeps what it has, and gets
-the integral alone (Åström & Hägglund, *Advanced PID Control*, 2006, chapter 6). ω begins at a share of what dead times,
-lags and the control period allow, and is halved until the sampled loop of all joints, delays included, is stable in
-every pose, with its gains as they are and raised; where no ω does that, in the pose in which it begins.
+none below 0. κ and δ are the least stiffness and damping by inertia that the joint has by itself in any pose looked at,
+δ₀ the least damping in any direction (D v = δ₀ M v). A joint that is damped more than placed poles would be keeps that:
+its third pole is fast, and its gains grow with δ. One that is stiffer by itself keeps that too, and gets the integral
+alone, k_i = α ω κ/(1 + 2 ζ α) (Åström & Hägglund, *Advanced PID Control*, 2006, chapter 6). Where a robot falls by
+itself in some direction (K v = κ M v with κ < 0), that κ counts for all joints.
+
+ω begins at a share of what dead times, lags, late sensors and the control period allow. It is halved until the sampled
+loop of all joints is stable in every pose, with its gains raised and with what usually stands between commands and
+forces unknown, and until it dies away where it begins, as placed poles do; where no ω does that in all poses, in the
+pose in which it begins.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +28,8 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh, expm
 
 from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings
-from equimus_ctrl.effects.command import DELAY
+from equimus_ctrl.effects.command import DELAY, FILL, VENT
+from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.dynamics import Dynamics, Linear
 from equimus_ctrl.models.linear import valve_lag, with_valves
@@ -44,6 +50,8 @@ POSES = 12
 """How many are looked at beside the first."""
 HELD = 1e-6
 """Torque that a joint lacks in a pose at rest, at most [N·m or N]."""
+DECAYS = 0.1
+"""Share of α ω, the slowest pole that is placed, that the slowest of the sampled loop reaches at least."""
 GROWS = 1e-9
 """Of an eigenvalue beyond 1 that is none."""
 
@@ -65,7 +73,7 @@ class Placed:
     @property
     def searched(self) -> PidSettings:
         """Gains for factors of a tuning: none is below what a robot without stiffness and damping would get."""
-        bare = _gains(self.bandwidth, 0.0, 0.0)
+        bare = _gains(self.bandwidth, 0.0, 0.0, 0.0, 0.0)
         gains = {
             joint: PidGains(max(own.kp, bare.kp), max(own.ki, bare.ki), max(own.kd, bare.kd)) if own.ki > 0 else own
             for joint, own in self.settings.gains.items()
@@ -93,30 +101,53 @@ def placed_gains(dynamics: Dynamics, spec: PlantSpec, pose: Array) -> Placed:
     Raises:
         ControllerError: where none keep it where it is; the sentence says which joint moves away.
     """
-    valve = valves_of(dynamics.model)
-    late = 1.5 * spec.control_dt + float(valve[:, DELAY].max()) + float(valve_lag(valve).max())
+    valve, dt = valves_of(dynamics.model), spec.control_dt
+    sensor = sensor_settings(dynamics.model.effects, spec.joints)[:, SENSOR_DELAY]
+    traits = dynamics.robot.traits
+    usual = valve.copy()
+    usual[:, DELAY] = np.maximum(valve[:, DELAY], traits.usual_delay)
+    usual[:, [FILL, VENT]] = np.maximum(valve[:, [FILL, VENT]], traits.usual_lag)
+    known = float(valve[:, DELAY].max()) + float(valve_lag(valve).max()) + float(sensor.max())
+    late = 1.5 * dt + known
     found = [(q, dynamics.linear(q)) for q in _poses(dynamics, spec, pose)]
     driven = np.any([np.any(own.drive != 0, axis=1) for _, own in found], axis=0)
+    if not driven.any():
+        raise ControllerError(
+            f"{dynamics.robot.name}: no command exerts anything on a joint at rest, in any pose looked at; "
+            "a PID needs an actuator that does"
+        )
     # Where a joint without actuator does not rest, nothing can be said of a linear loop.
     rests = [np.all(np.abs(dynamics.holding(q)[1])[~driven] < HELD) for q, _ in found]
     still = [own for k, own in enumerate(found) if k == 0 or rests[k]]
-    joint = 0
+    joint, most = 0, PHASE / (2 * late)
     for part in (still, still[:1]):
-        stiffness = min(_least(own.stiffness, own.mass, driven) for _, own in part)
-        damping = min(_least(own.damping, own.mass, driven) for _, own in part)
-        loops = [Loop(q, own, driven, dynamics, valve, spec.control_dt) for q, own in part]
-        omega = PHASE / (2 * late)
+        own = Own.of([linear for _, linear in part], driven)
+        loops = []
+        for q, linear in part:
+            known_loop = Loop(q, linear, driven, dynamics, valve, dt, sensor)
+            loops.append(
+                ((Loop(q, linear, driven, dynamics, usual, dt, sensor), 1.0), (known_loop, 1.0), (known_loop, RAISED))
+            )
+        omega = most
         while omega >= SLOWEST:
-            settings = _settings(spec, driven, omega, stiffness, damping, late)
-            growth = [loop.growth(settings, factor) for loop in loops for factor in (1.0, RAISED)]
-            if max(size for size, _ in growth) <= 1 + GROWS:
+            settings = _settings(spec, driven, omega, own, late)
+            growth = [loop.growth(settings, factor) for own_loops in loops for loop, factor in own_loops]
+            # What joints without actuator do dies away as slowly as it does.
+            slowest = np.exp(-DECAYS * THIRD * omega * dt) if driven.all() else 1 + GROWS
+            if max(size for size, _ in growth) <= 1 + GROWS and growth[0][0] <= slowest:
                 return Placed(settings, omega, everywhere=part is still)
             omega /= 2
-        joint = growth[0][1]
+        joint = max(growth)[1]
     place = reading(spec.joint_units[joint]).text(pose[joint])
+    where = f"{dynamics.robot.name}: {spec.joints[joint]} moves away from {place}"
+    if driven.all() and known > 0:
+        raise ControllerError(
+            f"{where} under any PID placed for {SLOWEST / (2 * np.pi):.2g} to {most / (2 * np.pi):.2g} Hz, while "
+            f"commands and sensors are known to be up to {known:.3g} s late; expected less, or gains of one's own"
+        )
     why = "" if driven[joint] else ", and it has no actuator"
     raise ControllerError(
-        f"{dynamics.robot.name}: {spec.joints[joint]} moves away from {place}{why}; no PID of the driven joints "
+        f"{where}{why}; no PID of the driven joints "
         f"({', '.join(np.array(spec.joints)[driven])}) keeps it there, which takes a controller of all states together"
     )
 
@@ -130,26 +161,54 @@ def _poses(dynamics: Dynamics, spec: PlantSpec, pose: Array) -> Iterator[Array]:
         yield low + row * (high - low)
 
 
-def _least(matrix: Array, mass: Array, driven: NDArray[np.bool_]) -> float:
-    """The least eigenvalue of a matrix by the mass matrix, of driven joints."""
-    own = np.ix_(driven, driven)
-    even = ((matrix + matrix.T) / 2)[own]
-    return float(eigh(even, mass[own], eigvals_only=True)[0])
+@dataclass(frozen=True, eq=False)
+class Own:
+    """What driven joints have by themselves in the poses looked at, by inertia.
+
+    Attributes:
+        stiffness: (nj,) the least of each joint, others at rest [1/s²].
+        damping: (nj,) alike [1/s].
+        falls: the least stiffness in any direction, 0 where that is not below 0 [1/s²].
+        undamped: the least damping in any direction [1/s].
+    """
+
+    stiffness: Array
+    damping: Array
+    falls: float
+    undamped: float
+
+    @classmethod
+    def of(cls, poses: Sequence[Linear], driven: NDArray[np.bool_]) -> Own:
+        """Of a robot about poses."""
+        inertia = np.array([np.diag(own.mass) for own in poses])
+        stiffness = np.array([np.diag(own.stiffness) for own in poses]) / inertia
+        damping = np.array([np.diag(own.damping) for own in poses]) / inertia
+        each = np.ix_(driven, driven)
+
+        def least(matrix: Array, mass: Array) -> float:
+            return float(eigh(((matrix + matrix.T) / 2)[each], mass[each], eigvals_only=True)[0])
+
+        falls = min(least(own.stiffness, own.mass) for own in poses)
+        undamped = min(least(own.damping, own.mass) for own in poses)
+        return cls(stiffness.min(axis=0), damping.min(axis=0), min(falls, 0.0), undamped)
 
 
-def _settings(
-    spec: PlantSpec, driven: NDArray[np.bool_], omega: float, stiffness: float, damping: float, late: float
-) -> PidSettings:
-    own = _gains(omega, stiffness, damping)
-    gains = {joint: own if acts else PidGains(0.0) for joint, acts in zip(spec.joints, driven, strict=True)}
+def _settings(spec: PlantSpec, driven: NDArray[np.bool_], omega: float, own: Own, late: float) -> PidSettings:
+    gains = {}
+    for j, joint in enumerate(spec.joints):
+        stiffness, damping = float(own.stiffness[j]), float(own.damping[j])
+        placed = _gains(omega, stiffness, damping, own.falls or stiffness, own.undamped)
+        gains[joint] = placed if driven[j] else PidGains(0.0)
     return PidSettings(gains, "joint", derivative_time=late, tracking_time=2 / omega, inverse=True, decoupled=True)
 
 
-def _gains(omega: float, stiffness: float, damping: float) -> PidGains:
-    whole = 1 + 2 * DAMPING * THIRD
-    kp = max(omega**2 * whole - stiffness, 0.0)
-    kd = max(omega * (2 * DAMPING + THIRD) - damping, 0.0)
-    return PidGains(kp, max((kp + stiffness) * THIRD * omega / whole, 0.0), kd)
+def _gains(omega: float, stiffness: float, damping: float, falls: float, undamped: float) -> PidGains:
+    """Of a joint with stiffness and damping of its own, and the least of both in any direction."""
+    third = max(THIRD * omega, damping - 2 * DAMPING * omega)
+    whole = omega**2 + 2 * DAMPING * omega * third
+    kp = max(whole - falls, 0.0)
+    ki = max(omega**2 * third, stiffness * THIRD * omega / (1 + 2 * DAMPING * THIRD))
+    return PidGains(kp, ki, max((2 * DAMPING + THIRD) * omega - undamped, 0.0))
 
 
 class Loop:
@@ -162,11 +221,13 @@ class Loop:
         dynamics: of the robot.
         valve: (na, 6) between commands and actuators.
         dt: control period [s].
+        sensor: (nj,) by how much measurements are late [s].
     """
 
     def __init__(
-        self, q: Array, linear: Linear, driven: NDArray[np.bool_], dynamics: Dynamics, valve: Array, dt: float
-    ) -> None:
+        self, q: Array, linear: Linear, driven: NDArray[np.bool_], dynamics: Dynamics, valve: Array, dt: float,
+        sensor: Array,
+    ) -> None:  # fmt: skip
         a, b, _ = with_valves(*linear.matrices(), valve_lag(valve))
         n, na = b.shape
         whole = np.zeros((n + na, n + na))
@@ -177,7 +238,7 @@ class Loop:
         # Accelerations of joints → commands, as ``controllers.exact_pid`` has it.
         weight = dynamics.effective_mass(q, driven)
         self._map = np.column_stack([dynamics.answer(linear.drive, column) for column in weight.T])
-        self._periods = np.ceil(valve[:, DELAY] / dt - 1e-9).astype(int)
+        self._periods, self._seen = (np.ceil(x / dt - 1e-9).astype(int) for x in (valve[:, DELAY], sensor))
 
     def growth(self, settings: PidSettings, factor: float) -> tuple[float, int]:
         """Largest |eigenvalue| of the sampled loop with gains so many times as large, and the joint it moves most."""
@@ -185,19 +246,21 @@ class Loop:
         kp, ki, kd = (factor * np.array([getattr(g, key) for g in gains]) for key in ("kp", "ki", "kd"))
         nj, n, (na, held), dt = self._joints, len(self._a), (len(self._map), int(self._periods.max())), self._dt
         share = dt / (settings.derivative_time + dt)
-        size = n + 3 * nj + na * held
+        size, behind = n + 3 * nj + na * held, int(self._seen.max())
 
         def after(state: Array) -> Array:
             x, (i, d, before) = state[:n], np.split(state[n : n + 3 * nj], 3)
-            y, late = x[:nj], state[n + 3 * nj :].reshape(held, na)
+            late, before_now = state[n + 3 * nj : size].reshape(held, na), state[size:].reshape(behind, nj)
+            angles = np.vstack([x[None, :nj], before_now])
+            y = angles[self._seen, np.arange(nj)]
             d = d + share * ((before - y) / dt - d)
             u = self._map @ (-kp * y + i + kd * d)
             line = np.vstack([u[None], late])
             arrives = line[self._periods, np.arange(na)]
             x = self._a @ x + self._b @ arrives
-            return np.concatenate([x, (ki > 0) * (i - dt * ki * y), d, y, line[:held].ravel()])
+            return np.concatenate([x, (ki > 0) * (i - dt * ki * y), d, y, line[:held].ravel(), angles[:behind].ravel()])
 
-        matrix = np.column_stack([after(column) for column in np.eye(size)])
+        matrix = np.column_stack([after(column) for column in np.eye(size + nj * behind)])
         values, vectors = np.linalg.eig(matrix)
         k = int(np.argmax(np.abs(values)))
         return float(np.abs(values[k])), int(np.argmax(np.abs(vectors[:nj, k])))

@@ -68,7 +68,7 @@ class ControllerEntry:
         if not missing or (self.plays and commands):
             return ""
         if missing[0] == "inverse":
-            return f"exact equations of motion, which cannot hold the {robot.obstacles[0]} of {robot.name}"
+            return f"exact equations of motion, which cannot hold the {robot.uninvertible[0]} of {robot.name}"
         return f"lengths of elastic actuators, which {robot.name} does not have"
 
 

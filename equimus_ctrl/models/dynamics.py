@@ -30,6 +30,10 @@ from equimus_ctrl.types import Array
 
 FAR = 1e150
 """Stands for no limit of a command."""
+LOST = 1e-9
+"""Share of a torque, and of 1 N·m or N, that is lost by rounding."""
+SHARINGS = 20
+"""How often what some actuators cannot exert is given to others, at most."""
 SOUND = 1e-6
 """Smallest singular value of B that counts, as a share of the largest: below it commands exert nothing there."""
 
@@ -106,10 +110,10 @@ class Dynamics:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.robot = robot = changed_bodies(model.effects, model.robot)
-        if robot.obstacles:
+        if robot.uninvertible:
             raise NotAvailable(
                 f"{robot.name}: controllers compute with exact equations of motion, which cannot hold its "
-                f"{robot.obstacles[0]}"
+                f"{robot.uninvertible[0]}"
             )
         others = (*robot.prescribed_names, *robot.unmeasured_names)
         if others:
@@ -126,15 +130,17 @@ class Dynamics:
         self._joints = mechanics.joints
         found = _functions(form, model.phase, laws)
         self._mass, self._needed, self._slopes = (Buffered(found[key]) for key in ("mass", "needed", "slopes"))
+        self._bounded_slopes = Buffered(found["slopes"])
         self._bounded, self._free = Buffered(found["drive"]), Buffered(found["drive"])
         self._grip = Buffered(found["grip"])
         within = np.array([*mechanics.parameters, *own])
         beyond = np.array([*form.unlimited(mechanics.parameters), *own])
-        for call in (self._mass, self._needed, self._bounded, self._grip):
+        for call in (self._mass, self._needed, self._bounded, self._bounded_slopes, self._grip):
             call.arguments[-1][:] = within
         for call in (self._free, self._slopes):
             call.arguments[-1][:] = beyond
         self.low, self.high = robot.command_limits
+        self._anything = np.full(len(self.low), np.inf)
         ends = np.nan_to_num(self.low, neginf=-FAR), np.nan_to_num(self.high, posinf=FAR)
         both = np.isfinite(self.low) & np.isfinite(self.high)
         self._inside = np.where(both, (ends[0] + ends[1]) / 2, np.clip(0.0, *ends))
@@ -196,9 +202,42 @@ class Dynamics:
         return np.asarray(self._weights * scaled)
 
     def commands(self, q: ArrayLike, v: ArrayLike, torque: ArrayLike) -> Array:
-        """(na,) commands, whatever their limits, that exert a torque (nj,) [N·m or N] as nearly as can be."""
+        """(na,) commands, whatever their limits, that exert a torque (nj,) [N·m or N] as nearly as can be.
+
+        Where such a limit stops one actuator, others that act on the same joints exert what it does not.
+        """
         drive, own = self.authority(q, v)
-        return self.answer(drive, np.asarray(torque) - own)
+        command = self.answer(drive, np.asarray(torque) - own)
+        return self.shared(q, v, command, drive @ command + own, -self._anything, self._anything)
+
+    def shared(self, q: ArrayLike, v: ArrayLike, command: Array, torque: Array, low: Array, high: Array) -> Array:
+        """Commands within bounds, so that actuators that no limit stops exert what others cannot.
+
+        As given where none is stopped. Newton's method on what is exerted; what is stopped has no slope, and stays.
+
+        Args:
+            q: (nj,) positions [rad or m].
+            v: (nj,) rates.
+            command: (na,) to begin with.
+            torque: (nj,) to be exerted [N·m or N].
+            low: (na,) lowest commands.
+            high: (na,) highest.
+        """
+        within = np.clip(command, low, high)
+        for _ in range(SHARINGS):
+            given, slope = self._driven(self._bounded, q, v, within)
+            off = torque - given
+            if not _apart(off, torque):
+                break
+            stopped = np.zeros(len(within), dtype=bool)
+            change = self.answer(slope, off)
+            while np.any(outward := ((within <= low) & (change < 0) | (within >= high) & (change > 0)) & ~stopped):
+                stopped |= outward
+                change = self.answer(np.where(stopped, 0.0, slope), off)
+            if not _apart(slope @ np.where(stopped, 0.0, change), torque):
+                break
+            within = np.clip(within + change, low, high)
+        return np.asarray(within)
 
     def holding(self, q: ArrayLike) -> tuple[Array, Array]:
         """The commands within their limits that come nearest to holding a pose at rest, and what is lacking then.
@@ -216,6 +255,9 @@ class Dynamics:
         if np.any((command < self.low) | (command > self.high)):
             ends = (self.low / self._weights, self.high / self._weights)
             command = self._weights * lsq_linear(drive * self._weights, wanted, ends).x
+        whole = drive @ command + own
+        if _apart(self.exerted(q, still, command) - whole, whole):
+            command = self.shared(q, still, command, wanted + own, self.low, self.high)
         self._grip.arguments[0][:], self._grip.arguments[1][:] = np.asarray(q)[self._order], command
         self._grip()
         grip = self._joint(self._grip.results[0])
@@ -223,16 +265,25 @@ class Dynamics:
         return np.asarray(command), np.sign(off) * np.maximum(np.abs(off) - grip, 0.0)
 
     def linear(self, q: ArrayLike, u: ArrayLike | None = None) -> Linear:
-        """The robot about a pose at rest, no limit of forces near.
+        """The robot about a pose at rest, no limit of forces near but of actuators whose part others exert.
 
         Args:
             q: (nj,) the pose [rad or m].
             u: (na,) what is commanded there; what holds it by default.
         """
         still = np.zeros(len(self._joints))
-        command = self.commands(q, still, self.needed(q, still, still)) if u is None else u
-        self._slopes.arguments[0][:], self._slopes.arguments[1][:] = np.asarray(q)[self._order], 0.0
-        self._slopes.arguments[2][:] = command
-        self._slopes()
-        by_q, by_v = (self._joint(self._joint(part.reshape(len(still), -1)).T).T for part in self._slopes.results)
-        return Linear(self.mass(q), by_v, by_q, self.authority(q, still)[0])
+        needed = self.needed(q, still, still)
+        command = self.commands(q, still, needed) if u is None else np.asarray(u)
+        (given, bounded), (drive, own) = self._driven(self._bounded, q, still, command), self.authority(q, still)
+        stopped = _apart(given - (drive @ command + own), given) and not _apart(given - needed, needed)
+        call, drive = (self._bounded_slopes, bounded) if stopped else (self._slopes, drive)
+        call.arguments[0][:], call.arguments[1][:] = np.asarray(q)[self._order], 0.0
+        call.arguments[2][:] = command
+        call()
+        by_q, by_v = (self._joint(self._joint(part.reshape(len(still), -1)).T).T for part in call.results)
+        return Linear(self.mass(q), by_v, by_q, drive)
+
+
+def _apart(off: Array, torque: Array) -> bool:
+    """Whether torques are off by more than rounding."""
+    return bool(np.any(np.abs(off) > LOST * np.maximum(np.abs(torque), 1.0)))

@@ -333,6 +333,11 @@ class Robot(ABC):
         return ()
 
     @property
+    def uninvertible(self) -> tuple[str, ...]:
+        """What keeps a controller from solving its equations of motion for commands, a phrase each."""
+        return self.obstacles
+
+    @property
     @abstractmethod
     def offers(self) -> frozenset[Need]:
         """What a controller of it can compute with."""

@@ -24,6 +24,7 @@ from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings
 from equimus_ctrl.controllers.placement import Loop, placed_gains
 from equimus_ctrl.effects import TransportDelay
 from equimus_ctrl.effects.bodies import BodyEffect, changed_bodies
+from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model, model_to_dict
@@ -171,7 +172,10 @@ class PlantProblem:
         """Largest eigenvalue of a robot's linearised sampled loops, as they are and with all gains raised."""
         known, robot = Dynamics(self.model), self.members[member]
         own, valve = Dynamics(robot), valves_of(robot)
-        loops = [Loop(pose, own.linear(pose), self.driven, known, valve, self.control_dt) for pose in self.poses()]
+        late = sensor_settings(robot.effects, robot.robot.joint_names)[:, SENSOR_DELAY]
+        loops = [
+            Loop(pose, own.linear(pose), self.driven, known, valve, self.control_dt, late) for pose in self.poses()
+        ]
         both = [max(loop.growth(settings, f)[0] for loop in loops) for f in (1.0, self.limits.gain_margin)]
         return both[0], both[1]
 

@@ -11,6 +11,7 @@ import numpy as np
 from equimus_ctrl.robots.base import Need, Robot
 from equimus_ctrl.robots.mjcf.actuators import exerts_its_command
 from equimus_ctrl.robots.mjcf.entries import Axis, Drive
+from equimus_ctrl.robots.mjcf.obstacles import switched_off
 from equimus_ctrl.types import Array, frozen_array
 
 if TYPE_CHECKING:
@@ -98,5 +99,19 @@ class Driven(Robot):
 
     @property
     def offers(self) -> frozenset[Need]:
-        """As of any robot; nothing where the equations cannot hold it."""
-        return frozenset() if self.obstacles else frozenset[Need](("inverse",))
+        """As of any robot; nothing where its equations are not solved for commands."""
+        return frozenset() if self.uninvertible else frozenset[Need](("inverse",))
+
+    @property
+    def uninvertible(self) -> tuple[str, ...]:
+        """As of any robot: also what ties joints or tendons, and actuators that exert an integral of their commands."""
+        base, found = self.plan.base, list(self.obstacles)
+        tied = range(base.neq) if "equality" not in switched_off(base) else ()
+        for e in tied:
+            if base.eq_active0[e]:
+                of = base.tendon if int(base.eq_type[e]) == int(mujoco.mjtEq.mjEQ_TENDON) else base.joint
+                both = [of(int(k)).name for k in (base.eq_obj1id[e], base.eq_obj2id[e]) if k >= 0]
+                found.append(f"equality of {' and '.join(both)}")
+        for i in np.flatnonzero(base.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)):
+            found.append(f"integrating actuator {base.actuator(int(i)).name or int(i)!r}")
+        return tuple(found)
