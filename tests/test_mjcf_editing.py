@@ -217,7 +217,7 @@ def test_a_free_joint_is_refused_with_the_way_out_where_there_is_one(tmp_path: P
     )
     path.write_text(walker)
     told = refusal(lambda: load_model(path))
-    assert told.endswith("taken as it is by --prescribe root") and "--ignore" not in told
+    assert told.endswith("taken as it is from recordings by --prescribe root") and "--ignore" not in told
 
 
 def test_a_model_file_remembers_objects_and_says_that_the_xml_lacks_them(tmp_path: Path) -> None:

@@ -90,7 +90,9 @@ def test_a_free_joint_is_measured_or_left_out_and_a_sentence_names_both(tmp_path
     xml.write_text(FLYER.replace("</worldbody>", cup).replace('0.2"/></keyframe>', '0.2 2 0 0 1 0 0 0"/></keyframe>'))
     told = refusal(lambda: workflow.load_model(xml, prescribe=["base"]))
     assert "joint 'slack' is a free joint" in told and told.count(";") == 1
-    assert "pos.slack.qz) and taken as it is by --prescribe slack; a loose object in the scene is left out by " in told
+    measured, left_out = told.rsplit("; ", 1)
+    assert measured.endswith("pos.slack.qz) and taken as it is from recordings by --prescribe slack")
+    assert left_out.startswith("a loose object in the scene is left out by ")
     assert told.endswith("--ignore cup")
     found = workflow.load_model(xml, prescribe=["base"], ignore=["cup"], recordings=[csv])
     assert found.robot.joint_names == ("swing",) and found.robot.prescribed_columns == COLUMNS
