@@ -182,13 +182,13 @@ def test_what_a_finer_step_fits_far_worse_stays_named() -> None:
 
 @pytest.mark.slow
 def test_what_fits_as_well_is_told_after_a_finer_step_too() -> None:
-    """A tilt and a sensor's offset do the same to a pendulum, whatever step that was found with."""
+    """A tilt and a sensor's offset do the same to a pendulum, whatever step that was found with; so may others."""
     fine, coarse = stepped(0.00002), stepped(0.01)
     real = Model(fine, [GravityTilt("base", 0.05)])
     found = workflow.diagnose_recordings(recorded(real, dt=None), Model(coarse), most=1, engine="mujoco")
     assert any("physics step of the XML, 10 ms, is too long" in note for note in found.notes)
     (tilt,) = found.findings
-    assert {tilt.named.effect, *(e.effect for e in tilt.equivalent)} == {"gravity_tilt", "sensor_offset"}
+    assert {tilt.named.effect, *(e.effect for e in tilt.equivalent)} >= {"gravity_tilt", "sensor_offset"}
     assert sum(r.fitted is not None for r in found.ranking) > 2  # what was fitted with the XML's step
 
 
