@@ -1,4 +1,4 @@
-"""The command ``run`` with robots of MuJoCo's XML: what it writes, what it refuses, and what is left of a run that ends early."""
+"""The command ``run`` with MJCF robots: what it writes, what it refuses, and what is left of a run that ends early."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated plant of robots of MuJoCo's XML."""
+"""The simulated plant of MJCF robots."""
 
 from __future__ import annotations
 

@@ -33,12 +33,9 @@ from equimus_ctrl.controllers.pid_kernel import (
     WEIGHT_P,
 )
 from equimus_ctrl.controllers.pid_settings import PidSettings
-from equimus_ctrl.models.dynamics import Dynamics
+from equimus_ctrl.models.dynamics import LOST, Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
-
-EXACT = 1e-9
-"""Share of a torque, and of 1 N·m or N, that is lost by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +162,7 @@ def _possible(dynamics: Dynamics, q: Array, v: Array, a: Array) -> float:
     )
     most = float(np.linalg.norm(asked - at_rest))
     lost = float(np.linalg.norm((asked - given) - (at_rest - held)))
-    return 1.0 if lost <= EXACT * max(most, 1.0) else max(1.0 - lost / max(most, EXACT), 0.0)
+    return 1.0 if lost <= LOST * max(most, 1.0) else max(1.0 - lost / max(most, LOST), 0.0)
 
 
 def _fed(settings: PidSettings, dynamics: Dynamics, q: Array) -> Array:

@@ -309,7 +309,7 @@ class Data:
         Args:
             fitted: the hypothesis.
             k: place of the part.
-            most: so many and one more are told apart, no larger numbers.
+            most: counted are so many and one more, no larger numbers.
         """
         part, found = fitted.hypothesis[k], 0
         candidate, seen = part.candidate, False

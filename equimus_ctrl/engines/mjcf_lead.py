@@ -12,14 +12,13 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
-import mujoco
 import numpy as np
 
 from equimus_ctrl.effects.following import STRIDE
 from equimus_ctrl.effects.sensors import SCALE, SENSOR_DELAY, behind, hermite_rate
 from equimus_ctrl.engines.limits import MAX_SPEED, REMEMBERED
 from equimus_ctrl.engines.mjcf_commands import Arriving
-from equimus_ctrl.engines.mjcf_realised import Realised, function_address, scratch
+from equimus_ctrl.engines.mjcf_realised import LOST, Realised, function_address, scratch
 from equimus_ctrl.engines.motion import hermite_arrays
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.types import Array
@@ -47,8 +46,6 @@ class Hidden:
 
 Rows = Callable[[Realised, Trial], Array]
 """(1 + n, na) all commands of a history, see ``mjcf.rows_of``."""
-LOST = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-"""After these MuJoCo begins anew from its own pose."""
 
 
 def remembers(own: Realised) -> bool:

@@ -29,6 +29,9 @@ from equimus_ctrl.robots.mjcf.parts import harden, rotor_of
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot, mjcf_of
 from equimus_ctrl.types import Array
 
+LOST = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+"""What MuJoCo warns of where its numbers are no motion any more."""
+
 
 @lru_cache(maxsize=8)
 def function_address(name: str) -> int:

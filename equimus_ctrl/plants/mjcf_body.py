@@ -1,4 +1,4 @@
-"""A robot of MuJoCo's XML in the simulated plant, with all that the XML has: contacts, tendons, integrator and step.
+"""An MJCF robot in the simulated plant, with all that the XML has: contacts, tendons, integrator and step.
 
 Laws that MuJoCo has no field for are stepped beside it, see ``engines.mjcf_kernel``.
 """
@@ -13,8 +13,9 @@ import numpy as np
 from equimus_ctrl.effects.bodies import PayloadMass
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.limits import MAX_SPEED
+from equimus_ctrl.engines.mjcf import put_joints
 from equimus_ctrl.engines.mjcf_commands import integrate_from_here
-from equimus_ctrl.engines.mjcf_realised import function_address, realise
+from equimus_ctrl.engines.mjcf_realised import LOST, function_address, realise
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
@@ -22,9 +23,6 @@ from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.plants.loads import numbers_of
 from equimus_ctrl.robots.mjcf.robot import mjcf_of
 from equimus_ctrl.types import Array
-
-LOST = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-"""What MuJoCo warns of where its numbers are no motion any more."""
 
 
 class MjcfBody:
@@ -79,11 +77,7 @@ class MjcfBody:
         mujoco.mj_resetData(model, data)
         rates = np.zeros(len(position)) if velocity is None else velocity
         beside = np.zeros(2 * own.robot.loose_count)
-        data.qpos[self.qpos], data.qvel[self.dof] = position, rates
-        whole = own.robot.with_unmeasured(position, rates, beside)
-        data.qpos[own.others[:, 0]], data.qvel[own.others[:, 1]] = (values[len(position) :] for values in whole)
-        for q, v, joint in own.rotors:
-            data.qpos[q], data.qvel[v] = position[joint], rates[joint]
+        put_joints(own, data, *own.robot.with_unmeasured(position, rates, beside))
         model.dof_frictionloss[self.dof] = own.loss
         data.ctrl[self.control] = arrived
         for drive, settled in zip(own.robot.actuators, arrived.tolist(), strict=True):

@@ -114,7 +114,7 @@ def make_spec(robot: Robot, control_dt: float, nominal: Robot | Model | None, ph
 class MujocoPlant:
     """Any robot in MuJoCo: commands in, positions out at the sensor's rate.
 
-    What moves is a ``plants.body.Body``: elastic actuators are 3-2-1 elements, a robot of MuJoCo's XML has all that is
+    What moves is a ``plants.body.Body``: elastic actuators are 3-2-1 elements, an MJCF robot has all that is
     in there. Events, valves, sensors and noise are alike for all.
 
     Args:

@@ -13,9 +13,10 @@ from matplotlib.lines import Line2D
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.report import style
 from equimus_ctrl.robots.reading import reading
-from equimus_ctrl.tuning.autotune import TuningResult, unseen_problem
+from equimus_ctrl.tuning.autotune import unseen_problem
 from equimus_ctrl.tuning.objective import Evaluation, Problem
 from equimus_ctrl.tuning.plant_tuning import PlantTuning
+from equimus_ctrl.tuning.result import TuningResult
 
 STAGES = {
     "start": ("start", style.INK),
@@ -28,7 +29,7 @@ MOST_LEGS = 20
 LINES: tuple[tuple[float, Sequence[float]], ...] = ((0, ()), (0, (1, 1)), (0, (4, 1, 1, 1)))
 
 
-def save_tuning_figures(result: TuningResult | PlantTuning, folder: Path) -> list[Path]:
+def save_tuning_figures(result: TuningResult, folder: Path) -> list[Path]:
     """Write convergence.png, response.png and, of a leg, robustness.png."""
     if isinstance(result, PlantTuning):
         own = {"convergence": convergence_figure(result), "response": plant_response_figure(result)}
@@ -41,7 +42,7 @@ def save_tuning_figures(result: TuningResult | PlantTuning, folder: Path) -> lis
     return [style.save(figure, folder / f"{name}.png") for name, figure in figures.items()]
 
 
-def convergence_figure(result: TuningResult | PlantTuning) -> Figure:
+def convergence_figure(result: TuningResult) -> Figure:
     """Cost of every candidate, in the order they were tried, and the best so far."""
     figure = style.new_figure(9.0, 4.6, "Convergence")
     axes = figure.add_subplot()

@@ -8,9 +8,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
-from platform import python_version
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -29,27 +27,15 @@ from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.ensemble import Member, make_ensemble
 from equimus_ctrl.tuning.objective import Evaluation, Problem, make_task
+from equimus_ctrl.tuning.result import CrossCheck, TuningResult, versions
 from equimus_ctrl.tuning.search import Journal, Search, Trial
 from equimus_ctrl.tuning.stability import Margins, least_margins, margins
 from equimus_ctrl.tuning.study import Study
 from equimus_ctrl.types import Array, Start
 
-LIBRARIES = ("equimus-ctrl", "numpy", "scipy", "numba", "casadi", "mujoco", "cmaes", "control")
-
 
 class NothingFeasible(EquimusError):
     """No set of gains within the limits was found."""
-
-
-def versions() -> dict[str, str]:
-    """Versions of what a result depends on."""
-    found = {"python": python_version()}
-    for name in LIBRARIES:
-        try:
-            found[name] = version(name)
-        except Exception:
-            found[name] = "unknown"
-    return found
 
 
 def make_problem(study: Study, model: Model, scenarios: Sequence[Scenario]) -> Problem:
@@ -96,91 +82,6 @@ def _source(cls: type) -> str:
         return cls.__qualname__
 
 
-@dataclass(frozen=True, eq=False)
-class CrossCheck:
-    """The tuned loop on the MuJoCo plant beside the compiled one, noise included.
-
-    Attributes:
-        scenario: which.
-        rmse: (nj,) tracking error on the MuJoCo plant [rad].
-        difference: largest difference between the two engines' angles [rad].
-    """
-
-    scenario: str
-    rmse: Array
-    difference: float
-
-
-@dataclass(frozen=True, eq=False)
-class TuningResult:
-    """What a study found.
-
-    Attributes:
-        study: the study.
-        problem: what candidates were judged by.
-        history: every candidate, in order.
-        best: the result.
-        settings: its gains.
-        start: the gains the search began with.
-        start_evaluation: what those were worth.
-        margins: of the result on the model itself, at the first objective's last pose.
-        least_margins: least gain, phase and delay margin over every leg and pose.
-        unseen: the result on legs that took no part in the tuning.
-        start_unseen: the first gains on the same.
-        checks: the result on the MuJoCo plant.
-        interrupted: whether the search was stopped before its budget was spent.
-    """
-
-    study: Study
-    problem: Problem
-    history: list[Trial]
-    best: Trial
-    settings: PidSettings
-    start: PidSettings
-    start_evaluation: Evaluation
-    margins: list[Margins]
-    least_margins: list[Margins]
-    unseen: list[Evaluation]
-    start_unseen: list[Evaluation]
-    checks: list[CrossCheck]
-    interrupted: bool
-
-    def record(self) -> dict[str, Any]:
-        """Everything worth keeping, in plain types."""
-        joints = self.problem.model.morphology.joint_names
-        stable = sum(e.stable for e in self.unseen)
-        return {
-            "schema": "equimus-ctrl/tuning-record/1",
-            "seed": self.study.seed,
-            "versions": versions(),
-            "study": asdict(self.study),
-            "model": model_to_dict(self.problem.model),
-            "interrupted": self.interrupted,
-            "evaluated": len(self.history),
-            "settings": self.settings.to_dict(),
-            "best": self.best.to_dict(),
-            "start": {"settings": self.start.to_dict(), **self.start_evaluation.to_dict()},
-            "margins": [m.to_dict() for m in self.margins],
-            "least_margins": [m.to_dict() for m in self.least_margins],
-            "unseen": {
-                "legs": len(self.unseen),
-                "stable": stable,
-                "feasible": sum(e.feasible for e in self.unseen),
-                "costs": [e.cost for e in self.unseen],
-                "start_stable": sum(e.stable for e in self.start_unseen),
-            },
-            "mujoco": [
-                {
-                    "scenario": c.scenario,
-                    "rmse_rad": dict(zip(joints, map(float, c.rmse), strict=True)),
-                    "largest_difference_rad": c.difference,
-                }
-                for c in self.checks
-            ],
-            "evaluations": [trial.to_dict() for trial in self.history],
-        }
-
-
 def autotune(
     study: Study,
     problem: Problem,
@@ -204,31 +105,14 @@ def autotune(
     """
     channels = study.settings(np.ones(64), ()).channels(problem.model.morphology)
     ranges = [r for _, r in study.ranges(channels)]
-    search = Search(
-        low=np.array([r.low for r in ranges]),
-        high=np.array([r.high for r in ranges]),
-        start=np.array([r.start for r in ranges]),
-        budget=study.candidates,
-        polish=study.polish,
-        seed=study.seed,
-        evaluate=lambda batch: iter(()),
-        journal=journal,
-        notify=notify,
-        history=[],
-    )
-    interrupted = False
+    search = Search.over(ranges, study, journal, notify)
     # Linear algebra keeps to one thread each: the cores are busy with candidates, and the bits stay the same on any
     # number of them.
     threads = worker_count(workers)
     with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
         search.evaluate = lambda batch: problem.evaluate([study.settings(v, channels) for v in batch], pool, threads)
-        try:
-            problem.warm_up()
-            search.run()
-        except KeyboardInterrupt:
-            if not search.history:
-                raise
-            interrupted = True
+        problem.warm_up()
+        interrupted = search.interrupted()
         best = best_feasible(search.history, lambda t: problem.verified(study.settings(np.array(t.values), channels)))
         settings = study.settings(np.array(best.values), channels)
         start = search.history[0]
@@ -253,12 +137,12 @@ def autotune(
         settings,
         start_settings,
         start.evaluation,
-        _margins_of(problem, settings, problem.members[0], problem.poses()[0]),
-        _least_margins(problem, settings),
         on_unseen,
         start_unseen,
-        checks,
         interrupted,
+        _margins_of(problem, settings, problem.members[0], problem.poses()[0]),
+        _least_margins(problem, settings),
+        checks,
     )
 
 

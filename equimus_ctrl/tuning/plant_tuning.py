@@ -12,8 +12,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +33,9 @@ from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.simulate import run
-from equimus_ctrl.tuning.autotune import best_feasible, versions
+from equimus_ctrl.tuning.autotune import best_feasible
 from equimus_ctrl.tuning.objective import BAND, TERMS, Evaluation, LegOutcome, Outcome, judged
+from equimus_ctrl.tuning.result import TuningResult, versions
 from equimus_ctrl.tuning.search import Journal, Search, Trial
 from equimus_ctrl.tuning.study import GAINS, EnsembleSettings, Limits, Study, Weights
 from equimus_ctrl.types import Array, Run
@@ -242,59 +242,10 @@ def study_key(study: Study, problem: PlantProblem) -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True, eq=False)
-class PlantTuning:
-    """What a study found.
+class PlantTuning(TuningResult):
+    """What a study found of a robot on its plant, beginning with the placed gains."""
 
-    Attributes:
-        study: the study.
-        problem: what candidates were judged by.
-        history: every candidate, in order.
-        best: the result.
-        settings: its gains.
-        start: the placed gains.
-        start_evaluation: what those were worth.
-        unseen: the result on robots that took no part in the tuning.
-        start_unseen: the placed gains on the same.
-        interrupted: whether the search was stopped before its budget was spent.
-    """
-
-    study: Study
-    problem: PlantProblem
-    history: list[Trial]
-    best: Trial
-    settings: PidSettings
-    start: PidSettings
-    start_evaluation: Evaluation
-    unseen: list[Evaluation]
-    start_unseen: list[Evaluation]
-    interrupted: bool
-    margins: tuple[Any, ...] = field(default=(), init=False)
-    least_margins: tuple[Any, ...] = field(default=(), init=False)
-    checks: tuple[Any, ...] = field(default=(), init=False)
-
-    def record(self) -> dict[str, Any]:
-        """Everything worth keeping, in plain types."""
-        return {
-            "schema": "equimus-ctrl/plant-tuning-record/1",
-            "seed": self.study.seed,
-            "versions": versions(),
-            "study": asdict(self.study),
-            "model": model_to_dict(self.problem.model),
-            "interrupted": self.interrupted,
-            "evaluated": len(self.history),
-            "settings": self.settings.to_dict(),
-            "best": self.best.to_dict(),
-            "start": {"settings": self.start.to_dict(), **self.start_evaluation.to_dict()},
-            "unseen": {
-                "robots": len(self.unseen),
-                "stable": sum(e.stable for e in self.unseen),
-                "feasible": sum(e.feasible for e in self.unseen),
-                "costs": [e.cost for e in self.unseen],
-                "start_stable": sum(e.stable for e in self.start_unseen),
-            },
-            "evaluations": [trial.to_dict() for trial in self.history],
-        }
+    schema, robots = "equimus-ctrl/plant-tuning-record/1", "robots"
 
 
 def tune_on_plant(
@@ -319,11 +270,8 @@ def tune_on_plant(
         NothingFeasible: where no candidate was stable and within the limits on every robot.
     """
     ranges = [study.search[key] for key in (*GAINS, "derivative_time")]
-    low, high, start = (np.array([getattr(r, key) for r in ranges]) for key in ("low", "high", "start"))
-    search = Search(
-        low, high, start, study.candidates, study.polish, study.seed, lambda batch: iter(()), journal, notify, []
-    )
-    interrupted, on_unseen, start_unseen = False, list[Evaluation](), list[Evaluation]()
+    search = Search.over(ranges, study, journal, notify)
+    on_unseen, start_unseen = list[Evaluation](), list[Evaluation]()
     with computer.workers(workers) as pool:
 
         def evaluate(tasks: Sequence[tuple[PlantProblem, PidSettings]]) -> Iterator[Evaluation]:
@@ -331,14 +279,9 @@ def tune_on_plant(
             return (found[k] for k in range(len(tasks)))
 
         search.evaluate = lambda batch: evaluate([(problem, problem.settings(values)) for values in batch])
-        try:
-            search.run()
-        except KeyboardInterrupt:
-            if not search.history:
-                raise
-            interrupted = True
+        interrupted = search.interrupted()
         best = best_feasible(search.history)
-        settings, first = problem.settings(np.array(best.values)), problem.settings(start)
+        settings, first = problem.settings(np.array(best.values)), problem.settings(search.start)
         try:
             others = make_members(
                 problem.model, study.ensemble, study.ensemble.unseen, study.seed + 1_000_003, fixed=False

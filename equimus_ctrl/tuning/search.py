@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 
 from equimus_ctrl.models.spread import latin_hypercube
 from equimus_ctrl.tuning.objective import Evaluation
+from equimus_ctrl.tuning.study import Range, Study
 from equimus_ctrl.types import Array
 
 
@@ -89,6 +90,23 @@ class Search:
     notify: Callable[[Trial], None]
     history: list[Trial]
     restarts: int = 0
+
+    @classmethod
+    def over(cls, ranges: Sequence[Range], study: Study, journal: Journal, notify: Callable[[Trial], None]) -> Search:
+        """The search of a study, over the ranges of its values; ``evaluate`` is set before it runs."""
+        low, high, start = (np.array([getattr(own, key) for own in ranges]) for key in ("low", "high", "start"))
+        budget, polish, seed = study.candidates, study.polish, study.seed
+        return cls(low, high, start, budget, polish, seed, lambda batch: iter(()), journal, notify, [])
+
+    def interrupted(self) -> bool:
+        """Run, and say whether a KeyboardInterrupt ended that, which is raised where nothing is known yet."""
+        try:
+            self.run()
+        except KeyboardInterrupt:
+            if not self.history:
+                raise
+            return True
+        return False
 
     def run(self) -> None:
         """Spend the budget; ``history`` grows as it goes."""

@@ -39,7 +39,7 @@ class Driven(Robot):
 
     @property
     def keyframes(self) -> Mapping[str, Array]:
-        """As of any robot: the file's; those without a name are called ``key0`` and so on."""
+        """As of any robot: the file's; unnamed ones are called ``key0`` and so on."""
         base, places = self.plan.base, [joint.position for joint in self.joints]
         names = [base.key(k).name or f"key{k}" for k in range(base.nkey)]
         return {name: frozen_array(base.key_qpos[k][places]) for k, name in enumerate(names)}

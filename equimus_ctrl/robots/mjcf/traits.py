@@ -1,4 +1,4 @@
-"""What is true of all robots of MuJoCo's XML."""
+"""What is true of all MJCF robots."""
 
 from __future__ import annotations
 
