@@ -58,13 +58,12 @@ def who(_: int = 0) -> tuple[int, int]:
     return os.getpid(), max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
 
 
-def first_waits_for_second(index: int, file: Path) -> int:
-    """What is begun first ends last."""
-    if index:
-        file.touch()
-    else:
-        while not file.exists():
-            time.sleep(0.01)
+def first_waits_until_second_was_seen(index: int, seen: Path) -> int:
+    """What is begun first ends only after the result of the second was handed on."""
+    until = time.monotonic() + 60.0
+    while index == 0 and not seen.exists():
+        assert time.monotonic() < until, "the result of the second was not handed on"
+        time.sleep(0.01)
     return 10 * index
 
 
@@ -77,8 +76,10 @@ def fail(index: int) -> int:
 def test_results_come_as_they_are_done(tmp_path: Path) -> None:
     with workers(2) as pool:
         assert pool.count == 2
-        done = pool.each(first_waits_for_second, [(index, tmp_path / "second") for index in range(2)])
-        assert list(done) == [(1, 10), (0, 0)]
+        done = pool.each(first_waits_until_second_was_seen, [(index, tmp_path / "seen") for index in range(2)])
+        assert next(done) == (1, 10)
+        (tmp_path / "seen").touch()
+        assert list(done) == [(0, 0)]
         assert sorted(pool.each(fail, [(1,), (2,), (3,)])) == [(0, 1), (1, 2), (2, 3)]
         assert list(pool.each(fail, [])) == []
 
