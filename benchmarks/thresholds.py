@@ -104,7 +104,7 @@ class Memory:
             )  # fmt: skip
             return self._of(key, lambda: fit(parameters, segments, **given))
 
-        def changes(data: Any, at: Any, guesses: Any, thetas: Any = None) -> list[Any]:
+        def changes(data: Any, at: Any, reference: Any, guesses: Any, thetas: Any = None) -> list[Any]:
             own = (_free(at.fit.parameters), at.fit.theta.tobytes(), _bytes(at.fit.starts))
             own = (*own, _segments(data.segments), _engine(data.coarse or data.simulator))
             moved = thetas or [None] * len(guesses)
@@ -113,7 +113,7 @@ class Memory:
                 for guess, theta in zip(guesses, moved, strict=True)
             ]
             if new := [k for k, key in enumerate(keys) if key not in self._known]:
-                found = changed(data, at, [guesses[k] for k in new], thetas and [thetas[k] for k in new])
+                found = changed(data, at, reference, [guesses[k] for k in new], thetas and [thetas[k] for k in new])
                 for place, k in enumerate(new):
                     self._known[keys[k]] = [segment[:, :, place] for segment in found]
             known = [self._known[key] for key in keys]

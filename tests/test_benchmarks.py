@@ -9,6 +9,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from pendulum_runs import MOTOR, PENDULUM, recorded
+
+from equimus_ctrl.diagnosis.policy import Thresholds
+from equimus_ctrl.effects.force import CoulombFriction
+from equimus_ctrl.models.model import Model
+from equimus_ctrl.recordings.csvfile import write
+from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -61,3 +68,23 @@ def test_mutants_are_given_to_tests_of_their_module_and_of_what_it_is_for() -> N
     assert files[0] == "test_diagnosis_fitting.py" and "test_diagnosis_budget.py" in files
     assert len(files) == len(set(files)) == 6
     assert importers.files("effects/command.py", 3)[0] == "test_command_laws.py"
+
+
+@pytest.mark.slow
+def test_a_case_is_diagnosed_with_other_thresholds_where_decisions_fall_otherwise(tmp_path: Path) -> None:
+    own = runpy.run_path(str(ROOT / "benchmarks" / "thresholds.py"))
+    nominal = Model(MjcfRobot("robot", PENDULUM.format(drive=MOTOR)))
+    (case := tmp_path / "recordings" / "case_0000").mkdir(parents=True)
+    for trial in recorded(Model(nominal.robot, [CoulombFriction("hinge", 0.05)]), seed=7):
+        write(case / f"{trial.name}.csv", trial)
+    variants = own["varied"](["simulation_error=1e9"], ["residual_gain"])
+    row = own["case_row"](nominal, tmp_path, 0, variants)
+    assert own["said"](row["base"]) == ("explained", [("coulomb_friction", ["hinge"])])
+    assert set(row["varied"]) <= set(row["asked"]) == set(variants)
+    assert not row["varied"]["simulation_error=1e9"].get("findings")  # so much is explained by nothing
+    parts = own["split"](nominal, own["recorded"](case, nominal))
+    for name, thresholds in {"as they are": Thresholds(), **{name: variants[name] for name in row["varied"]}}.items():
+        alone = own["answered"](nominal, parts, thresholds)  # nothing taken over from another diagnosis
+        kept = row["varied"].get(name, row["base"])
+        assert own["said"](alone) == own["said"](kept), name
+        assert alone["findings"] == kept["findings"], name
