@@ -40,6 +40,8 @@ from equimus_ctrl.proof.seal import opened
 from equimus_ctrl.proof.store import recorded
 
 FACTORS = (0.5, 2.0)
+READ = ("noise_bound", "residual_price_alone")
+"""Numbers that make another number before anything is asked: with these a case is always diagnosed again."""
 SHOWN = ("false_alarms", "single", "single_group", "pair", "outside")
 """Goals of a proof whose counts are told."""
 
@@ -174,7 +176,8 @@ def case_row(model: Model, root: Path, case: int, variants: Mapping[str, Thresho
     parts = split(model, recorded(folder, model))
     with Memory().used():
         base = answered(model, parts, Thresholds(watch=flips))
-        others = {name: answered(model, parts, variants[name]) for name in sorted(flips.found)}
+        read = {v for v, t in variants.items() if any(getattr(t, n) != getattr(Thresholds(), n) for n in READ)}
+        others = {name: answered(model, parts, variants[name]) for name in sorted(flips.found | read)}
     return {"case": case, "asked": list(variants), "base": base, "varied": others}
 
 
