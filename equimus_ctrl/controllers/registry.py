@@ -123,7 +123,7 @@ register_controller(
         "LQR along the reference on an observer's state, with integral action",
         lambda given: LqrController(LqrSettings.from_dict(given.settings or {}, given.where)),
         "lqr.toml",
-        needs=LENGTHS,
+        needs=EXACT,
     ),
 )
 register_controller(
