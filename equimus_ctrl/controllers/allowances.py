@@ -39,8 +39,6 @@ FAR = 1e9
 """Commands with which nothing is reached."""
 FINER = 2**0.25
 """By so much ω is made smaller each time."""
-SOFT = 0.1
-"""Allowance beyond a joint's range by that of its error."""
 WHOLE = {"rad": np.pi, "m": 1.0}
 """Half a range where a joint has none."""
 

@@ -103,6 +103,7 @@ class Regulator:
         r: (na, na) of its command.
         gain: (na, n) K.
         cost: (n, n) P: from a state x on it all costs ½ xᵀPx.
+        effort: (na,) allowances of commands there.
     """
 
     a: Array
@@ -111,6 +112,7 @@ class Regulator:
     r: Array
     gain: Array
     cost: Array
+    effort: Array
 
 
 def regulator(
@@ -163,7 +165,7 @@ def regulator(
     except (np.linalg.LinAlgError, ValueError) as error:
         shown = ", ".join(f"{value:.3g}" for value in pose)
         raise ControllerError(f"{model.name}: no regulator was found about the pose {shown} ({error})") from error
-    return Regulator(full_a, full_b, q, r, np.asarray(gain), np.asarray(cost))
+    return Regulator(full_a, full_b, q, r, np.asarray(gain), np.asarray(cost), effort)
 
 
 def waiting(model: Model, dt: float) -> NDArray[np.int64]:
@@ -204,6 +206,10 @@ class Schedule:
     def cost(self, pose: Array) -> Array:
         """(n, n) P at a pose, as of ``gain``."""
         return self._between(pose, lambda found: found.cost)
+
+    def effort(self, pose: Array) -> Array:
+        """(na,) allowances of commands at a pose, as of ``gain``."""
+        return self._between(pose, lambda found: found.effort) if self.allowed.bandwidth else self.allowed.effort
 
     def correction(self, known: Estimate, target: Target, against: Array, others: Sequence[Array]) -> Array:
         """(na,) by how much more is to reach the valves than the reference asks for [Pa].

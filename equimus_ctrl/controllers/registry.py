@@ -132,7 +132,7 @@ register_controller(
         "nonlinear model-predictive control on an observer's state",
         lambda given: NmpcController(NmpcSettings.from_dict(given.settings or {}, given.where)),
         "nmpc.toml",
-        needs=LENGTHS,
+        needs=EXACT,
     ),
 )
 register_controller(
