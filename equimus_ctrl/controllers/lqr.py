@@ -37,6 +37,8 @@ CALM = 0.005
 """What unknown torques walk in a second, see ``ObserverSettings``."""
 MOST_POSES = 200
 """Of a grid that is worked out beforehand."""
+COARSER = 2.0
+"""By so much poses are further apart where these are more: gains are then worked out on the way."""
 MISSED = 1e-3
 """A command by this share of its allowance off what was asked for is no longer taken as given."""
 
@@ -190,14 +192,17 @@ class Schedule:
         self._about = matrices_about(model)
         # A joint without ends has its poses a spacing apart, as many as are asked for.
         low, high = (np.asarray(side) for side in model.robot.joint_range)
-        ends = np.isfinite(low) & np.isfinite(high)
-        low, high = np.where(ends, low, 0.0), np.where(ends, high, settings.spacing)
+        ends, spacing = np.isfinite(low) & np.isfinite(high), settings.spacing
+        cells = np.maximum(np.ceil((high - low) / spacing), 1)
+        self._is_small = bool(np.all(ends) and np.prod(cells + 1) <= MOST_POSES)
+        if not self._is_small:
+            spacing *= COARSER
+        low, high = np.where(ends, low, 0.0), np.where(ends, high, spacing)
         self._ends: list[bool] = ends.tolist()
         self._low, self._high = low.tolist(), high.tolist()
-        self._cells: list[int] = np.maximum(np.ceil((high - low) / settings.spacing), 1).astype(int).tolist()
+        self._cells: list[int] = np.maximum(np.ceil((high - low) / spacing), 1).astype(int).tolist()
         self._lagging = np.flatnonzero(valve_lag(valves_of(model)) > 0)
         self._known: dict[tuple[int, ...], Regulator] = {}
-        self._is_small = all(self._ends) and math.prod(count + 1 for count in self._cells) <= MOST_POSES
 
     def gain(self, pose: Array) -> Array:
         """(na, n) gains at a pose (nj,) [rad], or at the nearest within the joint ranges."""

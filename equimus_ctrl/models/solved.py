@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.inverse import inverse_dynamics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.types import Array
+from equimus_ctrl.types import Array, frozen_array
 
 
 class Solved(Protocol):
@@ -123,6 +124,7 @@ def known_lateness(model: Model) -> float:
     return float(valve[:, DELAY].max()) + float(lag.max()) + float(sensor.max())
 
 
+@lru_cache(maxsize=32)
 def valves_of(model: Model) -> Array:
     """(na, 6) what stands between commands and actuators, see ``effects.command.DELAY``.
 
@@ -137,4 +139,4 @@ def valves_of(model: Model) -> Array:
             valve[i, [FILL, VENT]] += channel.number
         elif channel.kind == SLEWED and channel.number > 0:
             valve[i, RATE] = min(valve[i, RATE], channel.number)
-    return valve
+    return frozen_array(valve)
