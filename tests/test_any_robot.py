@@ -16,6 +16,7 @@ from equimus_ctrl.controllers.exact_pid import ExactPidState
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings
 from equimus_ctrl.controllers.placement import placed_gains
+from equimus_ctrl.controllers.registry import compared_controllers
 from equimus_ctrl.effects import CoulombFriction, PayloadMass, SensorDelay, TransportDelay
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.dynamics import Dynamics
@@ -308,7 +309,7 @@ def test_a_controller_says_what_a_robot_does_not_offer() -> None:
     said = refusal(lambda: workflow.run_scenario("hold", "sampling", model=Model(RIG)))
     assert said == (
         "sampling computes with lengths of elastic actuators, which rig does not have; those that can drive it: "
-        "open_loop, pid, lqr"
+        "open_loop, pid, lqr, nmpc"
     )
 
 
@@ -327,7 +328,9 @@ def test_a_state_of_the_exact_pid_changes_nothing_of_an_earlier_one() -> None:
 
 
 def test_a_comparison_takes_the_controllers_that_can_and_delays_that_such_robots_have() -> None:
-    found = workflow.compare(["hold"], model=Model(CARTPOLE), draws=1, scenario_options={"duration": "1"})
+    assert compared_controllers(CARTPOLE) == ("pid", "lqr", "nmpc")
+    quick = {"duration": "1"}
+    found = workflow.compare(["hold"], ["pid", "lqr"], model=Model(CARTPOLE), draws=1, scenario_options=quick)
     assert [entry.controller for entry in found.entries] == ["pid", "lqr"] * 4 and not found.failures
     conditions = {c.name: c for c in found.conditions}
     assert conditions["delayed"].model.effects == (TransportDelay("push", 0.02),)

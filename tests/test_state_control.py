@@ -1,4 +1,4 @@
-"""The regulator on robots read from XML: hinges, slides, servos and a pole that falls, beside the PID."""
+"""LQR and NMPC on robots read from XML: hinges, slides, servos and a pole that falls, beside the PID."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from scipy.linalg import expm
 from equimus_ctrl import workflow
 from equimus_ctrl.controllers.allowances import Loop, allowances
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings, Schedule, _nearest_corners, regulator
+from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.placement import DAMPING
 from equimus_ctrl.effects import Effect, FirstOrderLag, PayloadMass, TransportDelay
+from equimus_ctrl.engines import native
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
@@ -22,7 +24,7 @@ from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Array, Run, Start
+from equimus_ctrl.types import Array, Controller, Run, Start
 
 PENDULUM = workflow.load_model(Path(__file__).parents[1] / "docs" / "examples" / "pendulum.xml").robot
 ARM = MjcfRobot(
@@ -188,7 +190,12 @@ def test_gains_between_many_poses_are_in_between() -> None:
 # --- what it does -------------------------------------------------------------------------------------------------
 
 
-def tracked(robot: MjcfRobot, controller: str, *effects: Effect) -> float:
+def nmpc(**options: float) -> NmpcController:
+    """Without a C compiler: nothing has to be compiled here."""
+    return NmpcController(NmpcSettings(compiled=False, **options))  # type: ignore[arg-type]
+
+
+def tracked(robot: MjcfRobot, controller: str | Controller, *effects: Effect) -> float:
     """RMSE of the true positions on the standard path with noise [rad or m]."""
     done = workflow.run_scenario(
         "track", controller, model=Model(robot), effects=effects, noise=1e-3, options={"leg_time": "0.6"}
@@ -203,7 +210,9 @@ def tracked(robot: MjcfRobot, controller: str, *effects: Effect) -> float:
 def test_it_follows_a_path_about_as_well_as_the_pid(robot: MjcfRobot) -> None:
     assert tracked(robot, "lqr") < max(1.2 * tracked(robot, "pid"), 1e-3)
     heavy = PayloadMass(robot.places()["link"][-1], 0.2)
-    assert tracked(robot, "lqr", heavy) < 1.8 * tracked(robot, "pid", heavy)
+    pid = tracked(robot, "pid", heavy)
+    assert tracked(robot, "lqr", heavy) < 1.8 * pid
+    assert tracked(robot, nmpc(), heavy) < 1.8 * pid
 
 
 @pytest.mark.parametrize("robot", [ARM, SERVO], ids=lambda robot: robot.name)
@@ -222,16 +231,69 @@ def test_a_load_that_nobody_told_of_leaves_no_offset(robot: MjcfRobot) -> None:
         assert (off < 1e-3) == disturbance
 
 
-def upright(noise: float = 0.0, position: tuple[float, float] = (0.0, 0.1)) -> Run:
+def upright(controller: Controller, noise: float = 0.0, position: tuple[float, float] = (0.0, 0.1)) -> Run:
     plant = MujocoPlant(Model(UPRIGHT), noise=noise)
-    return run(plant, LqrController(), HoldReference([0.0, 0.0]), 5.0, start=Start(position=np.array(position)), seed=1)
+    return run(plant, controller, HoldReference([0.0, 0.0]), 5.0, start=Start(position=np.array(position)), seed=1)
 
 
 def test_a_pole_that_falls_is_held_where_no_pid_of_the_cart_does() -> None:
     said = refusal(lambda: workflow.run_scenario("hold", "pid", model=Model(UPRIGHT)))
     assert "hinge moves away from 0°" in said
-    assert np.abs(upright().position[-100:]).max() < 1e-4
-    assert np.abs(upright(1e-3).position[-200:]).max() < 0.02
+    for controller in (LqrController(), nmpc()):
+        assert np.abs(upright(controller).position[-100:]).max() < 1e-4
+        assert np.abs(upright(controller, 1e-3).position[-200:]).max() < 0.04
+
+
+def test_a_plan_catches_a_pole_that_the_regulator_lets_fall() -> None:
+    """The force that the regulator asks for is beyond the limit; the plan knows that."""
+    assert np.abs(upright(LqrController(), position=(0.0, 0.4)).position[-100:]).max() > 0.5
+    done = upright(nmpc(), position=(0.0, 0.4))
+    assert np.abs(done.position[-100:]).max() < 1e-3
+    assert np.abs(done.position[:, 0]).max() < 0.95 and np.abs(done.asked).max() <= 20.0
+
+
+@pytest.mark.parametrize("robot", [RIG, SERVO], ids=lambda robot: robot.name)
+def test_where_nothing_is_in_the_way_the_plan_is_the_regulators(robot: MjcfRobot) -> None:
+    asked = []
+    wanted = HoldReference(robot.home + 2e-4)
+    for controller in (LqrController(), nmpc(stride=1, nodes=20, tolerance=1e-6)):
+        done = run(MujocoPlant(Model(robot)), controller, wanted, 0.4, start=Start(position=robot.home))
+        asked.append(done.command - done.command[0])
+    assert np.abs(asked[0]).max() > 1e-4
+    np.testing.assert_allclose(asked[1], asked[0], atol=0.03 * np.abs(asked[0]).max())
+
+
+def test_ranges_and_velocities_are_bounded() -> None:
+    narrow = MjcfRobot("narrow", pendulum('damping="0.1" range="-1 0.5" limited="true"'))
+    plant = MujocoPlant(Model(narrow))
+    beyond = FunctionReference(lambda t: np.array([0.45 - 0.25 * np.cos(np.pi * np.clip(t, 0, 1))]))
+    most = []
+    for controller in (LqrController(), nmpc(start_time=0.0)):
+        done = run(plant, controller, beyond, 3.0, start=Start(position=np.array([0.2])))
+        assert done.position[-50:].min() > 0.49
+        most.append(np.abs(done.command).max())
+    assert done.position.max() < 0.51
+    assert most[1] < 0.5 * most[0]  # the regulator presses on the end
+    free = MujocoPlant(Model(PENDULUM))
+    quick = FunctionReference(lambda t: np.array([0.5 - 0.5 * np.cos(np.pi * np.clip(2 * t - 1, 0, 1))]))
+    fastest = []
+    for velocity in (0.0, 2.0):
+        done = run(free, nmpc(velocity=velocity), quick, 3.0)
+        fastest.append(np.abs(np.diff(done.position[:, 0])).max() / free.spec.control_dt)
+        assert done.position[-1, 0] == pytest.approx(1.0, abs=0.01)
+    assert fastest[0] > 3.0 and fastest[1] < 2.1
+
+
+@pytest.mark.slow
+def test_machine_code_gives_the_same_plans() -> None:
+    found = []
+    for compiled in (False, True):
+        controller = NmpcController(NmpcSettings(compiled=compiled))
+        plant = MujocoPlant(Model(ARM), noise=1e-3)
+        state = controller.init(plant.spec, plant.reset(seed=0))
+        assert state.tools.problem.is_native == (compiled and native.compiler() is not None)
+        found.append(run(plant, controller, HoldReference([0.3, -0.2]), 1.0, seed=0).command)
+    np.testing.assert_array_equal(found[0], found[1])
 
 
 def test_commands_stay_within_limits_and_nothing_winds_up() -> None:
@@ -256,8 +318,11 @@ def test_a_servos_command_is_a_goal_and_force_limits_are_known() -> None:
 def test_commands_change_no_faster_than_an_actuator_can() -> None:
     drive = '<pid name="goal" joint="pivot" kp="40" slewmax="0.5" input="pos"/>'
     plant = MujocoPlant(Model(MjcfRobot("slow", pendulum('damping="2"', drive=drive))))
-    done = run(plant, LqrController(), FunctionReference(lambda t: np.array([0.0 if t < 0.5 else 0.6])), 8.0)
-    assert np.abs(done.position[-50:] - 0.6).max() < 0.01
+    step = FunctionReference(lambda t: np.array([0.0 if t < 0.5 else 0.6]))
+    for controller in (LqrController(), nmpc()):
+        done = run(plant, controller, step, 8.0)
+        assert np.abs(done.position[-50:] - 0.6).max() < 0.01
+    assert np.abs(np.diff(done.command, axis=0)).max() < 1.001 * 0.5 * plant.spec.control_dt
 
 
 def test_what_keeps_it_from_a_robot_is_told() -> None:
