@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.robots.elastic.morphology import elastic_of
 from equimus_ctrl.types import Array
-
-if TYPE_CHECKING:
-    from equimus_ctrl.estimation.observer import ObserverSettings
 
 FIRST = 0.3
 """Standard deviation of the unknown torques at the start, in shares of the largest that the actuators can exert."""
@@ -51,20 +47,20 @@ class Beliefs:
     noise: float
 
 
-def pressed(model: Model, settings: ObserverSettings) -> Beliefs:
-    """Of a robot whose commands are pressures."""
+def pressed(model: Model, torque: float, disturbance: float, pressure: float, noise: float) -> Beliefs:
+    """Of a robot whose commands are pressures; arguments as of ``estimation.observer.ObserverSettings``."""
     robot = elastic_of(changed_bodies(model.effects, model.robot))
     low, high = (np.clip(side, -np.pi, np.pi) for side in robot.joint_range)
     middle = (low + high) / 2
     area = np.array([a.area for a in robot.actuators])
     span = robot.command_high - robot.command_low
-    torque: Array = np.abs(Kinematics(robot, model.phase).jacobian(middle).T * area) @ np.full(len(area), span)
+    most: Array = np.abs(Kinematics(robot, model.phase).jacobian(middle).T * area) @ np.full(len(area), span)
     return Beliefs(
-        settings.torque * torque,
-        settings.disturbance * torque,
-        FIRST * torque,
-        np.full(len(area), settings.pressure * span),
-        settings.noise,
+        torque * most,
+        disturbance * most,
+        FIRST * most,
+        np.full(len(area), pressure * span),
+        noise,
     )
 
 

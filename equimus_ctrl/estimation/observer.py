@@ -189,7 +189,7 @@ class Observer:
         self.delays: Array = p.valve[:, DELAY].copy()
         self._sensor_delay: Array = p.sensor[:, SENSOR_DELAY].copy()
         self._substep = min(control_dt, STABLE / max(*followed_rates(model), STABLE / control_dt))
-        self.beliefs = own = beliefs or pressed(model, s)
+        self.beliefs = own = beliefs or pressed(model, s.torque, s.disturbance, s.pressure, s.noise)
         walk = np.zeros(p.nx + p.nj)
         walk[2 * p.nj : 2 * p.nj + p.na] = own.pressure
         walk[p.nx :] = own.walk
