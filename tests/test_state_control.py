@@ -215,6 +215,14 @@ def test_it_follows_a_path_about_as_well_as_the_pid(robot: MjcfRobot) -> None:
     assert tracked(robot, nmpc(), heavy) < 1.8 * pid
 
 
+def test_a_lag_that_is_known_costs_little() -> None:
+    drive = '<general name="m" joint="pivot" dyntype="filter" dynprm="0.1" gainprm="2"/>'
+    slow = MjcfRobot("slow", pendulum('damping="0.3"', drive=drive))
+    heavy = PayloadMass("arm", 0.2)
+    assert tracked(slow, "lqr", heavy) < 0.2 * tracked(slow, "pid", heavy)
+    assert tracked(slow, nmpc(), heavy) < 0.2 * tracked(slow, "pid", heavy)
+
+
 @pytest.mark.parametrize("robot", [ARM, SERVO], ids=lambda robot: robot.name)
 def test_a_delay_that_nobody_told_of_is_borne(robot: MjcfRobot) -> None:
     late = tuple(TransportDelay(name, 0.02) for name in robot.actuator_names)

@@ -7,10 +7,10 @@ accelerates any joint compared with
     ρ_j = ω² α_j,    β_j = ω α_j / √(4 ζ² − 2)
 
 so that a joint that an actuator of its own drives gets the poles s² + 2 ζ ω s + ω², the allowance α_j taking no part;
-where joints outnumber actuators, α says which of them matters. ω begins at a share of what dead times, lags, late
-sensors and the control period allow. It is lowered until the sampled loop, observer and unknown torques included, is
-stable in every pose looked at: as it is, with gains raised, and with what usually stands between commands and forces
-unknown, when it also has to die away where the robot begins.
+where joints outnumber actuators, α says which of them matters. ω begins at a share of what dead times, late sensors
+and the control period allow; lags are states that the regulator knows. It is lowered until the sampled loop, observer
+and unknown torques included, is stable in every pose looked at: as it is, with gains raised, and with what usually
+stands between commands and forces unknown, when it also has to die away where the robot begins.
 """
 
 from __future__ import annotations
@@ -28,15 +28,13 @@ from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.errors import ControllerError, NotAvailable
 from equimus_ctrl.estimation.beliefs import Beliefs, followed
 from equimus_ctrl.estimation.observer import ObserverSettings
-from equimus_ctrl.models.dynamics import Dynamics, Linear
+from equimus_ctrl.models.dynamics import LOST, Dynamics, Linear
 from equimus_ctrl.models.linear import valve_lag, with_valves
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import known_lateness, valves_of
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.types import Array, PlantSpec
 
-FAR = 1e9
-"""Commands with which nothing is reached."""
 FINER = 2**0.25
 """By so much ω is made smaller each time."""
 WHOLE = {"rad": np.pi, "m": 1.0}
@@ -95,8 +93,8 @@ class Allowances:
         if not self.bandwidth:
             return self.effort
         share = np.sqrt(((acceleration / (self.bandwidth**2 * self.angle)[:, None]) ** 2).sum(axis=0))
-        found = np.minimum(1 / np.maximum(share, 1 / FAR), self.effort)
-        return np.where(found < FAR, found, 1.0)  # what does nothing costs nothing either way
+        works = share > LOST * share.max()  # what does nothing costs nothing either way
+        return np.minimum(1 / np.where(works, share, 1.0), np.where(np.isfinite(self.effort) | works, self.effort, 1.0))
 
     @property
     def note(self) -> str:
@@ -137,7 +135,7 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
     still, driven = looked_at(dynamics, spec, pose)
     angle = settings.angle * _half_ranges(spec)
     loops = [Loop(linear, dynamics, model, dt) for _, linear in still]
-    fastest = PHASE / (1.5 * dt + known_lateness(model))
+    fastest = PHASE / (1.5 * dt + known_lateness(model, lags=False))
     tried = 2 * np.pi * settings.bandwidth or fastest
 
     def of(bandwidth: float) -> Allowances:
@@ -222,7 +220,7 @@ class Loop:
         late = float(valve[:, DELAY].max())
         sensor = sensor_settings(model.effects, model.robot.joint_names)[:, SENSOR_DELAY]
         self._known, self._seen = _periods(late, dt), _periods(float(sensor.max()), dt)
-        usual = max(traits.usual_delay + traits.usual_lag - late - float(valve_lag(valve).max()), 0.0)
+        usual = max(traits.usual_delay - late, 0.0) + max(traits.usual_lag - float(valve_lag(valve).max()), 0.0)
         self.unknown = _periods(usual, dt)
 
     def stands(self, own: Allowances, most: float) -> bool:

@@ -116,12 +116,17 @@ def solved_for_commands(model: Model) -> Solved:
     return _Pressures(model) if "lengths" in model.robot.offers else _Exact(model)
 
 
-def known_lateness(model: Model) -> float:
-    """By how much what a command does is seen late at most, as is known: dead times, lags and sensors' delays [s]."""
+def known_lateness(model: Model, lags: bool = True) -> float:
+    """By how much what a command does is seen late at most, as is known [s].
+
+    Args:
+        model: of the robot.
+        lags: whether time constants count beside dead times and late sensors.
+    """
     valve = valves_of(model)
     sensor = sensor_settings(model.effects, model.robot.joint_names)[:, SENSOR_DELAY]
-    lag = (valve[:, FILL] + valve[:, VENT]) / 2
-    return float(valve[:, DELAY].max()) + float(lag.max()) + float(sensor.max())
+    lag = float(((valve[:, FILL] + valve[:, VENT]) / 2).max()) if lags else 0.0
+    return float(valve[:, DELAY].max()) + lag + float(sensor.max())
 
 
 @lru_cache(maxsize=32)
