@@ -248,16 +248,17 @@ def test_a_pole_that_falls_is_held_where_no_pid_of_the_cart_does() -> None:
     said = refusal(lambda: workflow.run_scenario("hold", "pid", model=Model(UPRIGHT)))
     assert "hinge moves away from 0°" in said
     for controller in (LqrController(), nmpc()):
-        assert np.abs(upright(controller).position[-100:]).max() < 1e-4
-        assert np.abs(upright(controller, 1e-3).position[-200:]).max() < 0.04
+        for begins in ((0.0, 0.1), (0.3, 0.0)):  # a cart that is aside has to go further aside first
+            assert np.abs(upright(controller, position=begins).position[-100:]).max() < 1e-4
+        assert np.abs(upright(controller, 1e-3).position[-200:]).max() < 0.02
 
 
 def test_a_plan_catches_a_pole_that_the_regulator_lets_fall() -> None:
     """The force that the regulator asks for is beyond the limit; the plan knows that."""
-    assert np.abs(upright(LqrController(), position=(0.0, 0.4)).position[-100:]).max() > 0.5
-    done = upright(nmpc(), position=(0.0, 0.4))
-    assert np.abs(done.position[-100:]).max() < 1e-3
-    assert np.abs(done.position[:, 0]).max() < 0.95 and np.abs(done.asked).max() <= 20.0
+    assert np.abs(upright(LqrController(), position=(0.0, 0.8)).position[-100:]).max() > 0.5
+    done = upright(nmpc(), position=(0.0, 0.8))
+    assert np.abs(done.position[-100:]).max() < 0.02
+    assert np.abs(done.position[:, 0]).max() < 1.01 and np.abs(done.asked).max() <= 20.0
 
 
 @pytest.mark.parametrize("robot", [RIG, SERVO], ids=lambda robot: robot.name)

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import expm, solve_discrete_are
 
 from equimus_ctrl.controllers.placement import DAMPING, DECAYS, GROWS, PHASE, RAISED, SLOWEST, THIRD, looked_at
@@ -69,6 +70,8 @@ class Allowances:
         late: ω was found stable with what usually stands between commands and forces unknown.
         everywhere: and in all poses looked at, else only where the robot begins.
         usual: (na,) efforts where the robot begins; ``effort`` by default.
+        driven: (nj,) joints on which an actuator acts; all by default. Where some have none, a first pose that fades
+            out of a reference would be a motion which nothing can do; it is an error then, as any other.
     """
 
     angle: Array
@@ -79,10 +82,13 @@ class Allowances:
     late: bool = True
     everywhere: bool = True
     usual: Array = field(default_factory=lambda: np.empty(0))
+    driven: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     def __post_init__(self) -> None:
         if not len(self.usual):
             object.__setattr__(self, "usual", self.effort)
+        if not len(self.driven):
+            object.__setattr__(self, "driven", np.ones(len(self.angle), dtype=bool))
 
     def efforts(self, acceleration: Array) -> Array:
         """(na,) allowances of commands in a pose.
@@ -139,7 +145,8 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
     tried = 2 * np.pi * settings.bandwidth or fastest
 
     def of(bandwidth: float) -> Allowances:
-        return _of_bandwidth(bandwidth, angle, [own for _, own in still], dynamics, settings.observer.noise, dt)
+        own = _of_bandwidth(bandwidth, angle, [own for _, own in still], dynamics, settings.observer.noise, dt)
+        return replace(own, driven=driven)
 
     if settings.bandwidth:
         return of(tried)

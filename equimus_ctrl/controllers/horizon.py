@@ -53,7 +53,7 @@ class HorizonSettings:
             where a run is to give the same bits each time.
         disturbance: whether torques that the observer cannot explain are taken to last.
         spacing: of the grid of poses that the regulator behind the horizon is worked out at [rad].
-        start_time: over which the first pose fades out of the reference [s].
+        start_time: over which the first pose fades out of the reference, where every joint has an actuator [s].
         compiled: whether a C compiler is used where there is one.
         observer: covariances of the Kalman filter.
 
@@ -227,7 +227,7 @@ class Horizon:
         self.durations: Array = np.asarray(self.dt * lasting, dtype=np.float64)
         self.times: Array = np.concatenate([[0.0], np.cumsum(self.durations)])
         self.prediction: Prediction = prediction(model, stops=False)
-        self.inverse = Inverse(model, self.dt, settings.start_time)
+        self.inverse = Inverse(model, self.dt, settings.start_time if allowed.driven.all() else 0.0)
         limits = np.vstack([self.inverse.low, self.inverse.high])
         reached = self.inverse.arriving(limits)
         self.reached: Array = np.vstack([np.minimum(*reached), np.maximum(*reached)])
@@ -237,7 +237,7 @@ class Horizon:
             limit, rate = settings.limit / settings.angle * allowed.angle, math.inf
         self.weights = Weights(allowed.angle, allowed.rate, allowed.usual, limit)
         self.rate: Array = np.minimum(spec.command_rate, rate)
-        self._note = allowed.note
+        self._note, self._driven = allowed.note, allowed.driven
         self.schedule = Schedule(model, settings.regulator(), self.dt, allowed)
         self.schedule.prepare()
         lagging = np.flatnonzero(valve_lag(valves_of(model)) > 0)
@@ -271,7 +271,8 @@ class Horizon:
         own = known.state[2 * p.nj + p.na :][: state.followed.states.shape[1]]
         followed = replace(state.followed, states=np.tile(own, (len(state.followed.states), 1)))
         path, sight = self._preview.look(reference, observation.time, followed, state.sight)
-        disturbance = known.disturbance if self.settings.disturbance else np.zeros_like(known.disturbance)
+        # What acts on a joint without actuator cannot be held against, and would only make plans swing.
+        disturbance = np.where(self._driven, known.disturbance, 0.0) * float(self.settings.disturbance)
         against = -self.inverse.counter(known.position, disturbance)
         path = replace(path, feed=path.feed + against, pressure=path.pressure + against)
         fixed, first = self._fixed(observer, arrival)

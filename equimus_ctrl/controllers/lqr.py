@@ -58,7 +58,7 @@ class LqrSettings(FileSettings):
             has arrived.
         disturbance: whether torques that the observer cannot explain are held against.
         spacing: of the grid of poses that gains are worked out at [rad].
-        start_time: over which the first pose fades out of the reference [s].
+        start_time: over which the first pose fades out of the reference, where every joint has an actuator [s].
         observer: covariances of the Kalman filter; by default unknown torques walk slowly. What compensates them is an
             integral action, which would oscillate with valves of more delay than the model has.
 
@@ -343,7 +343,7 @@ class LqrController:
         allowed = allowances(spec, s, position)
         observer = Observer.of(spec, s.observer, beliefs=allowed.beliefs)
         model = observer.model
-        inverse = Inverse(model, spec.control_dt, s.start_time)
+        inverse = Inverse(model, spec.control_dt, s.start_time if allowed.driven.all() else 0.0)
         tools = LqrTools(observer, inverse, Schedule(model, s, spec.control_dt, allowed), spec.control_dt)
         tools.schedule.prepare()
         under_way = tuple(np.zeros(count) for count in waiting(model, spec.control_dt))
