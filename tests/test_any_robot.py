@@ -16,6 +16,7 @@ from equimus_ctrl.controllers.exact_pid import ExactPidState
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings
 from equimus_ctrl.controllers.placement import placed_gains
+from equimus_ctrl.controllers.registry import compared_controllers
 from equimus_ctrl.effects import CoulombFriction, PayloadMass, SensorDelay, TransportDelay
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.dynamics import Dynamics
@@ -305,9 +306,10 @@ def test_a_joint_without_actuator_that_falls_is_told() -> None:
 
 
 def test_a_controller_says_what_a_robot_does_not_offer() -> None:
-    said = refusal(lambda: workflow.run_scenario("hold", "lqr", model=Model(RIG)))
+    said = refusal(lambda: workflow.run_scenario("hold", "sampling", model=Model(RIG)))
     assert said == (
-        "lqr computes with lengths of elastic actuators, which rig does not have; those that can drive it: open_loop, pid"
+        "sampling computes with lengths of elastic actuators, which rig does not have; those that can drive it: "
+        "open_loop, pid, lqr, nmpc"
     )
 
 
@@ -326,8 +328,10 @@ def test_a_state_of_the_exact_pid_changes_nothing_of_an_earlier_one() -> None:
 
 
 def test_a_comparison_takes_the_controllers_that_can_and_delays_that_such_robots_have() -> None:
-    found = workflow.compare(["hold"], model=Model(CARTPOLE), draws=1, scenario_options={"duration": "1"})
-    assert [entry.controller for entry in found.entries] == ["pid"] * 4 and not found.failures
+    assert compared_controllers(CARTPOLE) == ("pid", "lqr", "nmpc")
+    quick = {"duration": "1"}
+    found = workflow.compare(["hold"], ["pid", "lqr"], model=Model(CARTPOLE), draws=1, scenario_options=quick)
+    assert [entry.controller for entry in found.entries] == ["pid", "lqr"] * 4 and not found.failures
     conditions = {c.name: c for c in found.conditions}
     assert conditions["delayed"].model.effects == (TransportDelay("push", 0.02),)
     assert "a dead time of 0.02 s" in conditions["delayed"].summary
@@ -336,7 +340,7 @@ def test_a_comparison_takes_the_controllers_that_can_and_delays_that_such_robots
         "cart.mass", "cart.inertia", "pole.mass", "pole.inertia", "slider.damping", "hinge.damping",
     }  # fmt: skip
     assert "masses and inertias ±15 %, damping and friction ±40 %" in conditions["perturbed"].summary
-    row = found.entries[1].to_dict()
+    row = found.entries[2].to_dict()
     assert set(row["rmse_m"]) == {"slider"} and set(row["rmse_rad"]) == {"hinge"} and set(row["effort_n"]) == {"push"}
 
 

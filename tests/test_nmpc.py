@@ -239,6 +239,9 @@ def test_where_nothing_else_is_left_the_command_in_force_stays() -> None:
         def cost(self, pose: Array) -> Array:
             raise ControllerError("no gains")
 
+        def effort(self, pose: Array) -> Array:
+            raise ControllerError("no gains")
+
     horizon = copy.copy(state.tools.horizon)
     horizon.schedule = Nothing()  # type: ignore[assignment]
     state = replace(state, tools=replace(state.tools, horizon=horizon))

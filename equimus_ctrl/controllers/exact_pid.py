@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.controllers.inverse import SMOOTHING, Inverse, InverseState
+from equimus_ctrl.controllers.inverse import SMOOTHING, Inverse, InverseState, window
 from equimus_ctrl.controllers.pid_kernel import (
     DERIVATIVE,
     FILTER,
@@ -33,7 +33,7 @@ from equimus_ctrl.controllers.pid_kernel import (
     WEIGHT_P,
 )
 from equimus_ctrl.controllers.pid_settings import PidSettings
-from equimus_ctrl.models.dynamics import LOST, Dynamics
+from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
@@ -107,7 +107,7 @@ def step(observation: Observation, reference: Reference, state: ExactPidState) -
     instants = np.array([now + dt / 2, now + dt / 2 + SMOOTHING])
     (q, soon), (v, soon_v), (_, soon_a) = (x.T for x in inverse.motion(reference, instants, state.followed))
     # A step is differentiated to a motion there and back, of which half may be possible.
-    possible = (*state.possible, _possible(dynamics, soon, soon_v, soon_a))[-(round(2 * SMOOTHING / dt) + 2) :]
+    possible = (*state.possible, dynamics.possible(soon, soon_v, soon_a))[-window(dt) :]
     share, still = min(possible), _fed(s, dynamics, q)
     fed = still + share * (planned[0] - still) if s.inverse else still
     r, y = shown[0], np.array(observation.position)
@@ -147,22 +147,6 @@ def _lost(dynamics: Dynamics, q: Array, v: Array, asked: Array, command: Array, 
     drive, own = dynamics.authority(q, v)
     wanted = drive @ asked + own
     return np.asarray(dynamics.exerted(q, v, dynamics.shared(q, v, command, wanted, *ends)) - wanted)
-
-
-def _possible(dynamics: Dynamics, q: Array, v: Array, a: Array) -> float:
-    """The share of a motion, beside what holds its pose, that the actuators can do."""
-    still = np.zeros_like(q)
-    moving, resting = dynamics.needed(q, v, a), dynamics.needed(q, still, still)
-    drive, own = dynamics.authority(q, v)
-    commands = np.column_stack([dynamics.answer(drive, torque - own) for torque in (moving, resting)])
-    asked, at_rest = (drive @ commands + own[:, None]).T
-    given, held = (
-        dynamics.exerted(q, v, dynamics.shared(q, v, command, torque, dynamics.low, dynamics.high))
-        for command, torque in zip(commands.T, (asked, at_rest), strict=True)
-    )
-    most = float(np.linalg.norm(asked - at_rest))
-    lost = float(np.linalg.norm((asked - given) - (at_rest - held)))
-    return 1.0 if lost <= LOST * max(most, 1.0) else max(1.0 - lost / max(most, LOST), 0.0)
 
 
 def _fed(settings: PidSettings, dynamics: Dynamics, q: Array) -> Array:

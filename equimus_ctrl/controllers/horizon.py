@@ -16,14 +16,15 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from equimus_ctrl.controllers.allowances import allowances
 from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.controllers.lqr import CALM, LqrSettings, Schedule, waiting
 from equimus_ctrl.controllers.preview import Ahead, Preview, Sight
-from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.errors import ConfigError, ControllerError
-from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState
+from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
 from equimus_ctrl.models.linear import valve_lag
 from equimus_ctrl.models.prediction import Prediction, prediction
+from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.predictive.costs import Wanted, Weights
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
@@ -40,17 +41,19 @@ class HorizonSettings:
     """What predictive controllers allow. An error as large as its allowance costs as much as an effort of its own.
 
     Attributes:
-        angle: allowance of angles [rad].
-        rate: of velocities [rad/s].
-        pressure: of pressures beyond what the reference asks for [Pa].
-        limit: of angles beyond a joint's range [rad]; such ranges are soft.
+        angle: allowance of angles [rad]; of a robot whose commands are no pressures by half the joints' ranges.
+        rate: of velocities [rad/s], where commands are pressures.
+        pressure: of pressures beyond what the reference asks for [Pa], where commands are pressures.
+        bandwidth: of any other robot, from which these two and the observer follow (``controllers.allowances``) [Hz]; 0
+            for as much as what is late allows.
+        limit: of angles beyond a joint's range [rad], as ``angle``; such ranges are soft.
         margin: by how much that range is narrower than from stop to stop [rad].
-        pressure_rate: how fast what reaches the valves may change [Pa/s]; 0 for any.
+        pressure_rate: how fast what reaches the valves may change [Pa/s], where commands are pressures; 0 for any.
         deadline: what is not solved by then after the step began falls back [s]; 0 for no deadline, as in simulation,
             where a run is to give the same bits each time.
         disturbance: whether torques that the observer cannot explain are taken to last.
         spacing: of the grid of poses that the regulator behind the horizon is worked out at [rad].
-        start_time: over which the first pose fades out of the reference [s].
+        start_time: over which the first pose fades out of the reference, where every joint has an actuator [s].
         compiled: whether a C compiler is used where there is one.
         observer: covariances of the Kalman filter.
 
@@ -61,6 +64,7 @@ class HorizonSettings:
     angle: float = 0.03
     rate: float = 1.0
     pressure: float = 1e3
+    bandwidth: float = 0.0
     limit: float = 0.003
     margin: float = 0.0
     pressure_rate: float = 0.0
@@ -73,7 +77,7 @@ class HorizonSettings:
 
     def __post_init__(self) -> None:
         self._require(("angle", "rate", "pressure", "limit", "spacing"), above=0.0)
-        self._require(("margin", "pressure_rate", "deadline", "start_time"), least=0.0)
+        self._require(("bandwidth", "margin", "pressure_rate", "deadline", "start_time"), least=0.0)
 
     def _require(self, keys: tuple[str, ...], least: float = -math.inf, above: float = -math.inf) -> None:
         for key in keys:
@@ -89,7 +93,7 @@ class HorizonSettings:
 
     def regulator(self) -> LqrSettings:
         """The regulator that goes on behind the horizon."""
-        return LqrSettings(self.angle, self.rate, self.pressure, spacing=self.spacing)
+        return LqrSettings(self.angle, self.rate, self.pressure, self.bandwidth, spacing=self.spacing)
 
     def weights(self) -> Weights:
         """What errors and efforts cost."""
@@ -125,6 +129,7 @@ class HorizonState:
         reason: why it fell back; empty where it did not.
         under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
         expected: what an iteration is known to take, where there is a deadline [s].
+        note: where allowances come from; empty where settings say them.
     """
 
     observer: ObserverState
@@ -134,6 +139,7 @@ class HorizonState:
     reason: str
     under_way: tuple[Array, ...]
     expected: float
+    note: str
 
     @property
     def fell_back(self) -> bool:
@@ -160,6 +166,7 @@ class Outlook:
         fixed: (n, na) inputs that commands under way have settled, NaN for those still free [Pa]; None where all are.
         first: (na,) the first free interval of each actuator.
         before: (na,) what reached the valves last [Pa].
+        effort: (na,) allowances of commands where the robot is to be.
     """
 
     observer: ObserverState
@@ -173,6 +180,7 @@ class Outlook:
     fixed: Array | None
     first: NDArray[np.intp]
     before: Array
+    effort: Array
 
 
 class Horizon:
@@ -183,6 +191,7 @@ class Horizon:
         settings: of the controller.
         periods: returns (n,) how many control periods each interval lasts, given the number of periods by which each
             actuator obeys the next command later than the first one does.
+        pose: (nj,) where the robot begins [rad]; its home by default.
 
     Attributes:
         observer: of the plant.
@@ -193,6 +202,8 @@ class Horizon:
         times: (n + 1,) when intervals begin and end after the arrival of the next command [s].
         durations: (n,) [s].
         reached: (2, na) range of what can reach the valves [Pa].
+        weights: of errors and efforts.
+        rate: (na,) how fast what reaches the valves may change [Pa/s].
 
     Raises:
         ControllerError: where the plant offers no model.
@@ -203,22 +214,33 @@ class Horizon:
         spec: PlantSpec,
         settings: HorizonSettings,
         periods: Callable[[NDArray[np.int64]], NDArray[np.int64]],
+        pose: Array | None = None,
     ) -> None:
         self.settings, self.dt = settings, spec.control_dt
-        self.observer = Observer.of(spec, settings.observer, settings.compiled)
+        require_model(spec)
+        begins = spec.model.home if pose is None else pose
+        allowed = allowances(spec, settings, np.zeros(len(spec.joints)) if begins is None else begins)
+        self.observer = Observer.of(spec, settings.observer, settings.compiled, allowed.beliefs)
         model = self.observer.model
         self._waiting = waiting(model, self.dt)
         lasting = periods(self._waiting)
         self.durations: Array = np.asarray(self.dt * lasting, dtype=np.float64)
         self.times: Array = np.concatenate([[0.0], np.cumsum(self.durations)])
         self.prediction: Prediction = prediction(model, stops=False)
-        self.inverse = Inverse(model, self.dt, settings.start_time)
+        self.inverse = Inverse(model, self.dt, settings.start_time if allowed.driven.all() else 0.0)
         limits = np.vstack([self.inverse.low, self.inverse.high])
-        reached = shaped_commands(model.effects, self.inverse.actuators, limits)
+        reached = self.inverse.arriving(limits)
         self.reached: Array = np.vstack([np.minimum(*reached), np.maximum(*reached)])
-        self.schedule = Schedule(model, settings.regulator(), self.dt)
+        limit: float | Array = settings.limit
+        rate = settings.pressure_rate or math.inf
+        if allowed.bandwidth:
+            limit, rate = settings.limit / settings.angle * allowed.angle, math.inf
+        self.weights = Weights(allowed.angle, allowed.rate, allowed.usual, limit)
+        self.rate: Array = np.minimum(spec.command_rate, rate)
+        self._note, self._driven = allowed.note, allowed.driven
+        self.schedule = Schedule(model, settings.regulator(), self.dt, allowed)
         self.schedule.prepare()
-        lagging = np.flatnonzero(valve_lag(valve_settings(model.effects, self.inverse.actuators)) > 0)
+        lagging = np.flatnonzero(valve_lag(valves_of(model)) > 0)
         nj = self.prediction.nj
         self._seen: NDArray[np.intp] = np.concatenate([np.arange(2 * nj), 2 * nj + lagging])
         self._delay = float(self.observer.delays.min())
@@ -231,7 +253,7 @@ class Horizon:
             "followed": self.inverse.start(observation.time, np.array(observation.position)),
             "sight": None, "status": "hold", "reason": "",
             "under_way": tuple(np.zeros(count) for count in self._waiting),
-            "expected": 0.0,
+            "expected": 0.0, "note": self._note,
         }  # fmt: skip
 
     def look(self, observation: Observation, reference: Reference, state: HorizonState) -> Outlook:
@@ -246,10 +268,11 @@ class Horizon:
         arrival = observation.time + self._delay
         known = self.observer.foresee(observer, arrival)
         # The effects' own states are the observer's: what is asked of the valves ahead goes on from them.
-        own = known.state[2 * p.nj + p.na :]
+        own = known.state[2 * p.nj + p.na :][: state.followed.states.shape[1]]
         followed = replace(state.followed, states=np.tile(own, (len(state.followed.states), 1)))
         path, sight = self._preview.look(reference, observation.time, followed, state.sight)
-        disturbance = known.disturbance if self.settings.disturbance else np.zeros_like(known.disturbance)
+        # What acts on a joint without actuator cannot be held against, and would only make plans swing.
+        disturbance = np.where(self._driven, known.disturbance, 0.0) * float(self.settings.disturbance)
         against = -self.inverse.counter(known.position, disturbance)
         path = replace(path, feed=path.feed + against, pressure=path.pressure + against)
         fixed, first = self._fixed(observer, arrival)
@@ -257,7 +280,10 @@ class Horizon:
             np.hstack([path.position, path.velocity, path.pressure]), path.feed, self._behind(path.position[-1])
         )
         before = observer.sent.values[-1]
-        return Outlook(observer, arrival, known, disturbance, against, path, sight, wanted, fixed, first, before)
+        effort = self._effort(path.position[0])
+        return Outlook(
+            observer, arrival, known, disturbance, against, path, sight, wanted, fixed, first, before, effort
+        )
 
     def choose(
         self,
@@ -299,15 +325,13 @@ class Horizon:
         self, view: Outlook, asked: Array | None, observation: Observation, state: AnyState
     ) -> tuple[Array, AnyState]:
         """The command for what is to reach the valves (na,) [Pa], and the state with what is under way then."""
-        s = self.settings
         if asked is None:
             command = np.asarray(observation.command)
         else:
-            if s.pressure_rate:
-                reach = s.pressure_rate * self.dt
-                asked = np.clip(asked, view.before - reach, view.before + reach)
+            reach = self.rate * self.dt
+            asked = np.clip(asked, view.before - reach, view.before + reach)
             command = self.inverse.commands(asked[None])[0]
-        arriving = shaped_commands(self.observer.model.effects, self.inverse.actuators, command[None])[0]
+        arriving = self.inverse.arriving(command[None])[0]
         beyond = arriving - view.path.feed[view.first, np.arange(len(view.first))]
         under_way = tuple(
             np.append(old[1:], new) if len(old) else old for old, new in zip(state.under_way, beyond, strict=True)
@@ -340,6 +364,13 @@ class Horizon:
             first[i] = min(len(taken), len(fixed) - 1)
         return fixed, first
 
+    def _effort(self, pose: Array) -> Array:
+        """(na,) allowances of commands in a pose (nj,); those of where the robot begins where it has no regulator."""
+        try:
+            return self.schedule.effort(pose)
+        except ControllerError:
+            return np.asarray(self.weights.pressure)
+
     def _behind(self, pose: Array) -> Array:
         """(nx, nx) a root of what the state at the end of the horizon costs where the robot is to be in a pose."""
         nx, nj = self.prediction.nx, self.prediction.nj
@@ -350,8 +381,8 @@ class Horizon:
             last[np.ix_(self._seen, self._seen)] = np.linalg.cholesky(cost).T
         except (ControllerError, np.linalg.LinAlgError):
             # Without a regulator there the last state counts as all others do.
-            s, span = self.settings, math.sqrt(self.durations[-1])
-            last[np.diag_indices(2 * nj)] = span / np.repeat([s.angle, s.rate], nj)
+            scale = np.concatenate([np.broadcast_to(x, nj) for x in (self.weights.angle, self.weights.rate)])
+            last[np.diag_indices(2 * nj)] = math.sqrt(self.durations[-1]) / scale
         return last
 
 

@@ -25,6 +25,11 @@ SMOOTHING = 1 / 60
 """A reference is differentiated over as much to either side [s]."""
 
 
+def window(control_dt: float) -> int:
+    """How many control instants a step of a reference is differentiated over."""
+    return round(2 * SMOOTHING / control_dt) + 2
+
+
 @dataclass(frozen=True, eq=False)
 class InverseState:
     """How far a reference has been followed.
@@ -81,6 +86,7 @@ class Inverse:
         self._valve = valves_of(model)
         self._delays = np.unique(self._valve[:, DELAY])
         self._dt, self._start_time = control_dt, start_time
+        self._ranges = robot.command_ranges
         self.low, self.high = useful_commands(effects, robot.actuator_names, *robot.command_limits)
 
     def start(self, time: float, measured: Array) -> InverseState:
@@ -98,10 +104,13 @@ class Inverse:
         """(na,) the command that holds the robot where it starts [Pa]."""
         return np.asarray(self.commands(self._holding(state)[None])[0])
 
+    def arriving(self, command: Array) -> Array:
+        """(n, na) what reaches the valves of commands (n, na) [Pa]."""
+        return np.asarray(shaped_commands(self._effects, self.actuators, command, self._ranges))
+
     def surplus(self, state: InverseState, command: Array) -> Array:
         """(na,) by how much more pressure arrives of a command than holds the robot where it starts [Pa]."""
-        reached: Array = shaped_commands(self._effects, self.actuators, command[None])[0]
-        return np.asarray(reached - self._holding(state))
+        return np.asarray(self.arriving(command[None])[0] - self._holding(state))
 
     def follow(
         self, reference: Reference, times: Array, state: InverseState, stamps: Array | None = None
@@ -139,6 +148,24 @@ class Inverse:
         pressure = self.pressures(q, v, a, state.states[0][:, None])
         return Target(q[:, 0], v[:, 0], pressure[0], feed[0]), replace(state, states=states)
 
+    def possible(self, reference: Reference, time: float, state: InverseState) -> float:
+        """The share of the reference's motion, beside what holds its pose, that is to be fed forward at an instant."""
+        q, v, a = (x[:, 0] for x in self.motion(reference, np.array([time]), state))
+        return self._law.possible(q, v, a)
+
+    def toned(self, target: Target, share: float, state: InverseState) -> Target:
+        """A target with a share of the motion that it has beside its pose; as it is where that is all of it."""
+        if share >= 1:
+            return target
+        rest = self.resting(target.position, state.states[0])
+        pressure, feed = (rest + share * (whole - rest) for whole in (target.pressure, target.feed))
+        return Target(target.position, share * target.velocity, pressure, feed)
+
+    def resting(self, q: Array, z: Array) -> Array:
+        """(na,) what holds a pose (nj,) [rad], the effects' states being (nz,) [Pa]."""
+        still = np.zeros((len(q), 1))
+        return np.asarray(self._law.commands(q[:, None], still, still, z[:, None])[0])
+
     def _feed(self, reference: Reference, times: Array, state: InverseState) -> tuple[Array, Array]:
         """(n, na) what is to reach the valves [Pa], and the effects' states afterwards."""
         pressure, states = np.empty((len(times), len(self.actuators))), np.empty_like(state.states)
@@ -157,9 +184,7 @@ class Inverse:
         return pressure, states
 
     def _holding(self, state: InverseState) -> Array:
-        still = np.zeros_like(state.pose)
-        found = self._law.commands(*(x[:, None] for x in (state.pose, still, still, state.states[0])))
-        return np.asarray(found[0])
+        return self.resting(state.pose, state.states[0])
 
     def commands(self, pressure: Array) -> Array:
         """(n, na) the commands within the useful range that come nearest to pressures [Pa]."""

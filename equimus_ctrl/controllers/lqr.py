@@ -1,18 +1,19 @@
-"""A linear quadratic regulator along a reference, on what an observer knows from angles and commands.
+"""A linear quadratic regulator of any robot along a reference, on what an observer knows from angles and commands.
 
     u = w + c − K(q_r) (x̂ − x_r),    K minimises ½ Σ (xᵀQx + uᵀRu) dt    about q_r, sampled
 
 x are angles, velocities, pressures behind valves with a lag, commands still under way and the integral of the angles'
 errors; w is what the inverse model asks of the valves along the reference, and c holds against the torque that the
 observer cannot explain. x̂ is predicted to when the command arrives. Gains are worked out on a grid of poses and
-interpolated in between.
+interpolated in between. Of a robot whose commands are no pressures, these take their place, a servo's own feedback is
+part of what K is found for, and as much of a reference's motion is fed forward as the actuators can do.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -20,13 +21,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
+from equimus_ctrl.controllers.allowances import Allowances, allowances
+from equimus_ctrl.controllers.inverse import SMOOTHING, Inverse, InverseState, Target, window
 from equimus_ctrl.effects.command import DELAY
-from equimus_ctrl.effects.valves import shaped_commands, valve_settings
 from equimus_ctrl.errors import ConfigError, ControllerError
-from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState
-from equimus_ctrl.models.linear import linearise, valve_lag
+from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
+from equimus_ctrl.models.linear import About, linearise, matrices_about, valve_lag
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
@@ -35,8 +37,10 @@ CALM = 0.005
 """What unknown torques walk in a second, see ``ObserverSettings``."""
 MOST_POSES = 200
 """Of a grid that is worked out beforehand."""
-MISSED = 1.0
-"""A command by so much off what was asked for is no longer taken as given [Pa]."""
+COARSER = 2.0
+"""By so much poses are further apart where these are more: gains are then worked out on the way."""
+MISSED = 1e-3
+"""A command by this share of its allowance off what was asked for is no longer taken as given."""
 
 
 @dataclass(frozen=True)
@@ -44,15 +48,17 @@ class LqrSettings(FileSettings):
     """Settings of the regulator. An error as large as its allowance costs as much as an effort as large as its own.
 
     Attributes:
-        angle: allowance of angles [rad].
-        rate: of velocities [rad/s].
-        pressure: of commands beyond what the reference asks for [Pa].
+        angle: allowance of angles [rad]; of a robot whose commands are no pressures by half the joints' ranges.
+        rate: of velocities [rad/s], where commands are pressures.
+        pressure: of commands beyond what the reference asks for [Pa], where they are pressures.
+        bandwidth: of any other robot, from which these two and the observer follow (``controllers.allowances``) [Hz]; 0
+            for as much as what is late allows.
         integral: of the integral of an angle's error [rad·s]; 0 for none, which leaves the way to no offset at rest to
             ``disturbance``: an integral also keeps what gathered while nothing could be done, as before a first command
             has arrived.
         disturbance: whether torques that the observer cannot explain are held against.
         spacing: of the grid of poses that gains are worked out at [rad].
-        start_time: over which the first pose fades out of the reference [s].
+        start_time: over which the first pose fades out of the reference, where every joint has an actuator [s].
         observer: covariances of the Kalman filter; by default unknown torques walk slowly. What compensates them is an
             integral action, which would oscillate with valves of more delay than the model has.
 
@@ -65,6 +71,7 @@ class LqrSettings(FileSettings):
     angle: float = 0.03
     rate: float = 1.0
     pressure: float = 1e3
+    bandwidth: float = 0.0
     integral: float = 0.0
     disturbance: bool = True
     spacing: float = 0.2
@@ -76,10 +83,14 @@ class LqrSettings(FileSettings):
             value = getattr(self, key)
             if not (math.isfinite(value) and value > 0):
                 raise ConfigError(f"{key} is {value:g}, expected more than 0")
-        for key in ("integral", "start_time"):
+        for key in ("bandwidth", "integral", "start_time"):
             value = getattr(self, key)
             if not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"{key} is {value:g}, expected at least 0")
+
+    def alike(self, nj: int, na: int) -> Allowances:
+        """Allowances that are alike for all of nj joints and na actuators."""
+        return Allowances(np.full(nj, self.angle), np.full(nj, self.rate), np.full(na, self.pressure))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +105,7 @@ class Regulator:
         r: (na, na) of its command.
         gain: (na, n) K.
         cost: (n, n) P: from a state x on it all costs ½ xᵀPx.
+        effort: (na,) allowances of commands there.
     """
 
     a: Array
@@ -102,17 +114,33 @@ class Regulator:
     r: Array
     gain: Array
     cost: Array
+    effort: Array
 
 
-def regulator(model: Model, pose: Array, settings: LqrSettings, dt: float) -> Regulator:
+def regulator(
+    model: Model,
+    pose: Array,
+    settings: LqrSettings,
+    dt: float,
+    allowed: Allowances | None = None,
+    about: About | None = None,
+) -> Regulator:
     """The regulator of a model about a pose (nj,) [rad], sampled with dt [s].
+
+    Args:
+        model: what is known of the robot.
+        pose: about which.
+        settings: of the regulator.
+        dt: of the sampling.
+        allowed: in place of the settings' allowances of angles, rates and pressures.
+        about: ``matrices_about`` the model, where it is known.
 
     Raises:
         ControllerError: where no gains make the robot stable there.
     """
     import control  # takes half a second, which most commands can do without
 
-    sampled = control.c2d(linearise(model, pose), dt)
+    sampled = control.c2d(linearise(model, pose, about=about), dt)
     n, na, nj = sampled.nstates, sampled.ninputs, len(pose)
     under_way = waiting(model, dt)
     m = n + int(under_way.sum()) + (nj if settings.integral else 0)
@@ -130,20 +158,21 @@ def regulator(model: Model, pose: Array, settings: LqrSettings, dt: float) -> Re
     if settings.integral:
         full_a[first:, :nj], full_a[first:, first:] = dt * np.eye(nj), np.eye(nj)
         q[first:, first:] = np.eye(nj) / settings.integral**2
-    q[:nj, :nj] = np.eye(nj) / settings.angle**2
-    q[nj : 2 * nj, nj : 2 * nj] = np.eye(nj) / settings.rate**2
-    q, r = q * dt, np.eye(na) * dt / settings.pressure**2
+    own = allowed or settings.alike(nj, na)
+    q[:nj, :nj], q[nj : 2 * nj, nj : 2 * nj] = np.diag(1 / own.angle**2), np.diag(1 / own.rate**2)
+    effort = own.efforts((about or matrices_about(model))(pose, None)[1][nj : 2 * nj])
+    q, r = q * dt, np.diag(dt / effort**2)
     try:
         gain, cost, _ = control.dlqr(full_a, full_b, q, r)
     except (np.linalg.LinAlgError, ValueError) as error:
         shown = ", ".join(f"{value:.3g}" for value in pose)
-        raise ControllerError(f"{model.name}: no regulator was found about the pose {shown} rad ({error})") from error
-    return Regulator(full_a, full_b, q, r, np.asarray(gain), np.asarray(cost))
+        raise ControllerError(f"{model.name}: no regulator was found about the pose {shown} ({error})") from error
+    return Regulator(full_a, full_b, q, r, np.asarray(gain), np.asarray(cost), effort)
 
 
 def waiting(model: Model, dt: float) -> NDArray[np.int64]:
     """(na,) how many samples longer a command is under way than one of the quickest actuator."""
-    delay = valve_settings(model.effects, model.morphology.actuator_names)[:, DELAY]
+    delay = valves_of(model)[:, DELAY]
     return np.asarray(np.rint((delay - delay.min()) / dt), dtype=np.int64)
 
 
@@ -154,14 +183,25 @@ class Schedule:
         model: what is known of the robot.
         settings: of the regulator.
         dt: of the sampling [s].
+        allowed: in place of the settings' allowances.
     """
 
-    def __init__(self, model: Model, settings: LqrSettings, dt: float) -> None:
+    def __init__(self, model: Model, settings: LqrSettings, dt: float, allowed: Allowances | None = None) -> None:
         self.model, self.settings, self.dt = model, settings, dt
-        low, high = (np.clip(side, -np.pi, np.pi) for side in model.morphology.joint_range)
+        self.allowed = allowed or settings.alike(len(model.robot.joint_names), len(model.robot.actuator_names))
+        self._about = matrices_about(model)
+        # A joint without ends has its poses a spacing apart, as many as are asked for.
+        low, high = (np.asarray(side) for side in model.robot.joint_range)
+        ends, spacing = np.isfinite(low) & np.isfinite(high), settings.spacing
+        cells = np.maximum(np.ceil((high - low) / spacing), 1)
+        self._is_small = bool(np.all(ends) and np.prod(cells + 1) <= MOST_POSES)
+        if not self._is_small:
+            spacing *= COARSER
+        low, high = np.where(ends, low, 0.0), np.where(ends, high, spacing)
+        self._ends: list[bool] = ends.tolist()
         self._low, self._high = low.tolist(), high.tolist()
-        self._cells: list[int] = np.maximum(np.ceil((high - low) / settings.spacing), 1).astype(int).tolist()
-        self._lagging = np.flatnonzero(valve_lag(valve_settings(model.effects, model.morphology.actuator_names)) > 0)
+        self._cells: list[int] = np.maximum(np.ceil((high - low) / spacing), 1).astype(int).tolist()
+        self._lagging = np.flatnonzero(valve_lag(valves_of(model)) > 0)
         self._known: dict[tuple[int, ...], Regulator] = {}
 
     def gain(self, pose: Array) -> Array:
@@ -171,6 +211,10 @@ class Schedule:
     def cost(self, pose: Array) -> Array:
         """(n, n) P at a pose, as of ``gain``."""
         return self._between(pose, lambda found: found.cost)
+
+    def effort(self, pose: Array) -> Array:
+        """(na,) allowances of commands at a pose, as of ``gain``."""
+        return self._between(pose, lambda found: found.effort) if self.allowed.bandwidth else self.allowed.effort
 
     def correction(self, known: Estimate, target: Target, against: Array, others: Sequence[Array]) -> Array:
         """(na,) by how much more is to reach the valves than the reference asks for [Pa].
@@ -188,30 +232,58 @@ class Schedule:
 
     def prepare(self) -> None:
         """Work out the gains of every pose of the grid, unless these are too many; where there are none, go on."""
-        if math.prod(count + 1 for count in self._cells) <= MOST_POSES:
+        if self._is_small:
             for key in itertools.product(*(range(count + 1) for count in self._cells)):
                 with suppress(ControllerError):
                     self._node(key)
 
     def _between(self, pose: Array, read: Callable[[Regulator], Array]) -> Array:
         sides = []
-        for at, low, high, cells in zip(pose.tolist(), self._low, self._high, self._cells, strict=True):
-            place = min(max((at - low) / (high - low), 0.0), 1.0) * cells
-            below = min(int(place), cells - 1)
+        for at, low, high, cells, ends in zip(
+            pose.tolist(), self._low, self._high, self._cells, self._ends, strict=True
+        ):
+            if ends:
+                place = min(max((at - low) / (high - low), 0.0), 1.0) * cells
+                below = min(int(place), cells - 1)
+            else:
+                place = (at - low) / (high - low)
+                below = math.floor(place)
             sides.append(((below, 1 - (place - below)), (below + 1, place - below)))
         found = np.zeros(())
-        for corner in itertools.product(*sides):
-            weight = math.prod(share for _, share in corner)
+        for corner, weight in _corners(sides) if self._is_small else _nearest_corners(sides):
             if weight > 0:
-                found = found + weight * read(self._node(tuple(index for index, _ in corner)))
+                found = found + weight * read(self._node(corner))
         return found
 
     def _node(self, key: tuple[int, ...]) -> Regulator:
         if key not in self._known:
             low, high = np.array(self._low), np.array(self._high)
             pose = low + (high - low) * np.array(key) / self._cells
-            self._known[key] = regulator(self.model, pose, self.settings, self.dt)
+            self._known[key] = regulator(self.model, pose, self.settings, self.dt, self.allowed, self._about)
         return self._known[key]
+
+
+Sides = Sequence[tuple[tuple[int, float], tuple[int, float]]]
+"""Of each joint the numbers of the poses below and above, and their shares."""
+
+
+def _corners(sides: Sides) -> Iterator[tuple[tuple[int, ...], float]]:
+    """All corners of a cell, and their shares."""
+    for corner in itertools.product(*sides):
+        yield tuple(index for index, _ in corner), math.prod(share for _, share in corner)
+
+
+def _nearest_corners(sides: Sides) -> Iterator[tuple[tuple[int, ...], float]]:
+    """Corners of the simplex of a cell that holds the place, one more than joints (Kuhn's triangulation)."""
+    key = [below for (below, _), _ in sides]
+    shares = [share for _, (_, share) in sides]
+    order = sorted(range(len(sides)), key=lambda joint: -shares[joint])
+    before = 1.0
+    for joint in order:
+        yield tuple(key), before - shares[joint]
+        before = shares[joint]
+        key[joint] += 1
+    yield tuple(key), before
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +296,8 @@ class LqrState:
         integral: (nj,) of the angles' errors [rad·s].
         under_way: for each actuator commands beyond what the reference asked for, the next to arrive first [Pa].
         tools: made for the plant once.
+        possible: of the latest instants, what share of the reference's motion can be done.
+        note: where allowances come from; empty where settings say them.
     """
 
     observer: ObserverState
@@ -231,6 +305,8 @@ class LqrState:
     integral: Array
     under_way: tuple[Array, ...]
     tools: LqrTools
+    possible: tuple[float, ...] = ()
+    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,23 +335,21 @@ class LqrController:
         """A robot that has long been at rest.
 
         Raises:
-            ControllerError: where the plant offers no model.
+            ControllerError: where the plant offers no model, or one without equations, or no regulator keeps the robot
+                where it is.
         """
-        s = self.settings
-        observer = Observer.of(spec, s.observer)
+        s, position = self.settings, np.array(observation.position)
+        require_model(spec)
+        allowed = allowances(spec, s, position)
+        observer = Observer.of(spec, s.observer, beliefs=allowed.beliefs)
         model = observer.model
-        inverse = Inverse(model, spec.control_dt, s.start_time)
-        tools = LqrTools(
-            observer,
-            inverse,
-            Schedule(model, s, spec.control_dt),
-            spec.control_dt,
-        )
+        inverse = Inverse(model, spec.control_dt, s.start_time if allowed.driven.all() else 0.0)
+        tools = LqrTools(observer, inverse, Schedule(model, s, spec.control_dt, allowed), spec.control_dt)
         tools.schedule.prepare()
-        position = np.array(observation.position)
         under_way = tuple(np.zeros(count) for count in waiting(model, spec.control_dt))
         begun = observer.init(observation)
-        return LqrState(begun, inverse.start(observation.time, position), np.zeros(len(position)), under_way, tools)
+        followed, none = inverse.start(observation.time, position), np.zeros(len(position))
+        return LqrState(begun, followed, none, under_way, tools, note=allowed.note)
 
     def step(self, observation: Observation, reference: Reference, state: LqrState) -> tuple[Array, LqrState]:
         """The next command, within the plant's limits.
@@ -284,11 +358,14 @@ class LqrController:
             ObserverFault: where a joint was not measured for longer than the observer has patience.
         """
         t, s = state.tools, self.settings
-        model = t.observer.model
         known = t.observer.update(observation, state.observer)
         t.observer.require_sound(known)
         ahead = t.observer.foresee(known, observation.time + float(t.observer.delays.min()))
         target, followed = t.inverse.target(reference, observation.time, state.inverse)
+        arrival = observation.time + float(t.observer.delays.min()) + SMOOTHING + t.dt / 2
+        # A step is differentiated to a motion there and back, of which half may be possible.
+        possible = (*state.possible, t.inverse.possible(reference, arrival, state.inverse))[-window(t.dt) :]
+        target = t.inverse.toned(target, min(possible), state.inverse)
         against = np.zeros(len(t.observer.delays))
         if s.disturbance:
             against = -t.inverse.counter(ahead.position, ahead.disturbance)
@@ -296,14 +373,15 @@ class LqrController:
         others = [*state.under_way, state.integral] if s.integral else state.under_way
         asked = target.feed + against + t.schedule.correction(ahead, target, against, others)
         command = t.inverse.commands(asked[None])[0]
-        arriving = shaped_commands(model.effects, t.inverse.actuators, command[None])[0]
+        arriving = t.inverse.arriving(command[None])[0]
         integral = state.integral
-        if np.abs(arriving - asked).max() < MISSED:  # else it would wind up against a limit
+        missed = np.abs(arriving - asked) / t.schedule.allowed.usual
+        if missed.max() < MISSED:  # else it would wind up against a limit
             integral = integral + t.dt * error
         beyond = arriving - target.feed - against
         under_way = tuple(
             np.append(old[1:], new) if len(old) else old for old, new in zip(state.under_way, beyond, strict=True)
         )
         return frozen_array(command), replace(
-            state, observer=known, inverse=followed, integral=integral, under_way=under_way
+            state, observer=known, inverse=followed, integral=integral, under_way=under_way, possible=possible
         )

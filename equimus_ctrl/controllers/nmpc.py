@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace
-from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.linear import fastest_rates
+from equimus_ctrl.models.prediction import followed_rates
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS
 from equimus_ctrl.settings import FileSettings
@@ -41,7 +40,8 @@ class NmpcSettings(HorizonSettings, FileSettings):
         stride: how many control periods each interval lasts, except those in which the next command takes hold: they
             last one.
         iterations: programs solved at one instant, at most; 1 is the real-time iteration.
-        tolerance: it has converged where no pressure changes by more, in allowances.
+        tolerance: it has converged where no command changes by more, in allowances.
+        velocity: soft bound of the joints' velocities, either way [rad/s or m/s]; 0 for none.
         solver: of quadratic programs.
 
     Raises:
@@ -54,6 +54,7 @@ class NmpcSettings(HorizonSettings, FileSettings):
     stride: int = 2
     iterations: int = 5
     tolerance: float = 0.01
+    velocity: float = 0.0
     solver: str = "daqp"
 
     def __post_init__(self) -> None:
@@ -62,6 +63,7 @@ class NmpcSettings(HorizonSettings, FileSettings):
         self._count("stride", 1, 100)
         self._count("iterations", 1, 1000)
         self._require(("tolerance",), above=0.0)
+        self._require(("velocity",), least=0.0)
         if self.solver not in SOLVERS:
             raise ConfigError(f"solver is {self.solver!r}, expected one of {', '.join(SOLVERS)}")
 
@@ -127,24 +129,26 @@ class NmpcController:
         """A robot that has long been at rest.
 
         Raises:
-            ControllerError: where the plant offers no model.
+            ControllerError: where the plant offers no model, or one without equations, or no regulator keeps the robot
+                where it is.
             ConfigError: where the margin leaves nothing of a joint's range.
         """
         s = self.settings
-        horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later))
-        angles, model = s.joint_range(spec), horizon.observer.model
-        middle = np.clip(angles, -np.pi, np.pi).mean(axis=0)
-        rate = fastest_rates(changed_bodies(model.effects, model.morphology), middle, model.phase)[0]
+        position = np.array(observation.position)
+        horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position)
+        angles, rate = s.joint_range(spec), followed_rates(horizon.observer.model)[0]
+        if s.velocity:
+            angles = np.hstack([angles, s.velocity * np.array([[-1.0], [1.0]]) * np.ones(len(position))])
         problem = Problem(
             horizon.prediction,
             horizon.durations,
-            s.weights(),
+            horizon.weights,
             angles,
             horizon.reached,
-            s.pressure_rate or math.inf,
+            horizon.rate,
             s.solver,
             s.compiled,
-            math.ceil(rate * s.stride * horizon.dt / FOLLOWED),
+            max(math.ceil(rate * s.stride * horizon.dt / FOLLOWED), 1),
         )
         return NmpcState(**horizon.begin(observation), plan=None, answer=None, tools=NmpcTools(horizon, problem))
 
@@ -162,6 +166,7 @@ class NmpcController:
             guess = shifted = problem.shifted(state.plan, view.arrival, view.wanted)
         else:
             guess = problem.first_guess(view.arrival, view.known.state, view.disturbance, view.wanted)
+        problem.allow(view.effort)
         answer = problem.solve(
             view.known.state, view.disturbance, view.wanted, guess, fixed=view.fixed, before=view.before,
             period=horizon.dt, iterations=s.iterations, tolerance=s.tolerance, enough=pace.enough,

@@ -33,7 +33,7 @@ from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.dynamics import Dynamics, Linear
 from equimus_ctrl.models.linear import valve_lag, with_valves
-from equimus_ctrl.models.solved import valves_of
+from equimus_ctrl.models.solved import known_lateness, valves_of
 from equimus_ctrl.models.spread import latin_hypercube
 from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.types import Array, PlantSpec
@@ -107,18 +107,9 @@ def placed_gains(dynamics: Dynamics, spec: PlantSpec, pose: Array) -> Placed:
     usual = valve.copy()
     usual[:, DELAY] = np.maximum(valve[:, DELAY], traits.usual_delay)
     usual[:, [FILL, VENT]] = np.maximum(valve[:, [FILL, VENT]], traits.usual_lag)
-    known = float(valve[:, DELAY].max()) + float(valve_lag(valve).max()) + float(sensor.max())
+    known = known_lateness(dynamics.model)
     late = 1.5 * dt + known
-    found = [(q, dynamics.linear(q)) for q in _poses(dynamics, spec, pose)]
-    driven = np.any([np.any(own.drive != 0, axis=1) for _, own in found], axis=0)
-    if not driven.any():
-        raise ControllerError(
-            f"{dynamics.robot.name}: no command exerts anything on a joint at rest, in any pose looked at; "
-            "a PID needs an actuator that does"
-        )
-    # Where a joint without actuator does not rest, nothing can be said of a linear loop.
-    rests = [np.all(np.abs(dynamics.holding(q)[1])[~driven] < HELD) for q, _ in found]
-    still = [own for k, own in enumerate(found) if k == 0 or rests[k]]
+    still, driven = looked_at(dynamics, spec, pose)
     joint, most = 0, PHASE / (2 * late)
     for part in (still, still[:1]):
         own = Own.of([linear for _, linear in part], driven)
@@ -150,6 +141,24 @@ def placed_gains(dynamics: Dynamics, spec: PlantSpec, pose: Array) -> Placed:
         f"{where}{why}; no PID of the driven joints "
         f"({', '.join(np.array(spec.joints)[driven])}) keeps it there, which takes a controller of all states together"
     )
+
+
+def looked_at(dynamics: Dynamics, spec: PlantSpec, pose: Array) -> tuple[list[tuple[Array, Linear]], NDArray[np.bool_]]:
+    """The robot about where it begins and about other poses, and (nj,) joints on which an actuator acts.
+
+    Raises:
+        ControllerError: where none acts on any.
+    """
+    found = [(q, dynamics.linear(q)) for q in _poses(dynamics, spec, pose)]
+    driven = np.any([np.any(own.drive != 0, axis=1) for _, own in found], axis=0)
+    if not driven.any():
+        raise ControllerError(
+            f"{dynamics.robot.name}: no command exerts anything on a joint at rest, in any pose looked at; "
+            "a controller needs an actuator that does"
+        )
+    # Where a joint without actuator does not rest, nothing can be said of a linear loop.
+    rests = [np.all(np.abs(dynamics.holding(q)[1])[~driven] < HELD) for q, _ in found]
+    return [own for k, own in enumerate(found) if k == 0 or rests[k]], driven
 
 
 def _poses(dynamics: Dynamics, spec: PlantSpec, pose: Array) -> Iterator[Array]:

@@ -123,7 +123,7 @@ register_controller(
         "LQR along the reference on an observer's state, with integral action",
         lambda given: LqrController(LqrSettings.from_dict(given.settings or {}, given.where)),
         "lqr.toml",
-        needs=LENGTHS,
+        needs=EXACT,
     ),
 )
 register_controller(
@@ -132,7 +132,7 @@ register_controller(
         "nonlinear model-predictive control on an observer's state",
         lambda given: NmpcController(NmpcSettings.from_dict(given.settings or {}, given.where)),
         "nmpc.toml",
-        needs=LENGTHS,
+        needs=EXACT,
     ),
 )
 register_controller(

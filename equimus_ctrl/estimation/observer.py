@@ -15,17 +15,15 @@ from typing import Literal
 
 import numpy as np
 
-from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.effects.sensors import OFFSET, SCALE, SENSOR_DELAY, behind
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, ControllerError
+from equimus_ctrl.estimation.beliefs import Beliefs, pressed
 from equimus_ctrl.models.buffered import Buffered
-from equimus_ctrl.models.kinematics import Kinematics
-from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.prediction import Prediction, prediction
+from equimus_ctrl.models.prediction import Prediction, followed_rates, prediction
 from equimus_ctrl.types import Array, Observation, PlantSpec
 
 Status = Literal["tracking", "coasting", "fault"]
@@ -34,8 +32,6 @@ STABLE = 2.0
 """Fastest rate times step that a Runge–Kutta step is given; it would be stable to 2.78."""
 AT_REST = 1e-2
 """How sure it is at the start that nothing moves [rad/s]."""
-FIRST = 0.3
-"""Standard deviation of the unknown torques at the start, in shares of the largest that the actuators can exert."""
 EARLY = 1e-9
 """Times that differ by less are the same [s]."""
 
@@ -43,6 +39,8 @@ EARLY = 1e-9
 @dataclass(frozen=True)
 class ObserverSettings:
     """Covariances of the Kalman filter; shares are of the largest torque that the actuators can exert on a joint.
+
+    Shares hold where commands are pressures; what is believed of other robots stands in ``estimation.beliefs``.
 
     Attributes:
         noise: standard deviation of a measured angle [rad].
@@ -147,6 +145,16 @@ class ObserverState:
     status: Status = "tracking"
 
 
+def require_model(spec: PlantSpec) -> None:
+    """Nothing where a plant offers a model.
+
+    Raises:
+        ControllerError: where it does not.
+    """
+    if spec.model is None:
+        raise ControllerError("the observer needs a model of the robot, but the plant's spec has none")
+
+
 class ObserverFault(ControllerError):
     """A joint was not measured for too long."""
 
@@ -159,47 +167,52 @@ class Observer:
         control_dt: time between two control instants [s].
         settings: its covariances.
         compiled: whether a C compiler is used where there is one.
+        beliefs: in place of the settings' shares; needed where commands are no pressures.
 
     Attributes:
         prediction: the model's step.
-        delays: (na,) of the valves [s].
+        delays: (na,) between commands and what they do [s].
     """
 
     def __init__(
-        self, model: Model, control_dt: float, settings: ObserverSettings | None = None, compiled: bool = False
+        self,
+        model: Model,
+        control_dt: float,
+        settings: ObserverSettings | None = None,
+        compiled: bool = False,
+        beliefs: Beliefs | None = None,
     ) -> None:
         self.settings = s = settings or ObserverSettings()
         self.prediction: Prediction = prediction(model)
-        p, robot = self.prediction, changed_bodies(model.effects, model.morphology)
-        self.model, self._names = model, robot.actuator_names
+        p = self.prediction
+        self.model, self._names = model, model.robot.actuator_names
         self.delays: Array = p.valve[:, DELAY].copy()
         self._sensor_delay: Array = p.sensor[:, SENSOR_DELAY].copy()
-        low, high = (np.clip(side, -np.pi, np.pi) for side in robot.joint_range)
-        middle = (low + high) / 2
-        self._substep = min(control_dt, STABLE / max(fastest_rates(robot, middle, model.phase)))
-        area = np.array([a.area for a in robot.actuators])
-        span = robot.command_high - robot.command_low
-        torque: Array = np.abs(Kinematics(robot, model.phase).jacobian(middle).T * area) @ np.full(p.na, span)
-        self._torque = torque
+        self._substep = min(control_dt, STABLE / max(*followed_rates(model), STABLE / control_dt))
+        self.beliefs = own = beliefs or pressed(model, s.torque, s.disturbance, s.pressure, s.noise)
         walk = np.zeros(p.nx + p.nj)
-        walk[2 * p.nj : 2 * p.nj + p.na] = s.pressure * span
-        walk[p.nx :] = s.disturbance * torque
+        walk[2 * p.nj : 2 * p.nj + p.na] = own.pressure
+        walk[p.nx :] = own.walk
         self._walk = np.diag(walk**2)
-        self._kick = (s.torque * torque) ** 2
-        self._pressure_span = span
+        self._kick = own.torque**2
         fast = [native(function, function.name()) for function in (p.step, p.slopes)] if compiled else [None, None]
         self._step, self._slopes = Buffered(fast[0] or p.step), Buffered(fast[1] or p.slopes)
 
     @classmethod
-    def of(cls, spec: PlantSpec, settings: ObserverSettings | None = None, compiled: bool = False) -> Observer:
-        """For what a controller may know of a plant.
+    def of(
+        cls,
+        spec: PlantSpec,
+        settings: ObserverSettings | None = None,
+        compiled: bool = False,
+        beliefs: Beliefs | None = None,
+    ) -> Observer:
+        """For what a controller may know of a plant; arguments are those of the class.
 
         Raises:
             ControllerError: where the plant offers no model.
         """
-        if spec.model is None:
-            raise ControllerError("the observer needs a model of the robot, but the plant's spec has none")
-        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings, compiled)
+        require_model(spec)
+        return cls(Model(spec.model, spec.effects, spec.phase), spec.control_dt, settings, compiled, beliefs)
 
     def init(self, observation: Observation) -> ObserverState:
         """A robot that has long been at rest under the command in force.
@@ -213,13 +226,13 @@ class Observer:
                 f"the first measured angles are {observation.position.tolist()}, expected numbers in rad"
             )
         q = behind(p.sensor, observation.position)
-        arriving = shaped_commands(self.model.effects, self._names, observation.command[None])
+        arriving = self._arriving(observation.command)[None]
         mean: Array = np.concatenate([p.at_rest(q, arriving[0]), np.zeros(p.nj)])
         deviation = np.full(p.nx + p.nj, 1e-6)
         deviation[: p.nj] = s.noise
         deviation[p.nj : 2 * p.nj] = AT_REST
-        deviation[2 * p.nj : 2 * p.nj + p.na] = s.pressure * self._pressure_span
-        deviation[p.nx :] = FIRST * self._torque
+        deviation[2 * p.nj : 2 * p.nj + p.na] = self.beliefs.pressure
+        deviation[p.nx :] = self.beliefs.first
         start = observation.stamp - float(self._sensor_delay.max())
         sent = Sent(np.array([-math.inf]), arriving)
         seen = np.full(p.nj, observation.stamp)
@@ -227,7 +240,7 @@ class Observer:
 
     def update(self, observation: Observation, state: ObserverState) -> ObserverState:
         """What is known after one more control instant."""
-        arriving = shaped_commands(self.model.effects, self._names, observation.command[None])[0]
+        arriving = self._arriving(observation.command)
         state = replace(state, sent=self._remembered(state, arriving), now=observation.time)
         fresh = observation.stamp > state.stamp
         good = np.isfinite(observation.position) & fresh
@@ -261,7 +274,7 @@ class Observer:
         if state.status == "fault":
             joint = int(np.argmin(state.seen))
             raise ObserverFault(
-                f"{self.model.morphology.joint_names[joint]} was last measured at {state.seen[joint]:.3f} s and it is "
+                f"{self.model.robot.joint_names[joint]} was last measured at {state.seen[joint]:.3f} s and it is "
                 f"{state.now:.3f} s, expected a number at least every {self.settings.patience:g} s"
             )
 
@@ -287,6 +300,11 @@ class Observer:
                 self._step()
                 x[:] = self._step.results[0]
         return self._estimate(max(time, state.time), np.concatenate([x, d]), state.covariance)
+
+    def _arriving(self, command: Array) -> Array:
+        """(na,) what reaches the valves of commands (na,)."""
+        ranges = self.model.robot.command_ranges
+        return np.asarray(shaped_commands(self.model.effects, self._names, command[None], ranges)[0])
 
     def _estimate(self, time: float, mean: Array, covariance: Array) -> Estimate:
         p = self.prediction

@@ -24,6 +24,7 @@ from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters,
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.symbolic import build
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import Phase
 from equimus_ctrl.robots.mechanics import Structure
 from equimus_ctrl.types import Array
@@ -69,6 +70,27 @@ def _functions(form: Structure, phase: Phase, laws: Laws) -> dict[str, ca.Functi
     return {name: ca.Function(name, symbols, [ca.densify(x) for x in own]) for name, (symbols, own) in outputs.items()}
 
 
+def computable(model: Model) -> Robot:
+    """A model's robot with all effects on bodies and drives, whose equations of motion controllers compute with.
+
+    Raises:
+        NotAvailable: where the equations cannot hold the robot, or it has joints that are not measured.
+    """
+    robot = changed_bodies(model.effects, model.robot)
+    if robot.uninvertible:
+        raise NotAvailable(
+            f"{robot.name}: controllers compute with exact equations of motion, which cannot hold its "
+            f"{robot.uninvertible[0]}"
+        )
+    others = (*robot.prescribed_names, *robot.unmeasured_names)
+    if others:
+        raise NotAvailable(
+            f"{robot.name}: the motion of {', '.join(others)} is not measured or not its own, expected all joints "
+            "of a robot that is controlled to be measured"
+        )
+    return robot
+
+
 @dataclass(frozen=True, eq=False)
 class Linear:
     """A robot about a pose at rest: M δa + D δv + K δq = B δu.
@@ -109,18 +131,7 @@ class Dynamics:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self.robot = robot = changed_bodies(model.effects, model.robot)
-        if robot.uninvertible:
-            raise NotAvailable(
-                f"{robot.name}: controllers compute with exact equations of motion, which cannot hold its "
-                f"{robot.uninvertible[0]}"
-            )
-        others = (*robot.prescribed_names, *robot.unmeasured_names)
-        if others:
-            raise NotAvailable(
-                f"{robot.name}: the motion of {', '.join(others)} is not measured or not its own, expected all joints "
-                "of a robot that is controlled to be measured"
-            )
+        self.robot = robot = computable(model)
         mechanics = robot.mechanics()
         form, laws = mechanics.form, laws_of(model.effects)
         slots = augmented_model(form, model.phase, laws).slots
@@ -263,6 +274,21 @@ class Dynamics:
         grip = self._joint(self._grip.results[0])
         off = wanted + own - self.exerted(q, still, command)
         return np.asarray(command), np.sign(off) * np.maximum(np.abs(off) - grip, 0.0)
+
+    def possible(self, q: Array, v: Array, a: Array) -> float:
+        """The share of a motion (nj,) each, beside what holds its pose, that the actuators can do."""
+        still = np.zeros_like(q)
+        moving, resting = self.needed(q, v, a), self.needed(q, still, still)
+        drive, own = self.authority(q, v)
+        commands = np.column_stack([self.answer(drive, torque - own) for torque in (moving, resting)])
+        asked, at_rest = (drive @ commands + own[:, None]).T
+        given, held = (
+            self.exerted(q, v, self.shared(q, v, command, torque, self.low, self.high))
+            for command, torque in zip(commands.T, (asked, at_rest), strict=True)
+        )
+        most = float(np.linalg.norm(asked - at_rest))
+        lost = float(np.linalg.norm((asked - given) - (at_rest - held)))
+        return 1.0 if lost <= LOST * max(most, 1.0) else max(1.0 - lost / max(most, LOST), 0.0)
 
     def linear(self, q: ArrayLike, u: ArrayLike | None = None) -> Linear:
         """The robot about a pose at rest, no limit of forces near but of actuators whose part others exert.

@@ -1,8 +1,8 @@
-"""A morphology linearised about a pose at rest."""
+"""A robot linearised about a pose at rest."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -15,11 +15,12 @@ from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.command import FILL, VENT
 from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings
-from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, slots_of
+from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.elastic_equations import joint_stops, stops_in_mode
 from equimus_ctrl.models.inverse import holding_pressure
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.solved import valves_of
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.models.symbolic_model import ldl_solve
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, pack, structure
@@ -119,31 +120,58 @@ def valve_lag(valve: Array) -> Array:
     return np.asarray((valve[:, FILL] + valve[:, VENT]) / 2)
 
 
-def linearise(model: Model, pose: ArrayLike, pressure: ArrayLike | None = None) -> control.StateSpace:
+About = Callable[[ArrayLike, ArrayLike | None], tuple[Array, Array]]
+"""(pose, command or None for what holds it) → A and B of angles and velocities."""
+
+
+def matrices_about(model: Model) -> About:
+    """What gives (A, B) of a model about any pose at rest, see ``state_matrices`` and ``models.dynamics.Linear``.
+
+    Raises:
+        NotAvailable: where no equations hold the robot, or it has joints that are not measured.
+    """
+    if "lengths" not in model.robot.offers:
+        dynamics = Dynamics(model)
+        return lambda pose, command: dynamics.linear(pose, command).matrices()
+    robot = changed_bodies(model.effects, model.morphology)
+
+    def about(pose: ArrayLike, pressure: ArrayLike | None) -> tuple[Array, Array]:
+        held = holding_pressure(model, pose) if pressure is None else np.asarray(pressure, dtype=np.float64)
+        return state_matrices(robot, pose, held, model.phase, model.effects)
+
+    return about
+
+
+def linearise(
+    model: Model, pose: ArrayLike, pressure: ArrayLike | None = None, about: About | None = None
+) -> control.StateSpace:
     """A model about a pose at rest, as python-control takes it: from what reaches its valves to its angles.
 
-    States are angles, velocities and the pressures behind valves with a lag, all as departures from rest. Delays of
-    valves and sensors, dry friction, limited rates and play take no part; effects with states of their own act as they
-    do in quick motion.
+    States are angles, velocities and the pressures behind valves with a lag, or commands behind filters, all as
+    departures from rest. Delays of valves and sensors, dry friction, limited rates and play take no part; an elastic
+    robot's effects with states of their own act as they do in quick motion, all other states are as at rest.
 
     Args:
         model: the robot with its effects.
         pose: (nj,) [rad].
         pressure: (na,) that holds it there [Pa]; by default the one that does, wherever it lies.
+        about: ``matrices_about`` the model, where many poses are asked for.
 
     Returns:
         Continuous, its states called ``pos_hip``, ``vel_hip``, ``pressure_maa``, its inputs ``cmd_maa``, its outputs
         ``pos_hip`` as the sensors show them; python-control's names have no dots.
+
+    Raises:
+        NotAvailable: where no equations hold the robot, or it has joints that are not measured.
     """
     import control  # takes half a second, which most commands can do without
 
-    robot = changed_bodies(model.effects, model.morphology)
-    held = holding_pressure(model, pose) if pressure is None else np.asarray(pressure, dtype=np.float64)
-    a, b = state_matrices(robot, pose, held, model.phase, model.effects)
-    joints, actuators = robot.joint_names, robot.actuator_names
-    a, b, slow = with_valves(a, b, valve_lag(valve_settings(model.effects, actuators)))
+    a, b = (about or matrices_about(model))(pose, pressure)
+    robot = changed_bodies(model.effects, model.robot)
+    joints, actuators = ([name.replace(".", "_") for name in of] for of in (robot.joint_names, robot.actuator_names))
+    a, b, slow = with_valves(a, b, valve_lag(valves_of(model)))
     c = np.zeros((len(joints), len(a)))
-    c[:, : len(joints)] = np.diag(sensor_settings(model.effects, joints)[:, SCALE])
+    c[:, : len(joints)] = np.diag(sensor_settings(model.effects, robot.joint_names)[:, SCALE])
     states = [f"{kind}_{name}" for kind in ("pos", "vel") for name in joints]
     return control.ss(
         a, b, c, np.zeros((len(joints), len(actuators))),

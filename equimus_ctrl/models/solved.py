@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
 from equimus_ctrl.effects.bodies import changed_bodies
-from equimus_ctrl.effects.command import DELAY, FILL, VENT
-from equimus_ctrl.effects.following import FILTERED
+from equimus_ctrl.effects.command import DELAY, FILL, RATE, VENT
+from equimus_ctrl.effects.following import FILTERED, SLEWED
 from equimus_ctrl.effects.force import laws_of
+from equimus_ctrl.effects.sensors import SENSOR_DELAY, sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.inverse import inverse_dynamics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.types import Array
+from equimus_ctrl.types import Array, frozen_array
 
 
 class Solved(Protocol):
@@ -36,6 +38,10 @@ class Solved(Protocol):
 
     def advanced(self, q: Array, v: Array, z: Array, dt: float) -> Array:
         """(nz,) the effects' states after dt [s] of such motion."""
+        ...
+
+    def possible(self, q: Array, v: Array, a: Array) -> float:
+        """The share of a motion (nj,) each, beside what holds its pose, that is to be fed forward."""
         ...
 
 
@@ -74,6 +80,9 @@ class _Pressures:
     def advanced(self, q: Array, v: Array, z: Array, dt: float) -> Array:
         return np.array(self._law.advanced(q, v, z, self._parameters, dt)).ravel()
 
+    def possible(self, q: Array, v: Array, a: Array) -> float:
+        return 1.0  # springs take the robot back by themselves, and commands beyond their ends are cut off
+
 
 class _Exact:
     """Of any actuators, see ``models.dynamics``; the effects' states count as after a long rest."""
@@ -94,6 +103,9 @@ class _Exact:
     def advanced(self, q: Array, v: Array, z: Array, dt: float) -> Array:
         return z
 
+    def possible(self, q: Array, v: Array, a: Array) -> float:
+        return self._dynamics.possible(q, v, a)
+
 
 def solved_for_commands(model: Model) -> Solved:
     """The inverse of a model.
@@ -104,10 +116,25 @@ def solved_for_commands(model: Model) -> Solved:
     return _Pressures(model) if "lengths" in model.robot.offers else _Exact(model)
 
 
+def known_lateness(model: Model, lags: bool = True) -> float:
+    """By how much what a command does is seen late at most, as is known [s].
+
+    Args:
+        model: of the robot.
+        lags: whether time constants count beside dead times and late sensors.
+    """
+    valve = valves_of(model)
+    sensor = sensor_settings(model.effects, model.robot.joint_names)[:, SENSOR_DELAY]
+    lag = float(((valve[:, FILL] + valve[:, VENT]) / 2).max()) if lags else 0.0
+    return float(valve[:, DELAY].max()) + lag + float(sensor.max())
+
+
+@lru_cache(maxsize=32)
 def valves_of(model: Model) -> Array:
     """(na, 6) what stands between commands and actuators, see ``effects.command.DELAY``.
 
-    That of the effects, and delays and filters of the robot's own; time constants in a row count as their sum.
+    That of the effects, and delays, filters and limited rates of the robot's own; time constants in a row count as
+    their sum.
     """
     robot = changed_bodies(model.effects, model.robot)
     valve = valve_settings(model.effects, robot.actuator_names)
@@ -115,4 +142,6 @@ def valves_of(model: Model) -> Array:
         valve[i, DELAY] += channel.delay
         if channel.kind == FILTERED:
             valve[i, [FILL, VENT]] += channel.number
-    return valve
+        elif channel.kind == SLEWED and channel.number > 0:
+            valve[i, RATE] = min(valve[i, RATE], channel.number)
+    return frozen_array(valve)

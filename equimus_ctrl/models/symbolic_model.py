@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -155,6 +155,31 @@ def ldl_solve(matrix: ca.SX, rhs: ca.SX) -> ca.SX:
     for i in reversed(range(n)):
         x[i] -= sum((lower[k, i] * x[k] for k in range(i + 1, n)), ca.SX(0))
     return ca.vertcat(*reversed(x))
+
+
+def eliminate(matrix: ca.SX) -> Callable[[ca.SX], ca.SX]:
+    """Columns b → A⁻¹ b of a small A by LU without pivots, written out: of 1 + M⁻¹D, D not below 0, none is 0."""
+    n = matrix.shape[0]
+    a = [[matrix[i, j] for j in range(n)] for i in range(n)]
+    for k in range(n):
+        a[k][k] = 1 / a[k][k]
+        for i in range(k + 1, n):
+            a[i][k] = a[i][k] * a[k][k]
+            for j in range(k + 1, n):
+                a[i][j] = a[i][j] - a[i][k] * a[k][j]
+
+    def solve(rhs: ca.SX) -> ca.SX:
+        y = [rhs[i, :] for i in range(n)]
+        for i in range(n):
+            for k in range(i):
+                y[i] = y[i] - a[i][k] * y[k]
+        for i in reversed(range(n)):
+            for k in range(i + 1, n):
+                y[i] = y[i] - a[i][k] * y[k]
+            y[i] = y[i] * a[i][i]
+        return ca.vertcat(*y)
+
+    return solve
 
 
 def pseudo_solve(matrix: ca.SX, rhs: ca.SX) -> ca.SX:

@@ -33,13 +33,13 @@ def fold(a: Array, b: Array, gap: Array, scale: Array, big: Array, small: Array)
                 big[k, i, k * nu + j] = b[i, k * nu + j] * scale[j]
             value = gap[k, i]
             if k > 0:
+                big[k, i, : k * nu] = 0.0
                 for m in range(nx):
-                    value += a[i, k * nx + m] * small[k - 1, m]
-                for j in range(k * nu):
-                    total = 0.0
-                    for m in range(nx):
-                        total += a[i, k * nx + m] * big[k - 1, m, j]
-                    big[k, i, j] = total
+                    share = a[i, k * nx + m]
+                    if share != 0.0:  # what follows its command at once remembers nothing
+                        value += share * small[k - 1, m]
+                        for j in range(k * nu):
+                            big[k, i, j] += share * big[k - 1, m, j]
             small[k, i] = value
 
 

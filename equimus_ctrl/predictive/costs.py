@@ -16,17 +16,19 @@ from equimus_ctrl.types import Array
 class Weights:
     """What errors and efforts cost: as much as each other where both are as large as their allowance.
 
+    One number for all joints or actuators, or one for each.
+
     Attributes:
         angle: α [rad].
         rate: β [rad/s].
-        pressure: ρ [Pa].
+        pressure: ρ [Pa], or in the commands' unit.
         limit: λ, of angles beyond a joint's range [rad].
     """
 
-    angle: float
-    rate: float
-    pressure: float
-    limit: float
+    angle: float | Array
+    rate: float | Array
+    pressure: float | Array
+    limit: float | Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,7 @@ def costs(weights: Weights, durations: Array, angles: Array, wanted: Wanted, sta
     """
     nj, k = angles.shape[1], min(states.shape[2], wanted.states.shape[1])
     off = states[:, 1:, :k] - wanted.states[1:, :k]
-    scale = np.repeat([weights.angle, weights.rate], nj)
+    scale = np.concatenate([np.broadcast_to(x, nj) for x in (weights.angle, weights.rate)])
     span = np.sqrt(durations[1:, None])
     q = states[:, 1:, :nj]
     beyond = (q - np.minimum(np.maximum(q, angles[0]), angles[1])) / weights.limit

@@ -3,10 +3,11 @@
     min  Σ ½ hₖ (|qₖ − q*ₖ|²/α² + |vₖ − v*ₖ|²/β² + |uₖ − u*ₖ|²/ρ² + (‖qₖ beyond its range‖/λ)²)  +  ½ |L (x_N − x*_N)|²
     s.t. xₖ₊₁ = F(xₖ, uₖ, d, hₖ),   low ≤ uₖ ≤ high,   |uₖ − uₖ₋₁| ≤ r (tₖ − tₖ₋₁)
 
-u are the pressures that reach the valves, F one step of ``models.prediction``. Joint ranges are soft, limits of u and
-of its rate hard. Gauss and Newton's Hessian; the steps' defects are folded into a program in the inputs alone (Bock and
-Plitt, 1984); soft ranges are the exact minimum of their piecewise quadratic. Where a full step does worse by the sum of
-costs and defects, its inputs are followed without a defect, and halved until they do better.
+u are the pressures that reach the valves, or other commands as they arrive, F one step of ``models.prediction``. Joint
+ranges are soft, and so are bounds of velocities; limits of u and of its rate are hard. Gauss and Newton's Hessian; the
+steps' defects are folded into a program in the inputs alone (Bock and Plitt, 1984); soft ranges are the exact minimum
+of their piecewise quadratic. Where a full step does worse by the sum of costs and defects, its inputs are followed
+without a defect, and halved until they do better.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from equimus_ctrl.models.prediction import Prediction
 from equimus_ctrl.predictive.condensing import fold, steepest, weigh
 from equimus_ctrl.predictive.costs import Wanted, Weights
 from equimus_ctrl.predictive.quadratic import QuadraticProgram
+from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.types import Array
 
 Outcome = Literal["converged", "iterated", "failed"]
@@ -91,9 +93,9 @@ class Problem:
         prediction: the robot's step, its joints without stops.
         durations: (n,) of the horizon's intervals [s].
         weights: see ``Weights``.
-        angles: (2, nj) range of the joints [rad].
+        angles: (2, nj) range of the joints [rad], or (2, 2 nj) with that of their velocities behind it [rad/s].
         inputs: (2, na) range of what reaches the valves [Pa].
-        rate: of what reaches the valves, at most [Pa/s]; infinite for none.
+        rate: of what reaches the valves, at most, of all or (na,) of each [Pa/s]; infinite for none.
         solver: of quadratic programs, see ``predictive.quadratic``.
         compiled: whether a C compiler may be used; without one CasADi's interpreter is.
         steps: of the prediction in each interval.
@@ -109,7 +111,7 @@ class Problem:
         weights: Weights,
         angles: Array,
         inputs: Array,
-        rate: float = math.inf,
+        rate: float | Array = math.inf,
         solver: str = "daqp",
         compiled: bool = True,
         steps: int = 1,
@@ -118,31 +120,39 @@ class Problem:
             raise ConfigError(f"the horizon's intervals are {durations.tolist()} s, expected each more than 0")
         self.prediction, self.durations, self.weights = prediction, np.array(durations), weights
         self.times: Array = np.concatenate([[0.0], np.cumsum(durations)])
-        self.angles, self.inputs, self.rate = np.array(angles), np.array(inputs), rate
         n, nx, na, nj = len(durations), prediction.nx, prediction.na, prediction.nj
+        self.angles, self.inputs, self.rate = np.array(angles), np.array(inputs), np.broadcast_to(rate, na)
+        self._ranged = self.angles.shape[1]
+        self._limited = bool(np.isfinite(self.rate).any())
         self._size = n * na
         fast = native(prediction.slopes, "slopes") if compiled else None
         self.is_native = fast is not None
         slopes = _in_steps(fast or prediction.slopes, steps)
         self._slopes, self._one = Buffered(slopes.map(n)), Buffered(prediction.step)
         self._steps = steps
-        self._scale = np.full(na, weights.pressure)
+        self._scale = np.array(np.broadcast_to(weights.pressure, na), dtype=np.float64)
         self._effort = np.repeat(durations, na)
         self._weight = np.zeros((n - 1, nx))
         self._weight[:, :nj] = np.sqrt(durations[1:, None]) / weights.angle
         self._weight[:, nj : 2 * nj] = np.sqrt(durations[1:, None]) / weights.rate
-        self._soft: Array = np.append(durations[1:], durations[-1])[:, None] / weights.limit**2
-        self._allowed = np.concatenate(
-            [np.full(nj, weights.angle), np.full(nj, weights.rate), np.full(na, weights.pressure)]
-        )
+        limit = np.broadcast_to(weights.limit, nj)
+        if self._ranged > nj:  # beyond the bounds of velocities alike
+            limit = np.append(limit, limit * weights.rate / weights.angle)
+        self._soft: Array = np.append(durations[1:], durations[-1])[:, None] / limit**2
+        sizes = ((weights.angle, nj), (weights.rate, nj), (weights.pressure, na))
+        self._allowed = np.concatenate([np.broadcast_to(x, size) for x, size in sizes])
         self._big, self._small = np.zeros((n, nx, n * na)), np.zeros((n, nx))
         self._rows = np.zeros((2 * nj * (n - 1) + nx, n * na))
         self._hessian, self._gradient = np.zeros((n * na, n * na)), np.zeros(n * na)
         self._steepest, self._error = np.zeros(nx), np.zeros((n, nx))
         rows = None
-        if math.isfinite(rate):
+        if self._limited:
             rows = np.eye(n * na) - np.eye(n * na, k=-na)
         self._program = QuadraticProgram(n * na, rows, solver)
+
+    def allow(self, effort: Array) -> None:
+        """From now on allow (na,) commands beyond what the reference asks for, in their unit."""
+        self._scale[:] = effort
 
     def solve(
         self,
@@ -179,13 +189,13 @@ class Problem:
             low, high = np.where(bound, fixed, low), np.where(bound, fixed, high)
         plan = Plan(guess.time, np.clip(guess.inputs, low, high), np.vstack([start, guess.states[1:]]))
         limits = _Limits(low, high)
-        if math.isfinite(self.rate):
+        if self._limited:
             assert before is not None, "limited rates need to know where the inputs were"
             span = self._spans(bound, period)
             blocked = self._blocked(low, high, bound, before, span)
             if blocked:
                 return Answer(plan, "failed", 0, math.inf, math.inf, math.inf, blocked)
-            limits = _Limits(low, high, np.where(bound, UNBOUNDED, span), np.asarray(before))
+            limits = _Limits(low, high, np.where(bound, UNBOUNDED, np.minimum(span, UNBOUNDED)), np.asarray(before))
             # Steps go from one admissible plan to another, and so does any part of one.
             plan = Plan(plan.time, limits.nearest(plan.inputs), plan.states)
         self._slopes.arguments[2][:] = np.tile(disturbance, n)
@@ -280,7 +290,7 @@ class Problem:
             self._big, self._small, error, self._weight, wanted.last, effort, self._effort, self._rows, self._hessian,
             self._gradient,
         )  # fmt: skip
-        beyond = self._beyond(plan.states[1:, : self.prediction.nj])
+        beyond = self._beyond(plan.states[1:, : self._ranged])
         if beyond.any():
             cost += 0.5 * float((self._soft * beyond**2).sum())
         size = np.abs(gap)
@@ -288,12 +298,12 @@ class Problem:
         return _Linearised(cost, float(seen.max()), size.sum(axis=0), by_x)
 
     def _beyond(self, q: Array) -> Array:
-        """(n, nj) by how much angles are above their range, or below it, negative then [rad]."""
+        """(n, k) by how much angles, and velocities, are above their range, or below it, negative then [rad, rad/s]."""
         return np.asarray(q - np.minimum(np.maximum(q, self.angles[0]), self.angles[1]))
 
     def _step(self, plan: Plan, limits: _Limits) -> tuple[Array, Array] | None:
         """Changes of inputs (n, na) and states (n + 1, nx), or None where none was found."""
-        n, na, nj = len(self.durations), self.prediction.na, self.prediction.nj
+        n, na, nj = len(self.durations), self.prediction.na, self._ranged
         lower, upper = (((side - plan.inputs) / self._scale).ravel() for side in (limits.low, limits.high))
         rates = self._changes(plan, limits)
         big = self._big.reshape(-1, self._size)
@@ -323,10 +333,10 @@ class Problem:
 
     def _spans(self, bound: NDArray[np.bool_], period: float) -> Array:
         """(n, na) by how much each input may differ from the one before [Pa]."""
-        span = np.tile(np.append(period, self.durations[:-1])[:, None] * self.rate, (1, bound.shape[1]))
+        span: Array = np.append(period, self.durations[:-1])[:, None] * self.rate
         for i, first in enumerate(bound.sum(axis=0)):  # what is no longer free comes first
             if first < len(span):
-                span[first, i] = self.rate * period
+                span[first, i] = self.rate[i] * period
         return span
 
     def _changes(self, plan: Plan, limits: _Limits) -> tuple[Array, ...]:
@@ -338,19 +348,21 @@ class Problem:
 
     def _blocked(self, low: Array, high: Array, bound: NDArray[np.bool_], before: Array, span: Array) -> str:
         """Which limits leave no way, in words; empty where there is one."""
-        names = self.prediction.model.morphology.actuator_names
+        robot = self.prediction.model.robot
         down, up = np.array(before), np.array(before)
         for k in range(len(low)):
-            for i, name in enumerate(names):
+            for i, name in enumerate(robot.actuator_names):
                 if bound[k, i]:
                     down[i] = up[i] = low[k, i]
                     continue
                 least, most = down[i] - span[k, i], up[i] + span[k, i]
                 if least > high[k, i] + KEPT * self._scale[i] or most < low[k, i] - KEPT * self._scale[i]:
+                    own = reading(robot.command_units[i])
+                    from_least, from_low = (f"{own.factor * x:.4g}" for x in (least, low[k, i]))
                     return (
-                        f"{name}: from {up[i] / 1e3:.4g} kPa the rate limit of {self.rate / 1e3:.4g} kPa/s leads to "
-                        f"{least / 1e3:.4g} to {most / 1e3:.4g} kPa, but the limits of what reaches the valve are "
-                        f"{low[k, i] / 1e3:.4g} to {high[k, i] / 1e3:.4g} kPa"
+                        f"{name}: from {own.text(up[i])} the rate limit of {own.text(self.rate[i])}/s leads to "
+                        f"{from_least} to {own.text(most)}, but the limits of what reaches the valve are "
+                        f"{from_low} to {own.text(high[k, i])}"
                     )
                 down[i], up[i] = max(least, low[k, i]), min(most, high[k, i])
         return ""

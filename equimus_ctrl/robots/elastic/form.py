@@ -44,6 +44,11 @@ class ElasticForm(NamedTuple):
         return {}
 
     @property
+    def stiff(self) -> bool:
+        """Whether it may move faster than explicit steps of a control period follow."""
+        return False
+
+    @property
     def n_inside(self) -> int:
         """How many states the robot has beside its motion."""
         return 0

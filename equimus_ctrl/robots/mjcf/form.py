@@ -256,6 +256,11 @@ class TreeForm:
         return found
 
     @property
+    def stiff(self) -> bool:
+        """As of any form: drives, dry friction and ends of ranges are as stiff as a file has them."""
+        return True
+
+    @property
     def n_inside(self) -> int:
         """How many states the robot has beside its motion."""
         return sum(len(a.states) for a in self.actuators) + (2 * len(self.links) if self.flexible else 0)
