@@ -22,6 +22,24 @@ LOOKED_AT = 20.0
 """How often a reference is looked at before anything runs [Hz]."""
 
 
+@dataclass(frozen=True)
+class Arrival:
+    """That a run is to bring every joint to the reference's pose, and keep it there.
+
+    Attributes:
+        within: how near [° or mm].
+
+    Raises:
+        ConfigError: for a number that is no distance.
+    """
+
+    within: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.within) and self.within > 0):
+            raise ConfigError(f"within is {self.within:g}, expected more than 0")
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """One thing to do with a robot, and how it is judged.
@@ -43,6 +61,8 @@ class Scenario:
         step_at: when the reference steps to a pose at which it stays [s]; of one that is constant at once, by default.
         missing: why there is no ``recorded``, for a person to read, or None.
         events: what befalls the robot meanwhile, see ``plants.events``; unknown to controllers.
+        arrival: what counts as being there, where that is what is asked; then hinges without range may have turned
+            whole turns more.
     """
 
     name: str
@@ -61,6 +81,7 @@ class Scenario:
     step_at: float | None = None
     missing: str | None = None
     events: tuple[Event, ...] = ()
+    arrival: Arrival | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.duration < float("inf"):

@@ -1,0 +1,306 @@
+"""Plans that may look where they lead: raise energy, then follow a spline, then leave the rest to a regulator.
+
+    u = s h sign(Bᵀv) sat((E* − E)/(g ΔE))      until a time tₚ
+        w(t) + spline(t)                        from then on
+        w(t) − K (x − x*(t))                    from a time tᵣ on
+
+When one hands over to the next, how strong the first is and which regulator comes last is sampled along with the spline's
+knots, and rolled out with all limits: what a phase comes to is known before it begins, and none is begun by a threshold.
+The regulator is that of the sampled linear model about where the robot is to be, dead times included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, expm, solve_discrete_are
+
+from equimus_ctrl.effects.command import DELAY, FILL, FLOW, RATE, VENT, pressure_rollouts
+from equimus_ctrl.models.dynamics import Linear
+from equimus_ctrl.predictive.energy import Energy
+from equimus_ctrl.predictive.forward import Forward
+from equimus_ctrl.predictive.measures import Measures
+from equimus_ctrl.predictive.splines import Spline
+from equimus_ctrl.types import Array
+
+NEAR = 0.2
+"""g: share of ΔE from the wanted energy within which energy is raised less than fully."""
+STILL = 1e-6
+"""Share of the natural rate below which nothing moves, and no command raises energy."""
+LINE = 1e-9
+"""Share of a period that is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plans:
+    """(n,) plans.
+
+    Attributes:
+        knots: (n, k, na) of their splines, in shares of ``Measures.command``.
+        raised: (n,) tₚ, until when energy is raised, from now on [s]; -inf for not at all.
+        strength: (n,) s, with which share of the commands' range.
+        settled: (n,) tᵣ, from when the regulator has it [s]; inf for never.
+        regulator: (n,) which.
+    """
+
+    knots: Array
+    raised: Array
+    strength: Array
+    settled: Array
+    regulator: NDArray[np.int64]
+
+    @classmethod
+    def none(cls, knots: int, actuators: int) -> Plans:
+        """The one plan of what the reference asks for."""
+        one = np.ones(1)
+        return cls(np.zeros((1, knots, actuators)), -np.inf * one, one, np.inf * one, np.zeros(1, dtype=np.int64))
+
+    def one(self, k: int, knots: Array | None = None) -> Plans:
+        """The k-th of them, perhaps with other knots (k, na)."""
+        own = slice(k, k + 1)
+        held = self.knots[own] if knots is None else np.asarray(knots)[None]
+        return Plans(held, self.raised[own], self.strength[own], self.settled[own], self.regulator[own])
+
+    def later(self, by: float, spline: Spline) -> Plans:
+        """The same as seen a time later [s]."""
+        moved = spline.matrix(spline.times + by)
+        return replace(self, knots=moved @ self.knots, raised=self.raised - by, settled=self.settled - by)
+
+
+def drawn(rng: np.random.Generator, nominal: Plans, knots: Array, horizon: float, raises: bool, settles: int) -> Plans:
+    """Plans about a nominal one, which is the first; the second leaves all to a regulator at once.
+
+    Args:
+        rng: of the draws.
+        nominal: the one.
+        knots: (n, k, na) of theirs, the nominal one's first.
+        horizon: [s].
+        raises: whether energy can be raised.
+        settles: how many regulators there are.
+    """
+    n = len(knots)
+    a, b, c, d, e = rng.random((5, n))
+    settled, raised, strength = np.full(n, np.inf), np.full(n, -np.inf), np.repeat(nominal.strength, n)
+    regulator = np.repeat(nominal.regulator, n)
+    if settles:
+        own = np.arange(n) % 4
+        settled = np.where(own == 2, a * horizon, np.where(own == 3, nominal.settled, np.inf))
+        regulator = np.where(b < 0.5, rng.integers(settles, size=n), regulator)
+        settled[1 : 1 + settles], regulator[1 : 1 + settles] = 0.0, np.arange(min(settles, n - 1))
+    if raises:
+        fresh = c < 0.5
+        fresh[: 1 + settles] = False
+        raised = np.where(fresh, 1.2 * horizon * d, np.where(c < 0.75, nominal.raised, -np.inf))
+        strength = np.where(fresh, np.where(e < 0.5, 1.0, 2 * e - 1), strength)
+        raised[1 : 1 + settles] = -np.inf
+        early = settled < raised
+        settled = np.where(early, np.where(a < 0.5, settled + np.maximum(raised, 0.0), np.inf), settled)
+    found = Plans(knots, raised, strength, settled, regulator)
+    for key in ("raised", "strength", "settled", "regulator"):
+        getattr(found, key)[0] = getattr(nominal, key)[0]
+    return found
+
+
+class Valves:
+    """What arrives of commands: dead times in parts of a control period, lags and rates.
+
+    Args:
+        valve: (na, 6), see ``effects.command.DELAY``.
+        period: of control [s].
+        shaped: what reaches the valves of commands (n, na).
+
+    Attributes:
+        memory: how many commands before the latest still count.
+    """
+
+    def __init__(self, valve: Array, period: float, shaped: Callable[[Array], Array]) -> None:
+        self.shaped = shaped
+        late = valve[:, DELAY] / period
+        self._whole = np.floor(late + LINE).astype(int)
+        self._rest = np.maximum(late - self._whole, 0.0) * (late - self._whole > LINE)
+        self.memory = int((self._whole + (self._rest > 0)).max(initial=0))
+        self._valve, self._period = valve.copy(), period
+        self._shares = self.weights()
+        self.lagging = bool(
+            np.any(valve[:, [FILL, VENT]] > 0) or np.any(np.isfinite(valve[:, [RATE, FLOW]]))
+        )  # fmt: skip
+
+    def weights(self) -> Array:
+        """(memory + 1, na) the share of each command, the oldest first, in what arrives over a period."""
+        found = np.zeros((self.memory + 1, len(self._whole)))
+        for i, (whole, rest) in enumerate(zip(self._whole, self._rest, strict=True)):
+            found[self.memory - whole, i] += 1 - rest
+            if rest > 0:
+                found[self.memory - whole - 1, i] += rest
+        return found
+
+    def arriving(self, sent: Array) -> Array:
+        """(n, na) the mean over a period of what reaches the valves of commands (n, memory + 1, na), the oldest first."""
+        if not self.memory:
+            return self.shaped(sent[:, 0])
+        rows = self.shaped(sent.reshape(-1, sent.shape[2])).reshape(sent.shape)
+        return np.asarray(np.einsum("nka,ka->na", rows, self._shares))
+
+    def through(self, behind: Array, arriving: Array) -> tuple[Array, Array]:
+        """Mean over a period behind valves, and at its end, (n, na) each, of what was behind them before."""
+        if not self.lagging:
+            return arriving, arriving
+        n, na = arriving.shape
+        means, ends = np.empty((1, 1, n * na)), np.empty((1, 2, n * na))
+        valve = np.tile(self._valve, (n, 1))
+        pressure_rollouts(behind.ravel(), arriving.reshape(1, 1, -1), valve, self._period, means, ends)
+        return means.reshape(n, na), ends[0, 1].reshape(n, na)
+
+
+@dataclass(frozen=True, eq=False)
+class Settler:
+    """A regulator about a pose.
+
+    Attributes:
+        gain: (na, 2 nj + m na) on the errors of positions and rates, then of commands under way, the oldest first.
+        cost: (2 nj, 2 nj) P: from an error e on all costs ½ eᵀ P e.
+    """
+
+    gain: Array
+    cost: Array
+
+
+def settler(linear: Linear, valves: Valves, period: float, scale: Array, command: Array) -> Settler | None:
+    """The regulator that minimises Σ ½ (|e/scale|² + |δu/command|²) T; None where the pose cannot be made stable.
+
+    Args:
+        linear: the robot about the pose.
+        valves: what arrives of its commands.
+        period: T, of control [s].
+        scale: (2 nj,) of errors.
+        command: (na,) of efforts.
+    """
+    a, b = linear.matrices()
+    n, na, m = len(a), b.shape[1], valves.memory
+    whole = expm(np.block([[a, b], [np.zeros((na, n + na))]]) * period)
+    shares = valves.weights()
+    full_a, full_b = np.zeros((n + m * na, n + m * na)), np.zeros((n + m * na, na))
+    full_a[:n, :n] = whole[:n, :n]
+    for k in range(m):
+        own = slice(n + k * na, n + (k + 1) * na)
+        full_a[:n, own] = whole[:n, n:] * shares[k]
+        if k + 1 < m:
+            full_a[own, own.stop : own.stop + na] = np.eye(na)
+    full_b[:n] = whole[:n, n:] * shares[m]
+    if m:
+        full_b[-na:] = np.eye(na)
+    q = np.zeros_like(full_a)
+    q[:n, :n] = np.diag(period / scale**2)
+    r = np.diag(period / command**2)
+    try:
+        cost = solve_discrete_are(full_a, full_b, q, r)
+    except (LinAlgError, ValueError):
+        return None
+    gain = np.linalg.solve(r + full_b.T @ cost @ full_b, full_b.T @ cost @ full_a)
+    if not np.abs(np.linalg.eigvals(full_a - full_b @ gain)).max() < 1:
+        return None
+    return Settler(gain, cost[:n, :n])
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Where the robot is to be, and under what commands.
+
+    Attributes:
+        states: (steps + 1, 2 nj) positions and rates wanted.
+        feed: (steps, na) commands that they ask for.
+        energy: at the end of it [J]; nan where energy takes no part.
+    """
+
+    states: Array
+    feed: Array
+    energy: float
+
+
+@dataclass(frozen=True, eq=False)
+class Policies:
+    """Plans and a robot to try them on.
+
+    Attributes:
+        forward: the robot.
+        valves: what arrives of its commands.
+        measures: its scales.
+        spline: of plans.
+        period: of control [s].
+        low: (na,) lowest commands.
+        high: (na,) highest.
+        settlers: regulators that plans may end with.
+        energy: of the robot, where raising it is a way; None where it is none.
+        span: ΔE [J].
+    """
+
+    forward: Forward
+    valves: Valves
+    measures: Measures
+    spline: Spline
+    period: float
+    low: Array
+    high: Array
+    settlers: Sequence[Settler]
+    energy: Energy | None
+    span: float
+
+    def commands(self, plans: Plans, at: float, x: Array, under_way: Array, wanted: Array, path: Path, k: int) -> Array:
+        """(n, na) what plans command at an instant.
+
+        Args:
+            plans: (n,) of them.
+            at: how long after they begin [s].
+            x: (n, 2 nj) positions and rates then.
+            under_way: (n, m, na) commands before it, the oldest first.
+            wanted: (2 nj,) where the robot is to be.
+            path: of the horizon.
+            k: the control period of the horizon.
+        """
+        own, feed = self.measures, path.feed[k]
+        shares = self.spline.matrix(np.array([at + self.period / 2]))[0]
+        asked = feed + own.command * np.tensordot(plans.knots, shares, axes=(1, 0))
+        settling = np.flatnonzero(plans.settled <= at + LINE * self.period)
+        if len(settling) and self.settlers:
+            gains = np.array([settler.gain for settler in self.settlers])[plans.regulator[settling]]
+            late = (under_way[settling] - feed).reshape(len(settling), -1)
+            off = np.concatenate([own.errors(x[settling], wanted), late], axis=1)
+            asked[settling] = feed - np.einsum("nij,nj->ni", gains, off)
+        raising = np.flatnonzero(plans.raised > at + LINE * self.period)
+        if len(raising) and self.energy is not None:
+            energy, power = self.energy(x[raising])
+            lacking = np.clip((path.energy - energy) / (NEAR * self.span), -1.0, 1.0)
+            power = power * own.command
+            size = STILL * np.abs(power).max(initial=1.0)
+            ways = power / (np.abs(power) + size)
+            asked[raising] = own.middle + own.command * (plans.strength[raising] * lacking)[:, None] * ways
+        return np.asarray(np.clip(asked, self.low, self.high))
+
+    def rolled(self, plans: Plans, state: Array, behind: Array, under_way: Array, path: Path) -> tuple[Array, Array]:
+        """(n, steps + 1, 2 nj) where plans lead, nan from where a rollout is lost, and (n, steps, na) their commands.
+
+        Args:
+            plans: (n,) of them.
+            state: (nx,) of the robot now.
+            behind: (na,) what is behind its valves.
+            under_way: (m, na) commands that may still be on their way, the oldest first.
+            path: where the robot is to be.
+        """
+        n, steps, m = len(plans.knots), len(path.feed), self.valves.memory
+        na = path.feed.shape[1]
+        states, held = np.tile(state, (n, 1)), np.tile(behind, (n, 1))
+        sent = np.empty((n, m + steps, na))
+        sent[:, :m] = under_way
+        x = self.forward.joints(states)
+        found = np.empty((n, steps + 1, x.shape[1]))
+        found[:, 0] = x
+        for k in range(steps):
+            late = sent[:, k : k + m]
+            sent[:, m + k] = self.commands(plans, k * self.period, x, late, path.states[k], path, k)
+            mean, held = self.valves.through(held, self.valves.arriving(sent[:, k : k + m + 1]))
+            states = self.forward(states, mean)
+            found[:, k + 1] = x = self.forward.joints(states)
+        return found, sent[:, m:]
