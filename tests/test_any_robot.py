@@ -16,6 +16,7 @@ from equimus_ctrl.controllers.exact_pid import ExactPidState
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidGains, PidSettings
 from equimus_ctrl.controllers.placement import placed_gains
+from equimus_ctrl.controllers.registry import compared_controllers
 from equimus_ctrl.effects import CoulombFriction, PayloadMass, SensorDelay, TransportDelay
 from equimus_ctrl.errors import ControllerError
 from equimus_ctrl.models.dynamics import Dynamics
@@ -307,7 +308,8 @@ def test_a_joint_without_actuator_that_falls_is_told() -> None:
 def test_a_controller_says_what_a_robot_does_not_offer() -> None:
     said = refusal(lambda: workflow.run_scenario("hold", "lqr", model=Model(RIG)))
     assert said == (
-        "lqr computes with lengths of elastic actuators, which rig does not have; those that can drive it: open_loop, pid"
+        "lqr computes with lengths of elastic actuators, which rig does not have; those that can drive it: open_loop, "
+        "pid, sampling"
     )
 
 
@@ -326,7 +328,8 @@ def test_a_state_of_the_exact_pid_changes_nothing_of_an_earlier_one() -> None:
 
 
 def test_a_comparison_takes_the_controllers_that_can_and_delays_that_such_robots_have() -> None:
-    found = workflow.compare(["hold"], model=Model(CARTPOLE), draws=1, scenario_options={"duration": "1"})
+    assert compared_controllers(CARTPOLE) == ("pid", "sampling")
+    found = workflow.compare(["hold"], ["pid"], model=Model(CARTPOLE), draws=1, scenario_options={"duration": "1"})
     assert [entry.controller for entry in found.entries] == ["pid"] * 4 and not found.failures
     conditions = {c.name: c for c in found.conditions}
     assert conditions["delayed"].model.effects == (TransportDelay("push", 0.02),)
@@ -352,7 +355,7 @@ def test_the_table_of_many_joints_names_the_worst() -> None:
     ).replace("</actuator>", '<motor name="j0" joint="j0"/><motor name="j1" joint="j1"/></actuator>')
     robot = MjcfRobot("four", chain)
     found = workflow.compare(
-        ["step"], under=["nominal"], model=Model(robot), scenario_options={"duration": "1.2", "joint": "j1"}
+        ["step"], ["pid"], under=["nominal"], model=Model(robot), scenario_options={"duration": "1.2", "joint": "j1"}
     )
     out = StringIO()
     Console(file=out, width=80).print(comparison_table(found))

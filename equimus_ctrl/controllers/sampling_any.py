@@ -4,10 +4,10 @@ What plans are stands in ``predictive.policies``. One costs
 
     Σ ½ T (|e/s|² + r² |δu/h|²)  +  H (½ |e_N/s|² + w ((E_N − E*)/ΔE)²)  +  min(½ eᵀ_N P e_N, H)
 
-over a horizon of H: errors e in the robot's own scales s (``predictive.measures``), commands beyond what the reference asks
-for in half their ranges h, what energy is lacking at the end, where actuators cannot do any motion, and what the
-regulator would cost from there on, as far as a linear model can be believed. Nothing but options says how many plans are
-tried, so that a run gives the same bits each time, however quick the computer is.
+over a horizon of H: errors e in the robot's own scales s (``predictive.measures``), commands beyond what the reference
+asks for in half their ranges h, what energy is lacking at the end, where actuators cannot do any motion, and what the
+regulator would cost from there on, as far as a linear model can be believed. Nothing but options says how many plans
+are tried, so that a run gives the same bits each time, however quick the computer is.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class AnySamplingSettings(FileSettings):
     form: ClassVar[str] = FORMAT
 
     method: str = "predictive_sampling"
-    samples: int = 128
+    samples: int = 256
     horizon: float = 0.0
     knots: int = 0
     spline: str = "linear"
@@ -100,7 +100,7 @@ class AnySamplingSettings(FileSettings):
     effort: float = 0.1
     energy: float = 4.0
     noise: float = 1e-3
-    unexplained: float = 0.1
+    unexplained: float = 0.01
     patience: float = 0.1
     compiled: bool = True
     seed: int = 0
@@ -120,9 +120,9 @@ class AnySamplingSettings(FileSettings):
         for key in above:
             if not (math.isfinite(getattr(self, key)) and getattr(self, key) > 0):
                 raise ConfigError(f"{key} is {getattr(self, key):g}, expected more than 0")
-        for key, least in (("horizon", 0.0), ("energy", 0.0), ("deviation", self.least_deviation)):
-            if not (math.isfinite(getattr(self, key)) and getattr(self, key) >= least):
-                raise ConfigError(f"{key} is {getattr(self, key):g}, expected at least {least:g}")
+        for key, bound in (("horizon", 0.0), ("energy", 0.0), ("deviation", self.least_deviation)):
+            if not (math.isfinite(getattr(self, key)) and getattr(self, key) >= bound):
+                raise ConfigError(f"{key} is {getattr(self, key):g}, expected at least {bound:g}")
         if self.elites > 1:
             raise ConfigError(f"elites is {self.elites:g}, expected at most 1")
         if self.knots:
@@ -227,7 +227,7 @@ def begin(settings: AnySamplingSettings, spec: PlantSpec, observation: Observati
 
 
 def _begun(settings: AnySamplingSettings, method: Method, state: Waiting, pose: Array) -> AnySamplingState:
-    """The same once it is known where it is to be, (nj,) [rad or m]: scales and regulators are those about this pose."""
+    """The same once it is known where it is to be, (nj,): what plans are measured by is that of this pose."""
     s, spec, model, forward, dynamics = settings, state.spec, state.model, state.forward, state.dynamics
     observation, dt = state.observation, spec.control_dt
     own = measures_of(spec, pose, forward, dynamics)
@@ -279,7 +279,8 @@ def _guides(
     if dynamics is None:
         return (), None, 1.0
     linear = dynamics.linear(pose)
-    found = [settler(linear, valves, dt, own.state, own.command / effort) for effort in sorted({s.effort, SPARING})]
+    efforts: list[Array] = [own.command / effort for effort in sorted({s.effort, SPARING})]
+    found = [settler(linear, valves, dt, own.state, effort) for effort in efforts]
     settlers = tuple(one for one in found if one is not None)
     moved = np.linalg.svd(np.linalg.solve(linear.mass, linear.drive * own.command), compute_uv=False)
     ways = int((moved > LACKING * moved.max(initial=0.0)).sum())
@@ -329,7 +330,9 @@ def _observed(observation: Observation, state: AnySamplingState) -> AnySamplingS
     mean, held = p.valves.through(state.behind[None], p.valves.arriving(sent[None]))
     ahead = p.forward(state.known.state[None], mean)[0]
     if not np.all(np.isfinite(ahead)):
-        raise ControllerError(f"{t.model.name}: the model that predicts its motion diverged at {observation.time:.3f} s")
+        raise ControllerError(
+            f"{t.model.name}: the model that predicts its motion diverged at {observation.time:.3f} s"
+        )
     y = behind(t.sensor, np.array(observation.position))
     measured = observation.time, observation.stamp, y
     known = t.filter.corrected(state.known, ahead, p.forward.joints, p.forward.placed, measured)
@@ -374,7 +377,7 @@ def _planned(
     horizon, memory, cost = len(path.feed) * p.period, state.memory, state.cost
     feed = path.feed[np.minimum(p.spline.times / p.period, len(path.feed) - 1).astype(int)]
     # Knots beyond the limits of commands would cost the same as those at them.
-    low, high = (np.nan_to_num((end - feed) / p.measures.command, posinf=np.inf) for end in (p.low, p.high))
+    low, high = ((end - feed) / p.measures.command for end in (p.low, p.high))
     status = "sampled"
     for _ in range(s.iterations):
         knots = method.draw(rng, nominal.knots[0], memory, s.samples - 1, _spread(s))
@@ -397,17 +400,17 @@ def _cost(s: AnySamplingSettings, penalty: Penalty | None, plans: Plans, path: P
         errors = p.measures.errors(states[:, 1:], path.states[1:])
         efforts = s.effort * (sent - path.feed) / p.measures.command
         scaled = (errors / p.measures.state) ** 2
-        found = 0.5 * p.period * (scaled.sum(axis=(1, 2)) + (efforts**2).sum(axis=(1, 2)))
+        found: Array = 0.5 * p.period * (scaled.sum(axis=(1, 2)) + (efforts**2).sum(axis=(1, 2)))
         horizon = len(path.feed) * p.period
         found += horizon * 0.5 * scaled[:, -1].sum(axis=1)
         if p.energy is not None:
-            lacking = (p.energy(states[:, -1])[0] - path.energy) / p.span
+            lacking = (p.energy(np.array(states[:, -1]))[0] - path.energy) / p.span
             found += horizon * s.energy * lacking**2
         if p.settlers:
             # Of the regulator that asks least of actuators: its cost grows with what is beyond their means.
             behind_it = 0.5 * np.einsum("ni,ij,nj->n", errors[:, -1], p.settlers[-1].cost, errors[:, -1])
             found += np.minimum(behind_it, horizon)
         if penalty is not None:
-            times = p.period * np.arange(len(path.states))
-            found = found + penalty(times, states, sent, Wanted(path.states, path.feed, np.zeros((0, 0))))
+            times = np.asarray(p.period * np.arange(len(path.states)), dtype=np.float64)
+            found += penalty(times, states, sent, Wanted(path.states, path.feed, np.zeros((0, 0))))
     return np.where(np.isfinite(found), found, np.inf)

@@ -2,10 +2,10 @@
 
     x⁻ = F(x, u),    q = q⁻ + α (y − q⁻),    v = v⁻ + β (y − q⁻)/T
 
-F is one control period of the robot, contacts and all, under the commands that have arrived meanwhile. α and β are those
-of least variance for white noise σ on what is measured and accelerations of variance w² that the model does not explain,
-by the tracking index λ = w T²/σ (Kalata, "The tracking index", IEEE Transactions on Aerospace and Electronic Systems,
-1984).
+F is one control period of the robot, contacts and all, under the commands that have arrived meanwhile. α and β are
+those of least variance for white noise σ on what is measured and accelerations of variance w² that the model does not
+explain, by the tracking index λ = w T²/σ (Kalata, "The tracking index", IEEE Transactions on Aerospace and Electronic
+Systems, 1984).
 """
 
 from __future__ import annotations

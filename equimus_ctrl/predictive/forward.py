@@ -20,12 +20,14 @@ from equimus_ctrl.computer import processors
 from equimus_ctrl.effects.bodies import changed_bodies
 from equimus_ctrl.effects.following import DIRECT
 from equimus_ctrl.effects.force import force_effects, laws_of
+from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.mjcf_realised import Realised, realise
 from equimus_ctrl.engines.native import native
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.augmented import augmented_model, law_parameters
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.quiet import quietly
 from equimus_ctrl.types import Array
 
 ENGINES = ("auto", "exact", "mujoco")
@@ -235,15 +237,17 @@ class MujocoForward:
 
     def __call__(self, states: Array, arriving: Array) -> Array:
         n, m = len(states), self._model
-        lost = ~np.isfinite(states).all(axis=1)
+        lost = np.asarray(~np.isfinite(states).all(axis=1))
         given = np.where(lost[:, None], 0.0, states)
         given[:, 0] = 0.0
         control = np.zeros((n, 1, m.nu))
         control[:, 0, self._control] = arriving
         control = np.repeat(control, self._steps, axis=1)
-        found, _ = self._pool.rollout([m] * n, self._data, given, control, skip_checks=False)
+        with quietly():
+            found, _ = self._pool.rollout([m] * n, self._data, given, control)
         after = np.array(found[:, -1])
         # A rollout that MuJoCo gives up repeats its last state, and time stands still.
         lost |= after[:, 0] < (self._steps - 0.5) * m.opt.timestep
+        lost |= ~(np.abs(after[:, self._qvel]) < MAX_SPEED).all(axis=1)
         after[lost] = np.nan
         return after

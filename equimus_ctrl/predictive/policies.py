@@ -4,9 +4,9 @@
         w(t) + spline(t)                        from then on
         w(t) − K (x − x*(t))                    from a time tᵣ on
 
-When one hands over to the next, how strong the first is and which regulator comes last is sampled along with the spline's
-knots, and rolled out with all limits: what a phase comes to is known before it begins, and none is begun by a threshold.
-The regulator is that of the sampled linear model about where the robot is to be, dead times included.
+When one hands over to the next, how strong the first is and which regulator comes last is sampled along with the
+spline's knots, and rolled out with all limits: what a phase comes to is known before it begins, and no threshold begins
+one. The regulator is that of the sampled linear model about where the robot is to be, dead times included.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from equimus_ctrl.predictive.measures import Measures
 from equimus_ctrl.predictive.splines import Spline
 from equimus_ctrl.types import Array
 
-NEAR = 0.2
+NEAR = 0.05
 """g: share of ΔE from the wanted energy within which energy is raised less than fully."""
 STILL = 1e-6
 """Share of the natural rate below which nothing moves, and no command raises energy."""
@@ -71,7 +71,10 @@ class Plans:
 
 
 def drawn(rng: np.random.Generator, nominal: Plans, knots: Array, horizon: float, raises: bool, settles: int) -> Plans:
-    """Plans about a nominal one, which is the first; the second leaves all to a regulator at once.
+    """Plans about a nominal one, which is the first; those after it leave all to one of the regulators at once.
+
+    Of the others half differ from the nominal one in their knots alone. The rest also hand over at other times: to a
+    regulator, at any or about when the nominal one does; or once energy was raised for a while.
 
     Args:
         rng: of the draws.
@@ -82,26 +85,30 @@ def drawn(rng: np.random.Generator, nominal: Plans, knots: Array, horizon: float
         settles: how many regulators there are.
     """
     n = len(knots)
-    a, b, c, d, e = rng.random((5, n))
-    settled, raised, strength = np.full(n, np.inf), np.full(n, -np.inf), np.repeat(nominal.strength, n)
-    regulator = np.repeat(nominal.regulator, n)
+    any_time, a, b = rng.random((3, n))
+    about, which = rng.standard_normal(n), rng.integers(max(settles, 1), size=n)
+    raised, strength = np.repeat(nominal.raised, n), np.repeat(nominal.strength, n)
+    settled, regulator = np.repeat(nominal.settled, n), np.repeat(nominal.regulator, n)
+    kind = np.arange(n) % 8
     if settles:
-        own = np.arange(n) % 4
-        settled = np.where(own == 2, a * horizon, np.where(own == 3, nominal.settled, np.inf))
-        regulator = np.where(b < 0.5, rng.integers(settles, size=n), regulator)
-        settled[1 : 1 + settles], regulator[1 : 1 + settles] = 0.0, np.arange(min(settles, n - 1))
+        anew = kind == 4
+        near = settled + about * horizon / knots.shape[1]
+        settled = np.where(
+            anew | (kind == 5) & ~np.isfinite(settled), any_time * horizon, np.where(kind == 5, near, settled)
+        )
+        regulator = np.where((kind == 4) | (kind == 5), which, regulator)
     if raises:
-        fresh = c < 0.5
-        fresh[: 1 + settles] = False
-        raised = np.where(fresh, 1.2 * horizon * d, np.where(c < 0.75, nominal.raised, -np.inf))
-        strength = np.where(fresh, np.where(e < 0.5, 1.0, 2 * e - 1), strength)
-        raised[1 : 1 + settles] = -np.inf
-        early = settled < raised
-        settled = np.where(early, np.where(a < 0.5, settled + np.maximum(raised, 0.0), np.inf), settled)
-    found = Plans(knots, raised, strength, settled, regulator)
-    for key in ("raised", "strength", "settled", "regulator"):
-        getattr(found, key)[0] = getattr(nominal, key)[0]
-    return found
+        fresh = kind >= 6
+        raised = np.where(fresh, 1.2 * horizon * any_time, raised)
+        strength = np.where(fresh, np.where(kind == 6, 1.0, a), strength)
+        settled = np.where(fresh, np.where(b < 0.5, raised + a * horizon, np.inf), settled)
+        settled = np.where(fresh & (settles == 0), np.inf, settled)
+    first = slice(1, 1 + settles)
+    settled[first], raised[first], regulator[first] = 0.0, -np.inf, np.arange(settles)[: n - 1]
+    for own, held in ((raised, nominal.raised), (strength, nominal.strength), (settled, nominal.settled)):
+        own[0] = held[0]
+    regulator[0] = nominal.regulator[0]
+    return Plans(knots, raised, strength, settled, regulator)
 
 
 class Valves:
@@ -138,7 +145,7 @@ class Valves:
         return found
 
     def arriving(self, sent: Array) -> Array:
-        """(n, na) the mean over a period of what reaches the valves of commands (n, memory + 1, na), the oldest first."""
+        """(n, na) the mean over a period of what reaches the valves of commands (n, memory + 1, na), oldest first."""
         if not self.memory:
             return self.shaped(sent[:, 0])
         rows = self.shaped(sent.reshape(-1, sent.shape[2])).reshape(sent.shape)

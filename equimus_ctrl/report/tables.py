@@ -151,17 +151,20 @@ def _arrival_figures(spec: PlantSpec, arrival: ArrivalFigures) -> dict[str, Any]
     return {
         "arrived": arrival.arrived,
         "time_s": float(arrival.time) if arrival.arrived else None,
-        "within": arrival.within,
+        **by_unit("within", spec.joints, spec.joint_units, arrival.near),
         **by_unit("left", spec.joints, spec.joint_units, arrival.left),
     }
 
 
 def _arrival_text(arrival: ArrivalFigures, spec: PlantSpec) -> str:
-    words = sorted({"°" if unit == "rad" else " mm" for unit in spec.joint_units})
-    near = " or ".join(f"{arrival.within:g}{word}" for word in words)
+    near = ", ".join(
+        f"{joint} {reading(unit).text(size)}"
+        for joint, unit, size in zip(spec.joints, spec.joint_units, arrival.near.tolist(), strict=True)
+    )
     if arrival.arrived:
-        return f"after {arrival.time:.2f} s within {near} and staying there"
-    return f"no: at the end {_each(spec.joints, spec.joint_units, arrival.left)} off, {near} were wanted"
+        return f"after {arrival.time:.2f} s, and stays there within {near}"
+    left = _each(spec.joints, spec.joint_units, arrival.left)
+    return f"no: {left} off in the last second, wanted within {near}"
 
 
 def _step_table(step: StepFigures, spec: PlantSpec) -> Table:

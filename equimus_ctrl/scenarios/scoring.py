@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.robots.reading import reading
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.types import Array, PlantSpec, Run
 
@@ -93,12 +91,12 @@ class ArrivalFigures:
     """Whether a robot came to a pose, and stayed.
 
     Attributes:
-        within: how near each joint had to come [° or mm].
+        near: (nj,) how near each joint had to come [rad or m].
         time: from when on all joints stayed that near, for ``STAYING`` at least [s]; nan where they did not.
         left: (nj,) the largest distance of each joint over the last ``STAYING`` [rad or m].
     """
 
-    within: float
+    near: Array
     time: float
     left: Array
 
@@ -108,21 +106,19 @@ class ArrivalFigures:
         return not np.isnan(self.time)
 
     @classmethod
-    def of(cls, time: Array, off: Array, within: float, units: Sequence[str]) -> ArrivalFigures:
+    def of(cls, time: Array, off: Array, near: Array) -> ArrivalFigures:
         """Of a run.
 
         Args:
             time: (n,) since it began [s].
             off: (n, nj) from the pose [rad or m].
-            within: how near is there [° or mm].
-            units: (nj,) SI units of the joints.
+            near: (nj,) how near is there [rad or m].
         """
-        near = np.array([within / reading(unit).factor for unit in units])
         outside = np.flatnonzero((np.abs(off) > near).any(axis=1))
         first = outside[-1] + 1 if len(outside) else 0
         stays = first < len(time) and time[-1] - time[first] >= STAYING - 1e-9
         last = time >= time[-1] - STAYING
-        return cls(within, float(time[first]) if stays else np.nan, np.abs(off[last]).max(axis=0))
+        return cls(near, float(time[first]) if stays else np.nan, np.abs(off[last]).max(axis=0))
 
 
 def off_reference(position: Array, wanted: Array, spec: PlantSpec, scenario: Scenario) -> Array:
@@ -217,7 +213,7 @@ def _arrival(run: Run, scenario: Scenario) -> ArrivalFigures | None:
         return None
     seen = run.position if run.truth is None else run.truth
     off = off_reference(seen, run.reference, run.spec, scenario)
-    return ArrivalFigures.of(run.time, off, scenario.arrival.within, run.spec.joint_units)
+    return ArrivalFigures.of(run.time, off, scenario.arrival.near(run.spec.joint_units))
 
 
 def _step(run: Run, begins: float | None) -> StepFigures | None:
