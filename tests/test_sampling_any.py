@@ -360,8 +360,9 @@ def test_where_it_is_to_go_is_asked_for() -> None:
         return workflow.load_scenario("swing_up", robot, options=options, search=False)
 
     bare = MjcfRobot("bare", pendulum())
-    assert "bare has no keyframe 'upright' (keyframes: none); name one with keyframe=, or the pose by joints" in refusal(
-        lambda: built(bare)
+    assert (
+        "bare has no keyframe 'upright' (keyframes: none); name one with keyframe=, or the pose by joints"
+        in refusal(lambda: built(bare))
     )
     assert built(bare, pivot="180").reference.position(0.0) == pytest.approx([np.pi])
     assert "hinge cannot be held at 90°" in refusal(lambda: built(CARTPOLE.robot, hinge="90"))

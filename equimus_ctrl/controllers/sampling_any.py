@@ -21,7 +21,7 @@ import numpy as np
 
 from equimus_ctrl.controllers.inverse import SMOOTHING
 from equimus_ctrl.effects.sensors import SENSOR_DELAY, behind, sensor_settings
-from equimus_ctrl.effects.valves import shaped_commands
+from equimus_ctrl.effects.valves import shaped_commands, shaping_effects
 from equimus_ctrl.engines.mjcf_realised import realise
 from equimus_ctrl.errors import ConfigError, ControllerError, NotAvailable, unknown_name
 from equimus_ctrl.estimation.predicted import Known, Predicted
@@ -86,7 +86,7 @@ class AnySamplingSettings(FileSettings):
     form: ClassVar[str] = FORMAT
 
     method: str = "predictive_sampling"
-    samples: int = 256
+    samples: int = 128
     horizon: float = 0.0
     knots: int = 0
     spline: str = "linear"
@@ -231,8 +231,7 @@ def _begun(settings: AnySamplingSettings, method: Method, state: Waiting, pose: 
     s, spec, model, forward, dynamics = settings, state.spec, state.model, state.forward, state.dynamics
     observation, dt = state.observation, spec.control_dt
     own = measures_of(spec, pose, forward, dynamics)
-    ranges, names = model.robot.command_ranges, model.robot.actuator_names
-    valves = Valves(realise(model).valve, dt, lambda rows: shaped_commands(model.effects, names, rows, ranges))
+    valves = _valves(model, dt)
     settlers, energy, span = _guides(s, model, dynamics, own, valves, dt, pose)
     note = state.note
     if dynamics is not None and not settlers:
@@ -260,6 +259,14 @@ def _begun(settings: AnySamplingSettings, method: Method, state: Waiting, pose: 
         known, arriving, np.tile(command, (valves.memory, 1)), Plans.none(*shape), 0, method.begin(shape, _spread(s)),
         np.empty(0), None, 0, "sampled", note, tools,
     )  # fmt: skip
+
+
+def _valves(model: Model, dt: float) -> Valves:
+    """What arrives of the commands of a model."""
+    valve, names, ranges = realise(model).valve, model.robot.actuator_names, model.robot.command_ranges
+    if not shaping_effects(model.effects):
+        return Valves(valve, dt)
+    return Valves(valve, dt, lambda rows: shaped_commands(model.effects, names, rows, ranges))
 
 
 def _spread(s: AnySamplingSettings) -> Spread:
@@ -318,7 +325,8 @@ def step(
         nominal = state.plan.later(state.age * p.period, p.spline)
         state = _planned(s, method, penalty, nominal, path, state)
     x, under_way = p.forward.joints(state.known.state)[None], state.under_way[None]
-    command = p.commands(state.plan, state.age * p.period, x, under_way, path.states[0], path, 0)[0]
+    at = state.age * p.period
+    command = p.commands(state.plan, at, x, under_way, path, p.splines(state.plan, np.array([at]))[:, 0])[0]
     return frozen_array(command), replace(state, age=state.age + 1, ahead=ahead, count=state.count + 1)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,13 +118,15 @@ class Valves:
     Args:
         valve: (na, 6), see ``effects.command.DELAY``.
         period: of control [s].
-        shaped: what reaches the valves of commands (n, na).
+        shaped: what reaches the valves of commands (n, na); by default these.
 
     Attributes:
         memory: how many commands before the latest still count.
     """
 
-    def __init__(self, valve: Array, period: float, shaped: Callable[[Array], Array]) -> None:
+    def __init__(
+        self, valve: Array, period: float, shaped: Callable[[Array], Array] = lambda commands: commands
+    ) -> None:
         self.shaped = shaped
         late = valve[:, DELAY] / period
         self._whole = np.floor(late + LINE).astype(int)
@@ -226,6 +229,10 @@ class Path:
     feed: Array
     energy: float
 
+    def after(self, k: int) -> Path:
+        """What is left of it after some control periods."""
+        return Path(self.states[k:], self.feed[k:], self.energy)
+
 
 @dataclass(frozen=True, eq=False)
 class Policies:
@@ -255,36 +262,50 @@ class Policies:
     energy: Energy | None
     span: float
 
-    def commands(self, plans: Plans, at: float, x: Array, under_way: Array, wanted: Array, path: Path, k: int) -> Array:
-        """(n, na) what plans command at an instant.
+    def commands(self, plans: Plans, at: float, x: Array, under_way: Array, path: Path, spline: Array) -> Array:
+        """(n, na) what plans command as the path begins.
 
         Args:
             plans: (n,) of them.
             at: how long after they begin [s].
             x: (n, 2 nj) positions and rates then.
             under_way: (n, m, na) commands before it, the oldest first.
-            wanted: (2 nj,) where the robot is to be.
-            path: of the horizon.
-            k: the control period of the horizon.
+            path: of which the first row counts.
+            spline: (n, na) of theirs, in shares.
         """
-        own, feed = self.measures, path.feed[k]
-        shares = self.spline.matrix(np.array([at + self.period / 2]))[0]
-        asked = feed + own.command * np.tensordot(plans.knots, shares, axes=(1, 0))
-        settling = np.flatnonzero(plans.settled <= at + LINE * self.period)
-        if len(settling) and self.settlers:
-            gains = np.array([settler.gain for settler in self.settlers])[plans.regulator[settling]]
-            late = (under_way[settling] - feed).reshape(len(settling), -1)
-            off = np.concatenate([own.errors(x[settling], wanted), late], axis=1)
-            asked[settling] = feed - np.einsum("nij,nj->ni", gains, off)
-        raising = np.flatnonzero(plans.raised > at + LINE * self.period)
-        if len(raising) and self.energy is not None:
-            energy, power = self.energy(x[raising])
-            lacking = np.clip((path.energy - energy) / (NEAR * self.span), -1.0, 1.0)
-            power = power * own.command
-            size = STILL * np.abs(power).max(initial=1.0)
-            ways = power / (np.abs(power) + size)
-            asked[raising] = own.middle + own.command * (plans.strength[raising] * lacking)[:, None] * ways
+        own, feed = self.measures, path.feed[0]
+        asked = feed + own.command * spline
+        if self.settlers:
+            settling = np.flatnonzero(plans.settled <= at + LINE * self.period)
+            if len(settling):
+                late = (under_way[settling] - feed).reshape(len(settling), -1)
+                off = np.concatenate([own.errors(x[settling], path.states[0]), late], axis=1)
+                gains = self.gains[plans.regulator[settling]]
+                asked[settling] = feed - np.einsum("nij,nj->ni", gains, off)
+        if self.energy is not None:
+            raising = np.flatnonzero(plans.raised > at + LINE * self.period)
+            if len(raising):
+                asked[raising] = self._raised(x[raising], plans.strength[raising], path.energy)
         return np.asarray(np.clip(asked, self.low, self.high))
+
+    def _raised(self, x: Array, strength: Array, wanted: float) -> Array:
+        """(n, na) commands that bring the energy of states (n, 2 nj) to what is wanted [J]."""
+        own = self.measures
+        assert self.energy is not None  # else nothing raises it
+        energy, power = self.energy(x)
+        lacking = np.clip((wanted - energy) / (NEAR * self.span), -1.0, 1.0)
+        power = power * own.command
+        ways = power / (np.abs(power) + STILL * np.abs(power).max(initial=1.0))
+        return np.asarray(own.middle + own.command * (strength * lacking)[:, None] * ways)
+
+    @cached_property
+    def gains(self) -> Array:
+        """(regulators, na, 2 nj + m na)."""
+        return np.array([settler.gain for settler in self.settlers])
+
+    def splines(self, plans: Plans, times: Array) -> Array:
+        """(n, k, na) of plans over control periods that begin at times (k,) after they do [s], in shares."""
+        return np.asarray(self.spline.matrix(times + self.period / 2) @ plans.knots)
 
     def rolled(self, plans: Plans, state: Array, behind: Array, under_way: Array, path: Path) -> tuple[Array, Array]:
         """(n, steps + 1, 2 nj) where plans lead, nan from where a rollout is lost, and (n, steps, na) their commands.
@@ -302,11 +323,13 @@ class Policies:
         sent = np.empty((n, m + steps, na))
         sent[:, :m] = under_way
         x = self.forward.joints(states)
+        times = self.period * np.arange(steps)
+        along = self.splines(plans, times)
         found = np.empty((n, steps + 1, x.shape[1]))
         found[:, 0] = x
         for k in range(steps):
-            late = sent[:, k : k + m]
-            sent[:, m + k] = self.commands(plans, k * self.period, x, late, path.states[k], path, k)
+            late, rest = sent[:, k : k + m], path.after(k)
+            sent[:, m + k] = self.commands(plans, times[k], x, late, rest, along[:, k])
             mean, held = self.valves.through(held, self.valves.arriving(sent[:, k : k + m + 1]))
             states = self.forward(states, mean)
             found[:, k + 1] = x = self.forward.joints(states)
