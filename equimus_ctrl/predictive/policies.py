@@ -323,7 +323,7 @@ class Policies:
         sent = np.empty((n, m + steps, na))
         sent[:, :m] = under_way
         x = self.forward.joints(states)
-        times = self.period * np.arange(steps)
+        times = np.asarray(self.period * np.arange(steps), dtype=np.float64)
         along = self.splines(plans, times)
         found = np.empty((n, steps + 1, x.shape[1]))
         found[:, 0] = x
