@@ -11,6 +11,7 @@ from .controllers.registry import (
     register_controller as register_controller,
 )
 from .controllers.sampling import SamplingController as SamplingController, SamplingSettings as SamplingSettings
+from .controllers.sampling_any import AnySamplingSettings as AnySamplingSettings
 from .effects import (
     AsymmetricLag as AsymmetricLag,
     Backlash as Backlash,
@@ -117,6 +118,7 @@ from .scenarios.references import (
 )
 from .scenarios.registry import register_scenario as register_scenario
 from .scenarios.scenario import (
+    Arrival as Arrival,
     CommandProfile as CommandProfile,
     Scenario as Scenario,
     ScenarioContext as ScenarioContext,

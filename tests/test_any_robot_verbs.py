@@ -16,6 +16,7 @@ from rich.console import Console
 from equimus_ctrl import recordings, workflow
 from equimus_ctrl.cli.main import main
 from equimus_ctrl.controllers.pid import PidController
+from equimus_ctrl.controllers.registry import compared_controllers
 from equimus_ctrl.effects import PayloadMass
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.comparison import comparison_table
@@ -171,9 +172,8 @@ def test_who_cannot_drive_a_robot_is_told_with_what_stands_in_the_way() -> None:
     for name in ("pid", "open_loop"):
         said = refusal(lambda name=name: workflow.run_scenario("hold", name, model=model))
         assert f"{name} computes with exact equations of motion, which cannot hold the muscle 'flexor' of limb" in said
-        assert said.endswith("those that can drive it: none")
-    said = refusal(lambda: workflow.compare(["hold"], model=model))
-    assert "no controller that is compared by default can drive limb: pid computes with" in said and "flexor" in said
+        assert said.endswith("those that can drive it: sampling")
+    assert compared_controllers(model.robot) == ("sampling",)
     scenario = workflow.load_scenario("hold", model.robot, search=False)
     played = replace(scenario, commands=CommandProfile([0.0], [[0.2]]), duration=0.1)
     assert workflow.run_scenario(played, "open_loop", model=model).run.command[-1] == 0.2

@@ -69,7 +69,7 @@ def test_contract(name: str, folder: Path | None, built: Callable[..., eq.Scenar
             command = scenario.commands.at(time)
             assert command.shape == (2,)
             assert np.all((command >= leg.command_low) & (command <= leg.command_high)), f"command at {time} s"
-    assert scenario.controller in ("pid", "open_loop")
+    assert scenario.controller in ("pid", "open_loop", "sampling")
     if scenario.score_window is not None:
         assert 0 <= scenario.score_window[0] < scenario.score_window[1]
     if scenario.recorded is not None:

@@ -12,6 +12,7 @@ from equimus_ctrl.controllers.open_loop import OpenLoopController
 from equimus_ctrl.controllers.pid import PidController
 from equimus_ctrl.controllers.pid_settings import PidSettings
 from equimus_ctrl.controllers.sampling import SamplingController, SamplingSettings
+from equimus_ctrl.controllers.sampling_any import AnySamplingSettings
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.registry import Registry
 from equimus_ctrl.robots.base import Need, Robot
@@ -100,6 +101,22 @@ def _pid(given: ControllerRequest) -> Controller:
     return PidController(settings)
 
 
+def _sampling(given: ControllerRequest) -> Controller:
+    table, where, robot = given.settings or {}, given.where, given.robot
+    if table.get("format") == AnySamplingSettings.form:
+        if robot is not None and "lengths" in robot.offers:
+            raise ConfigError(
+                f"{where}: format is {AnySamplingSettings.form!r}, which is for robots without elastic actuators; "
+                f"expected {SamplingSettings.form!r} for {robot.name}"
+            )
+        return SamplingController(AnySamplingSettings.from_dict(table, where))
+    if robot is not None and "lengths" not in robot.offers:
+        if given.chosen:
+            raise ConfigError(f"{where}: format is {table.get('format')!r}, expected {AnySamplingSettings.form!r}")
+        return SamplingController()  # the settings are those of robots with elastic actuators
+    return SamplingController(SamplingSettings.from_dict(table, where))
+
+
 EXACT: frozenset[Need] = frozenset(("inverse",))
 LENGTHS: frozenset[Need] = frozenset(("inverse", "lengths"))
 
@@ -139,9 +156,8 @@ register_controller(
     "sampling",
     ControllerEntry(
         "sampling MPC in MuJoCo: predictive sampling, MPPI or CEM",
-        lambda given: SamplingController(SamplingSettings.from_dict(given.settings or {}, given.where)),
+        _sampling,
         "sampling.toml",
-        needs=LENGTHS,
     ),
 )
 

@@ -1,5 +1,7 @@
 """Sampling model-predictive control: at every instant many plans are tried in MuJoCo, and the best ones followed.
 
+What follows is for robots with elastic actuators; what has none is driven as ``controllers.sampling_any`` says.
+
 A plan is a spline of pressures beyond what the reference asks of the valves. Its cost is that of the NMPC: errors and
 efforts in allowances, and the regulator's cost behind the horizon. The nominal plan of the instant before, shifted, is
 always tried; the generator's numbers follow from the seed and the instant, so that a run gives the same bits each time.
@@ -14,12 +16,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from equimus_ctrl.controllers import sampling_any
 from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Outlook, Pace
+from equimus_ctrl.controllers.sampling_any import AnySamplingSettings, AnySamplingState, Waiting
 from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.predictive.costs import Wanted, costs
 from equimus_ctrl.predictive.rollouts import ENGINES, Rollouts, make_rollouts, members_of
 from equimus_ctrl.predictive.sampling import METHODS, Memory, Method, Spread
 from equimus_ctrl.predictive.splines import Spline
+from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.settings import FileSettings
 from equimus_ctrl.types import Array, Observation, PlantSpec, Reference, frozen_array
 
@@ -145,10 +150,10 @@ class SamplingTools:
 
 
 class SamplingController:
-    """The sampling controller; its state is a ``SamplingState``.
+    """The sampling controller; its state is a ``SamplingState``, or of ``controllers.sampling_any``.
 
     Args:
-        settings: of it.
+        settings: of it, of one kind or the other; those of the other kind are the defaults.
         method: another way to find a plan than the settings name.
         penalty: what is added to the costs of plans, see ``Penalty``.
         now: a clock for the deadline [s].
@@ -158,23 +163,27 @@ class SamplingController:
 
     def __init__(
         self,
-        settings: SamplingSettings | None = None,
+        settings: SamplingSettings | AnySamplingSettings | None = None,
         method: Method | None = None,
         penalty: Penalty | None = None,
         now: Callable[[], float] = clock.perf_counter,
     ) -> None:
-        self.settings = s = settings or SamplingSettings()
+        self.any_settings = settings if isinstance(settings, AnySamplingSettings) else AnySamplingSettings()
+        self.settings = s = settings if isinstance(settings, SamplingSettings) else SamplingSettings()
+        self._any_method = method or METHODS[self.any_settings.method]
         self._method, self._penalty, self._now = method or METHODS[s.method], penalty, now
         self._spread = Spread(s.least_deviation, s.deviation, s.temperature, s.elites)
 
-    def init(self, spec: PlantSpec, observation: Observation) -> SamplingState:
+    def init(self, spec: PlantSpec, observation: Observation) -> SamplingState | Waiting:
         """A robot that has long been at rest.
 
         Raises:
-            ControllerError: where the plant offers no model.
+            ControllerError: where the plant offers no model, or one that cannot be rolled out.
             ConfigError: where the margin leaves nothing of a joint's range, or the engine lacks an effect.
             ModelError: where MuJoCo cannot simulate the robot.
         """
+        if isinstance(spec.model, Robot) and "lengths" not in spec.model.offers:
+            return sampling_any.begin(self.any_settings, spec, observation)
         s = self.settings
         horizon = Horizon(spec, s, lambda later: np.full(s.steps, s.stride, dtype=np.int64))
         models = members_of(horizon.observer.model, s.ensemble, s.spread, s.seed)
@@ -184,12 +193,17 @@ class SamplingController:
         tools = SamplingTools(horizon, rollouts, spline, basis, s.joint_range(spec))
         return SamplingState(**horizon.begin(observation), plan=None, count=0, tools=tools)
 
-    def step(self, observation: Observation, reference: Reference, state: SamplingState) -> tuple[Array, SamplingState]:
+    def step(
+        self, observation: Observation, reference: Reference, state: SamplingState | AnySamplingState | Waiting
+    ) -> tuple[Array, SamplingState | AnySamplingState]:
         """The next command, within the plant's limits.
 
         Raises:
-            ObserverFault: where a joint was not measured for longer than the observer has patience.
+            ControllerError: where a joint was not measured for longer than the observer has patience.
         """
+        if not isinstance(state, SamplingState):
+            own = self.any_settings, self._any_method, self._penalty
+            return sampling_any.step(*own, observation, reference, state)
         horizon = state.tools.horizon
         pace = Pace(self._now, self.settings.deadline, state.expected)
         view = horizon.look(observation, reference, state)

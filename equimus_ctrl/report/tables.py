@@ -14,7 +14,7 @@ from rich.text import Text
 
 from equimus_ctrl.robots.reading import by_unit, reading
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.scenarios.scoring import ErrorFigures, Score, StepFigures
+from equimus_ctrl.scenarios.scoring import ArrivalFigures, ErrorFigures, Score, StepFigures
 from equimus_ctrl.types import Array, PlantSpec, Run
 
 
@@ -42,6 +42,7 @@ def score_to_dict(score: Score, run: Run, scenario: Scenario, controller_label: 
         **_figures(spec, score.tracking),
         "approach": None if score.approach is None else _figures(spec, score.approach),
         "step": None if score.step is None else _step_figures(spec, score.step),
+        "arrival": None if score.arrival is None else _arrival_figures(spec, score.arrival),
         "recorded": recorded,
         "published": published,
         "window_s": [float(edge) for edge in score.window],
@@ -105,6 +106,7 @@ def _facts(score: Score, run: Run) -> Table:
     p50, p99 = score.solve_time
     approach = () if score.approach is None else (("before, RMSE", _each(spec.joints, units, score.approach.rmse)),)
     for key, value in (
+        *(() if score.arrival is None else (("arrived", _arrival_text(score.arrival, spec)),)),
         ("scored", f"{low:g} to {high:g} s"),
         *approach,
         ("commands at a limit", f"{100 * score.saturated:.1f} %"),
@@ -143,6 +145,26 @@ def _step_figures(spec: PlantSpec, step: StepFigures) -> dict[str, Any]:
         "settling_s": table(step.settling),
         "overshoot_share": table(step.overshoot),
     }
+
+
+def _arrival_figures(spec: PlantSpec, arrival: ArrivalFigures) -> dict[str, Any]:
+    return {
+        "arrived": arrival.arrived,
+        "time_s": float(arrival.time) if arrival.arrived else None,
+        **by_unit("within", spec.joints, spec.joint_units, arrival.near),
+        **by_unit("left", spec.joints, spec.joint_units, arrival.left),
+    }
+
+
+def _arrival_text(arrival: ArrivalFigures, spec: PlantSpec) -> str:
+    near = ", ".join(
+        f"{joint} {reading(unit).text(size)}"
+        for joint, unit, size in zip(spec.joints, spec.joint_units, arrival.near.tolist(), strict=True)
+    )
+    if arrival.arrived:
+        return f"after {arrival.time:.2f} s, and stays there within {near}"
+    left = _each(spec.joints, spec.joint_units, arrival.left)
+    return f"no: {left} off in the last second, wanted within {near}"
 
 
 def _step_table(step: StepFigures, spec: PlantSpec) -> Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,14 +12,40 @@ import numpy as np
 
 from equimus_ctrl.errors import ConfigError, EquimusError, unknown_name
 from equimus_ctrl.plants.events import Event
-from equimus_ctrl.robots.reading import position_word
+from equimus_ctrl.robots.reading import position_word, reading
 from equimus_ctrl.scenarios.context import POSITION, out_of_range
 from equimus_ctrl.scenarios.context import CommandProfile as CommandProfile
 from equimus_ctrl.scenarios.context import ScenarioContext as ScenarioContext
-from equimus_ctrl.types import Recording, Reference, Start
+from equimus_ctrl.types import Array, Recording, Reference, Start
 
 LOOKED_AT = 20.0
 """How often a reference is looked at before anything runs [Hz]."""
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """That a run is to bring every joint to the reference's pose, and keep it there.
+
+    Attributes:
+        angle: how near hinges have to come [°].
+        slide: how near slides have to come [mm].
+
+    Raises:
+        ConfigError: for a number that is no distance.
+    """
+
+    angle: float
+    slide: float
+
+    def __post_init__(self) -> None:
+        for size in (self.angle, self.slide):
+            if not (math.isfinite(size) and size > 0):
+                raise ConfigError(f"a pose is to be reached within {size:g}, expected more than 0")
+
+    def near(self, units: Iterable[str]) -> Array:
+        """(nj,) how near joints of some SI units have to come [rad or m]."""
+        own = {"rad": self.angle}
+        return np.array([own.get(unit, self.slide) / reading(unit).factor for unit in units])
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +69,8 @@ class Scenario:
         step_at: when the reference steps to a pose at which it stays [s]; of one that is constant at once, by default.
         missing: why there is no ``recorded``, for a person to read, or None.
         events: what befalls the robot meanwhile, see ``plants.events``; unknown to controllers.
+        arrival: what counts as being there, where that is what is asked; then hinges without range may have turned
+            whole turns more.
     """
 
     name: str
@@ -61,6 +89,7 @@ class Scenario:
     step_at: float | None = None
     missing: str | None = None
     events: tuple[Event, ...] = ()
+    arrival: Arrival | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.duration < float("inf"):

@@ -8,7 +8,7 @@ import numpy as np
 
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.types import Array, Run
+from equimus_ctrl.types import Array, PlantSpec, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,54 @@ class StepFigures:
         return cls(size, rise, overshoot, settling, (position[last] - target).mean(axis=0))
 
 
+STAYING = 1.0
+"""How long a robot has to have been in a pose at the end of a run that is to bring it there [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArrivalFigures:
+    """Whether a robot came to a pose, and stayed.
+
+    Attributes:
+        near: (nj,) how near each joint had to come [rad or m].
+        time: from when on all joints stayed that near, for ``STAYING`` at least [s]; nan where they did not.
+        left: (nj,) the largest distance of each joint over the last ``STAYING`` [rad or m].
+    """
+
+    near: Array
+    time: float
+    left: Array
+
+    @property
+    def arrived(self) -> bool:
+        """Whether it did."""
+        return not np.isnan(self.time)
+
+    @classmethod
+    def of(cls, time: Array, off: Array, near: Array) -> ArrivalFigures:
+        """Of a run.
+
+        Args:
+            time: (n,) since it began [s].
+            off: (n, nj) from the pose [rad or m].
+            near: (nj,) how near is there [rad or m].
+        """
+        outside = np.flatnonzero((np.abs(off) > near).any(axis=1))
+        first = outside[-1] + 1 if len(outside) else 0
+        stays = first < len(time) and time[-1] - time[first] >= STAYING - 1e-9
+        last = time >= time[-1] - STAYING
+        return cls(near, float(time[first]) if stays else np.nan, np.abs(off[last]).max(axis=0))
+
+
+def off_reference(position: Array, wanted: Array, spec: PlantSpec, scenario: Scenario) -> Array:
+    """(n, nj) by how much positions are off; where a pose is to be reached, without whole turns of endless hinges."""
+    off = position - wanted
+    if scenario.arrival is None:
+        return off
+    endless = np.array([unit == "rad" for unit in spec.joint_units]) & ~np.isfinite(spec.joint_high - spec.joint_low)
+    return np.where(endless, off - 2 * np.pi * np.round(off / (2 * np.pi)), off)
+
+
 @dataclass(frozen=True, eq=False)
 class Score:
     """Figures of one run.
@@ -95,6 +143,7 @@ class Score:
         window: (from, to) [s] that was scored.
         approach: measured against reference before the window; None where there is nothing before.
         step: of a reference that steps; of the true positions where they are known.
+        arrival: at a pose that was to be reached; of the true positions where they are known.
     """
 
     tracking: ErrorFigures
@@ -105,6 +154,7 @@ class Score:
     window: tuple[float, float]
     approach: ErrorFigures | None = None
     step: StepFigures | None = None
+    arrival: ArrivalFigures | None = None
 
 
 def on_grid(time: Array, values: Array, grid: Array) -> Array:
@@ -127,7 +177,8 @@ def score_run(run: Run, scenario: Scenario) -> Score:
     if len(grid) < 2:
         raise ConfigError(f"scenario {scenario.name}: the scored window {low:g} to {high:g} s holds no samples")
     measured = on_grid(run.time, run.position, grid)
-    tracking = ErrorFigures.of(measured - on_grid(run.time, run.reference, grid))
+    wanted = on_grid(run.time, run.reference, grid)
+    tracking = ErrorFigures.of(off_reference(measured, wanted, run.spec, scenario))
     recorded = None
     if scenario.recorded is not None:
         shown = grid[(grid >= recorded_time[0]) & (grid <= recorded_time[-1])]
@@ -148,12 +199,21 @@ def score_run(run: Run, scenario: Scenario) -> Score:
         window=(float(grid[0]), float(grid[-1])),
         approach=_approach(run, float(grid[0])),
         step=_step(run, scenario.step_at),
+        arrival=_arrival(run, scenario),
     )
 
 
 def _approach(run: Run, begins: float) -> ErrorFigures | None:
     before = run.time < begins - run.spec.control_dt / 2
     return ErrorFigures.of((run.position - run.reference)[before]) if before.any() else None
+
+
+def _arrival(run: Run, scenario: Scenario) -> ArrivalFigures | None:
+    if scenario.arrival is None:
+        return None
+    seen = run.position if run.truth is None else run.truth
+    off = off_reference(seen, run.reference, run.spec, scenario)
+    return ArrivalFigures.of(run.time, off, scenario.arrival.near(run.spec.joint_units))
 
 
 def _step(run: Run, begins: float | None) -> StepFigures | None:

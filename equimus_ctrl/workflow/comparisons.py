@@ -22,7 +22,7 @@ from equimus_ctrl.plants.mujoco_plant import MujocoPlant
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.scenarios.comparison import Comparison, Condition, Entry
 from equimus_ctrl.scenarios.scenario import Scenario
-from equimus_ctrl.scenarios.scoring import ErrorFigures, score_run
+from equimus_ctrl.scenarios.scoring import ErrorFigures, off_reference, score_run
 from equimus_ctrl.simulate import run
 from equimus_ctrl.tuning.ensemble import make_ensemble
 from equimus_ctrl.tuning.study import EnsembleSettings
@@ -217,7 +217,7 @@ def _driven(label: str, controller: Controller, scenario: Scenario, robot: Condi
     score = score_run(done, scenario)
     inside = (done.time >= score.window[0] - 1e-9) & (done.time <= score.window[1] + 1e-9)
     assert done.truth is not None  # a simulated plant knows it
-    figures = ErrorFigures.of((done.truth - done.reference)[inside])
+    figures = ErrorFigures.of(off_reference(done.truth, done.reference, done.spec, scenario)[inside])
     missed = float((done.solve_time > done.spec.control_dt).mean())
     fallbacks = float(np.mean([status in FALLBACKS for status in done.status]))
     return Entry(label, scenario.name, robot.name, done, score, figures, missed, fallbacks)
