@@ -281,7 +281,9 @@ def test_a_table_that_would_be_too_wide_has_the_worst_joint_and_whole_names() ->
         shown[width] = out.getvalue()
         assert "…" not in shown[width] and " pid " in shown[width]
     assert "shoulder, mrad" in shown[120] and "reach, mm" in shown[120] and "unmodelled_delay" in shown[120]
-    assert all("worst" in shown[k] and "shoulder, mrad" not in shown[k] for k in (60, 80))
+    assert "step, ms" in shown[120] and "step, ms" not in shown[60]
+    assert "worst joint" in shown[60] and "shoulder, mrad" not in shown[60]
+    assert all("unmodelled_delay" in shown[k] and " sampling " in shown[k] for k in shown)
 
 
 def test_the_legend_of_commands_has_limits_where_they_are_in_view() -> None:

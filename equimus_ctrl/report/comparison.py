@@ -22,6 +22,8 @@ from equimus_ctrl.scenarios.comparison import Comparison, Entry
 MRAD = 1e3
 SMALL = {"rad": "mrad", "m": "mm"}
 """SI unit of a joint → a thousandth of it."""
+TIMING = ["step, ms\np50/p99", "overrun/\nfallback, %"]
+"""Columns that a table leaves out where it would be too wide."""
 MOST_COLUMNS = 3
 """Joints that have a column each; of more, or where these are too wide, the table has the worst."""
 WIDTHS = (3.2, 2.2, 1.2)
@@ -49,26 +51,32 @@ class _Fitting:
 def comparison_table(found: Comparison) -> RenderableType:
     """For a terminal of 80 columns: a table for each scenario, a row for each condition and controller.
 
-    Where joints, or a column each, are too many it has the worst joint; controllers are never cut short.
+    Where joints, or a column each, are too many it has the worst joint, and where that is too wide no times;
+    controllers are never cut short.
     """
     parts: list[RenderableType] = []
     few = len(found.model.robot.joint_names) <= MOST_COLUMNS
     for name in found.scenarios:
-        parts.append(_Fitting([*([_table(found, name, each=True)] if few else []), _table(found, name, each=False)]))
+        tables = [
+            _table(found, name, each=each, brief=brief)
+            for each in ([True, False] if few else [False])
+            for brief in (False, True)
+        ]
+        parts.append(_Fitting(sorted(tables, key=lambda table: -len(table.columns))))
     for entry in found.failures:
         parts.append(Text(f"{entry.controller}, {entry.scenario}, {entry.condition}: {entry.failure}", style="yellow"))
     parts.append(
         Text(
-            "Errors are of the true positions. Limit: commands at one. Late: steps longer than a control period. "
-            "Back: commands that fell back.",
+            "Errors are of the true positions. Limit: commands at one. Overrun: steps longer than a control period. "
+            "Fallback: commands of what a controller falls back on.",
             style="dim",
         )
     )
     return Group(*parts)
 
 
-def _table(found: Comparison, name: str, *, each: bool) -> Table:
-    """Of a scenario, with a column for each joint or one for the worst, whose words may be broken."""
+def _table(found: Comparison, name: str, *, each: bool, brief: bool) -> Table:
+    """Of a scenario, with a column for each joint or one for the worst, whose words may be broken if it is brief."""
     robot = found.model.robot
     joints, units = robot.joint_names, [SMALL[unit] for unit in robot.joint_units]
     table = Table(
@@ -78,16 +86,19 @@ def _table(found: Comparison, name: str, *, each: bool) -> Table:
     heads = [f"{joint}, {unit}\nRMSE/max" for joint, unit in zip(joints, units, strict=True)]
     if not each:
         heads = [f"worst joint, {' or '.join(dict.fromkeys(units))}\nRMSE/max"]
+    breaks = brief and not each
     for head in ("condition", "by"):
-        table.add_column(head, no_wrap=each, overflow="fold")
+        table.add_column(head, no_wrap=not breaks, overflow="fold")
     for head in heads:
-        table.add_column(head, justify="right", no_wrap=each, overflow="fold")
-    for head in (f"effort\n{_effort_unit(robot)}", "limit\n%", "step, ms\np50/p99", "overrun/\nfallback, %"):
+        table.add_column(head, justify="right", no_wrap=not breaks, overflow="fold")
+    unit = _effort_unit(robot)
+    for head in ([f"effort\n{unit}"] if unit else []) + ["limit\n%"] + ([] if brief else TIMING):
         table.add_column(head, justify="right", no_wrap=True)
     for condition in found.conditions:
         rows = [e for e in found.entries if (e.scenario, e.condition) == (name, condition.name)]
         for k, entry in enumerate(rows):
             cells = [condition.name if k == 0 else "", entry.controller, *_cells(entry, each)]
+            cells = cells[: len(table.columns)]
             table.add_row(*map(Text, cells), end_section=k == len(rows) - 1)
     return table
 
@@ -103,11 +114,11 @@ def _cells(entry: Entry, each: bool) -> list[str]:
         cells = [f"{spec.joints[j]} {rmse[j]:.2f}/{largest[j]:.0f}"]
     p50, p99 = entry.score.solve_time
     kinds = set(spec.command_units)
-    effort = "–"
+    effort = []
     if len(kinds) == 1:
-        effort = f"{reading(kinds.pop()).factor * float(np.sqrt((entry.score.effort**2).mean())):.1f}"
+        effort = [f"{reading(kinds.pop()).factor * float(np.sqrt((entry.score.effort**2).mean())):.1f}"]
     return [
-        *cells, effort, f"{100 * entry.score.saturated:.0f}", f"{1e3 * p50:.2f}/{1e3 * p99:.2f}",
+        *cells, *effort, f"{100 * entry.score.saturated:.0f}", f"{1e3 * p50:.3g}/{1e3 * p99:.3g}",
         f"{100 * entry.missed:.1f}/{100 * entry.fallbacks:.1f}",
     ]  # fmt: skip
 
