@@ -65,7 +65,8 @@ class Thresholds:
     significance: float = _decides(
         1e-3,
         "",
-        "probability of accepting any effect where none is missing, over all candidates (false alarm)",
+        "probability of accepting any effect where none is missing, over all candidates (false alarm), and of listing "
+        "a richer law beside one that holds",
         "theory",
         "likelihood-ratio test, Wilks (1938), with Bonferroni's correction for the number of candidates",
     )
