@@ -22,12 +22,14 @@ THERE = 1e-6
 """By what a point may miss its place [m]."""
 TRIES = 300
 """Steps towards a place, at most."""
-STALLED = 1e-9
+STALLED = 1e-8
 """Share of its distance by which a step has to bring a point nearer."""
 JUMP = 0.3
 """Between one sample of a path and the next a joint moves no farther than this [rad or m]."""
-OTHERS = 12
+OTHERS = 4
 """Poses beside the first from which a path is tried that cannot be followed from there."""
+COARSE = 12
+"""Of so many places of a path one is looked at first: most paths that cannot be followed fail there."""
 WALK = 24
 """Places on the way from where a point is to where its path begins."""
 SHARES = (-1.0, -0.5, 0.0, 0.5, 1.0)
@@ -136,21 +138,25 @@ class Reacher:
                 damping *= 10
         return pose, miss
 
-    def follow(self, times: Array, places: Array, near: Array) -> Array:
+    def follow(self, times: Array, places: Array, near: Array, elsewhere: bool = True) -> Array:
         """(n, nj) poses that put the point along a path, the first as near to one (nj,) as least steps lead.
 
         Args:
             times: (n,) of the path, for messages [s].
             places: (n, 3) [m].
             near: (nj,) [rad or m].
+            elsewhere: whether other poses are tried where the path cannot be followed from there.
 
         Raises:
             ConfigError: where it cannot be followed within the joints' ranges; the sentence says where the point comes
                 nearest.
         """
         least: tuple[int, float, str] | None = None
-        for first in (near, *self._others(near)):
-            poses, wrong, miss = self._followed(times, places, first)
+        some = np.unique(np.r_[np.arange(0, len(times), COARSE), len(times) - 1])
+        for first in (near, *(self._others(near) if elsewhere else ())):
+            poses, wrong, miss = self._followed(times[some], places[some], first, np.inf)
+            if not wrong:
+                poses, wrong, miss = self._followed(times, places, first, JUMP)
             if not wrong:
                 return poses
             if least is None or (-len(poses), miss) < least[:2]:
@@ -164,7 +170,7 @@ class Reacher:
         draws = np.random.default_rng(0).random((OTHERS, len(near)))
         return [np.where(self.moved, low + draw * (high - low), near) for draw in draws]
 
-    def _followed(self, times: Array, places: Array, first: Array) -> tuple[list[Array] | Array, str, float]:
+    def _followed(self, times: Array, places: Array, first: Array, most: float) -> tuple[Array, str, float]:
         """The poses as far as it goes, why it ends, or nothing, and what the point misses there [m]."""
         begins, poses, pose = self.place(first), [], first
         for share in np.linspace(0, 1, WALK, endpoint=False)[1:]:
@@ -173,12 +179,12 @@ class Reacher:
             before = pose
             pose, miss = self.reach(place, before)
             if miss > THERE:
-                return poses, self._out_of_reach(time, place, pose, miss), miss
-            if poses and (far := float(np.abs(pose - before).max())) > JUMP:
+                return np.array(poses), self._out_of_reach(time, place, pose, miss), miss
+            if poses and (far := float(np.abs(pose - before).max())) > most:
                 j = int(np.abs(pose - before).argmax())
                 text = reading(self.robot.joint_units[j]).text
                 joint = self.robot.joint_names[j]
-                return poses, (
+                return np.array(poses), (
                     f"on its path {self.name} passes {_shown(place)} at {time:.2f} s, where {joint} would have to jump "
                     f"by {text(far, '.3g')}; expected a path that keeps away from there"
                 ), far
@@ -194,7 +200,7 @@ class Reacher:
         at = f", with {' and '.join(ended)} at the end of {'its' if len(ended) == 1 else 'their'} range" if ended else ""
         return (
             f"{self.name} cannot reach {_shown(place)}, where its path has it at {time:.2f} s; it comes as near as "
-            f"{_shown(self.place(pose))}, {1e3 * miss:.3g} mm away{at}"
+            f"{_shown(self.place(pose))}, {1e3 * miss:.4g} mm away{at}"
         )
 
 

@@ -95,6 +95,7 @@ class Score:
         window: (from, to) [s] that was scored.
         approach: measured against reference before the window; None where there is nothing before.
         step: of a reference that steps; of the true positions where they are known.
+        site: of the distance of a point of the robot from its path, (1,) each [m]; None where it has none.
     """
 
     tracking: ErrorFigures
@@ -105,6 +106,7 @@ class Score:
     window: tuple[float, float]
     approach: ErrorFigures | None = None
     step: StepFigures | None = None
+    site: ErrorFigures | None = None
 
 
 def on_grid(time: Array, values: Array, grid: Array) -> Array:
@@ -128,6 +130,10 @@ def score_run(run: Run, scenario: Scenario) -> Score:
         raise ConfigError(f"scenario {scenario.name}: the scored window {low:g} to {high:g} s holds no samples")
     measured = on_grid(run.time, run.position, grid)
     tracking = ErrorFigures.of(measured - on_grid(run.time, run.reference, grid))
+    site = None
+    if (path := scenario.site) is not None:
+        off = np.linalg.norm(path.places(measured) - path.wanted_at(grid), axis=1)
+        site = ErrorFigures.of(off[:, None])
     recorded = None
     if scenario.recorded is not None:
         shown = grid[(grid >= recorded_time[0]) & (grid <= recorded_time[-1])]
@@ -148,6 +154,7 @@ def score_run(run: Run, scenario: Scenario) -> Score:
         window=(float(grid[0]), float(grid[-1])),
         approach=_approach(run, float(grid[0])),
         step=_step(run, scenario.step_at),
+        site=site,
     )
 
 
