@@ -31,7 +31,9 @@ def build(
         raise eq.ConfigError(f"joint is {joint!r}, expected one of {', '.join(robot.joint_names)}")
     at_site = bool(site or force or direction)
     if at_site and (beside := {"joint", "torque"} & context.given):
-        raise eq.ConfigError(f"{min(beside)} is that of a push on joints, but a force acts at a site; expected one of both")
+        raise eq.ConfigError(
+            f"{min(beside)} is that of a push on joints, but a force acts at a site; expected one of both"
+        )
     pose = context.pose(joints, keyframe)
     context.check_held(pose)
     if at_site:
@@ -44,13 +46,17 @@ def build(
         event = eq.PointForce(begins, lasts, size * way, point)
         what = f"{size:.3g} N push {point}"
     else:
-        own = np.array([name == joint if joint else drive for name, drive in zip(robot.joint_names, context.driven, strict=True)])
+        own = np.array(
+            [name == joint if joint else drive for name, drive in zip(robot.joint_names, context.driven, strict=True)]
+        )
         torques = torque * own if torque else context.usual_torques(pose, own)
         event = eq.Push(begins, lasts, torques)
         names = [name for name, pushed in zip(robot.joint_names, own, strict=True) if pushed]
         j = int(np.abs(torques).argmax())
-        size = f"{torques[j]:.3g} {robot.place_unit('N·m', robot.joint_names[j])}"
-        what = f"{size} push {' and '.join(names)}" if len(names) < 3 else f"up to {size} push {len(names)} joints"
+        size = (
+            f"{'up to ' * bool(np.ptp(torques[own]))}{torques[j]:.3g} {robot.place_unit('N·m', robot.joint_names[j])}"
+        )
+        what = f"{size} push {' and '.join(names)}" if len(names) < 3 else f"{size} push {len(names)} joints"
     return eq.Scenario(
         name="push",
         summary=f"hold a pose while {what} for {lasts:g} s",

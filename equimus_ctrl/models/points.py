@@ -24,10 +24,12 @@ class Points(Protocol):
     Attributes:
         names: of all that joints move.
         ends: of those that stick out.
+        y_down: whether y points downwards, as in the plane of robots with elastic actuators.
     """
 
     names: tuple[str, ...]
     ends: tuple[str, ...]
+    y_down: bool
 
     def at(self, name: str, q: ArrayLike) -> tuple[Array, Array]:
         """A point (3,) [m] in a pose (nj,) [rad or m], and (3, nj) how it moves with the joints."""
@@ -43,6 +45,8 @@ class MjcfPoints:
     Raises:
         NotAvailable: where it moves by joints that are not measured.
     """
+
+    y_down = False
 
     def __init__(self, model: Model) -> None:
         robot = mjcf_of(changed_bodies(model.effects, model.robot))
@@ -83,12 +87,15 @@ class ElasticPoints:
         model: with its effects.
     """
 
+    y_down = True
+
     def __init__(self, model: Model) -> None:
         robot = changed_bodies(model.effects, model.morphology)
         self._kinematics = Kinematics(robot, model.phase)
         carried = [joint.child for joint in robot.joints]
         self._tips = {name: carried.index(name) for name in carried} | {"foot": carried.index(robot.foot)}
-        self.names, self.ends = ("foot", *carried), ("foot",)
+        self.names: tuple[str, ...] = ("foot", *carried)
+        self.ends: tuple[str, ...] = ("foot",)
 
     def at(self, name: str, q: ArrayLike) -> tuple[Array, Array]:
         """As of any points."""

@@ -184,10 +184,14 @@ class Reacher:
                 j = int(np.abs(pose - before).argmax())
                 text = reading(self.robot.joint_units[j]).text
                 joint = self.robot.joint_names[j]
-                return np.array(poses), (
-                    f"on its path {self.name} passes {_shown(place)} at {time:.2f} s, where {joint} would have to jump "
-                    f"by {text(far, '.3g')}; expected a path that keeps away from there"
-                ), far
+                return (
+                    np.array(poses),
+                    (
+                        f"on its path {self.name} passes {_shown(place)} at {time:.2f} s, where {joint} would have to jump "
+                        f"by {text(far, '.3g')}; expected a path that keeps away from there"
+                    ),
+                    far,
+                )
             poses.append(pose)
         return np.array(poses), "", 0.0
 
@@ -197,7 +201,9 @@ class Reacher:
             name for j, name in enumerate(self.robot.joint_names)
             if self.moved[j] and (pose[j] <= low[j] or pose[j] >= high[j])
         ]  # fmt: skip
-        at = f", with {' and '.join(ended)} at the end of {'its' if len(ended) == 1 else 'their'} range" if ended else ""
+        at = (
+            f", with {' and '.join(ended)} at the end of {'its' if len(ended) == 1 else 'their'} range" if ended else ""
+        )
         return (
             f"{self.name} cannot reach {_shown(place)}, where its path has it at {time:.2f} s; it comes as near as "
             f"{_shown(self.place(pose))}, {1e3 * miss:.4g} mm away{at}"

@@ -113,7 +113,11 @@ def build_scenario(
         **{OPTION + key if key in joints else key: default for key, default in own.items()},
     }
     described = context.robot.scenario_options.get(name, {})
-    usual = {key: _read_option(key, text, type(own.get(key, 0.0)), where) for key, text in described.items()}
+    usual = {
+        key: _read_option(key, text, type(own.get(key, 0.0)), where)
+        for key, text in described.items()
+        if key in own or key in joints
+    }
     values: dict[str, Any] = {}
     for key, text in (options or {}).items():
         if key in own and key in joints:

@@ -16,7 +16,7 @@ from equimus_ctrl.types import Array
 
 SMALLER, SIZES = 0.8, 16
 """By how much a path is made smaller that a robot cannot do, where nobody said its size, and how often at most."""
-WIDER = (1.0, 2.0, 4.0)
+WIDER = (1.0, 2.0, 4.0, 6.0)
 """Times the swing within which a pose is looked for about which a path of a given size can be followed."""
 HELD = 24
 """Poses along a path that have to be held."""
@@ -90,8 +90,8 @@ def along_shape(
 ) -> JointsAlong:
     """Round a shape.
 
-    Its middle is, by default, where the point is in the pose within a swing of ``about`` in which it moves best (two
-    swings, or four, where a path of a given size asks for it), in the plane in which it can move farthest there. By
+    Its middle is, by default, where the point is in the pose within a swing of ``about`` in which it moves best (two,
+    four or six where a path of a given size asks for it), in the plane in which it can move farthest there. By
     default it is as large as swings of the joints can make it both ways, or as large as the robot can do if that is
     less.
 
@@ -132,6 +132,7 @@ def along_shape(
         return JointsAlong(times, values, places, f"a {shape} of {1e3 * diameter:.3g} mm")
 
     best = middle(1.0)
+    context.check_held(best.pose)
     if not plane and best.reach[1] <= BOTH_WAYS * best.reach[0] and shape != "line":
         raise ConfigError(
             f"{context.robot.name}: {reacher.name} moves along one line alone, so that there is no plane for a "

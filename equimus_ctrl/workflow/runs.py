@@ -66,7 +66,7 @@ def scenario_entry(name: str) -> ScenarioEntry:
 def _script(name: str) -> ScenarioEntry:
     build, where = presets.load_scenario(name, SCENARIOS)
     module = inspect.getmodule(build)
-    return ScenarioEntry("" if module is None else first_paragraph(module), build, where, Path(name).stem)
+    return ScenarioEntry("" if module is None else first_paragraph(module), build, where, name)
 
 
 def load_scenario(
