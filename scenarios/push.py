@@ -46,17 +46,14 @@ def build(
         event = eq.PointForce(begins, lasts, size * way, point)
         what = f"{size:.3g} N push {point}"
     else:
-        own = np.array(
-            [name == joint if joint else drive for name, drive in zip(robot.joint_names, context.driven, strict=True)]
-        )
+        own = np.array([name == joint for name in robot.joint_names]) if joint else context.driven
         torques = torque * own if torque else context.usual_torques(pose, own)
         event = eq.Push(begins, lasts, torques)
         names = [name for name, pushed in zip(robot.joint_names, own, strict=True) if pushed]
         j = int(np.abs(torques).argmax())
-        size = (
-            f"{'up to ' * bool(np.ptp(torques[own]))}{torques[j]:.3g} {robot.place_unit('N·m', robot.joint_names[j])}"
-        )
-        what = f"{size} push {' and '.join(names)}" if len(names) < 3 else f"{size} push {len(names)} joints"
+        most = f"{torques[j]:.3g} {robot.place_unit('N·m', robot.joint_names[j])}"
+        most = f"up to {most}" if len(set(torques[own])) > 1 else most
+        what = f"{most} push {' and '.join(names) if len(names) < 3 else f'{len(names)} joints'}"
     return eq.Scenario(
         name="push",
         summary=f"hold a pose while {what} for {lasts:g} s",

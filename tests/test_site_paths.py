@@ -22,6 +22,7 @@ from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.context import ScenarioContext
 from equimus_ctrl.scenarios.reaching import Reacher
 from equimus_ctrl.scenarios.scenario import Scenario
+from equimus_ctrl.scenarios.scoring import score_run
 from equimus_ctrl.scenarios.shapes import shape_path
 from equimus_ctrl.types import Array
 
@@ -248,9 +249,7 @@ def test_the_sites_error_is_what_wrong_angles_make_of_it(tmp_path: Path) -> None
     done = workflow.run_scenario("track", "pid", model=Model(TWO), options=options)
     assert done.score.site is not None and done.scenario.site is not None
     assert done.score.site.rmse[0] < 2e-3
-    turned = replace(done.run, position=done.run.reference + [0.01, 0.0])
-    from equimus_ctrl.scenarios.scoring import score_run
-
+    turned = replace(done.run, position=done.run.reference + np.array([0.01, 0.0]))
     score = score_run(turned, done.scenario)
     assert score.site is not None
     away = np.linalg.norm(done.scenario.site.wanted.values, axis=1)

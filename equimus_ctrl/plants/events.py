@@ -1,4 +1,4 @@
-"""What befalls a robot while it runs, unknown to every controller: a push (disturbance torques or a force), a load taken up."""
+"""What befalls a robot while it runs, unknown to every controller: a push (torques or a force), a load taken up."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class ScenarioContext:
         missing: sentence that says how to get recordings.
         effects: what is known to be attached to the robot.
         read_path: gives times (n,) [s] and named columns (n, k) of a file.
-        given: options of the scenario that somebody gave; others have defaults, or are those of the robot's description.
+        given: options of the scenario that people gave; others are defaults or the robot's description's.
     """
 
     robot: Robot

@@ -172,7 +172,8 @@ class Reacher:
 
     def _followed(self, times: Array, places: Array, first: Array, most: float) -> tuple[Array, str, float]:
         """The poses as far as it goes, why it ends, or nothing, and what the point misses there [m]."""
-        begins, poses, pose = self.place(first), [], first
+        poses: list[Array] = []
+        begins, pose = self.place(first), first
         for share in np.linspace(0, 1, WALK, endpoint=False)[1:]:
             pose, _ = self.reach(begins + share * (places[0] - begins), pose)
         for time, place in zip(times.tolist(), places, strict=True):
@@ -182,16 +183,12 @@ class Reacher:
                 return np.array(poses), self._out_of_reach(time, place, pose, miss), miss
             if poses and (far := float(np.abs(pose - before).max())) > most:
                 j = int(np.abs(pose - before).argmax())
-                text = reading(self.robot.joint_units[j]).text
-                joint = self.robot.joint_names[j]
-                return (
-                    np.array(poses),
-                    (
-                        f"on its path {self.name} passes {_shown(place)} at {time:.2f} s, where {joint} would have to jump "
-                        f"by {text(far, '.3g')}; expected a path that keeps away from there"
-                    ),
-                    far,
+                joint, text = self.robot.joint_names[j], reading(self.robot.joint_units[j]).text
+                wrong = (
+                    f"on its path {self.name} passes {_shown(place)} at {time:.2f} s, where {joint} would have to jump "
+                    f"by {text(far, '.3g')}; expected a path that keeps away from there"
                 )
+                return np.array(poses), wrong, far
             poses.append(pose)
         return np.array(poses), "", 0.0
 
@@ -201,9 +198,8 @@ class Reacher:
             name for j, name in enumerate(self.robot.joint_names)
             if self.moved[j] and (pose[j] <= low[j] or pose[j] >= high[j])
         ]  # fmt: skip
-        at = (
-            f", with {' and '.join(ended)} at the end of {'its' if len(ended) == 1 else 'their'} range" if ended else ""
-        )
+        whose = "its" if len(ended) == 1 else "their"
+        at = f", with {' and '.join(ended)} at the end of {whose} range" if ended else ""
         return (
             f"{self.name} cannot reach {_shown(place)}, where its path has it at {time:.2f} s; it comes as near as "
             f"{_shown(self.place(pose))}, {1e3 * miss:.4g} mm away{at}"

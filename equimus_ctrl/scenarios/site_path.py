@@ -9,7 +9,7 @@ import numpy as np
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.points import Points
 from equimus_ctrl.scenarios.context import ScenarioContext
-from equimus_ctrl.scenarios.reaching import BOTH_WAYS, Mobility, Reacher
+from equimus_ctrl.scenarios.reaching import BOTH_WAYS, Mobility
 from equimus_ctrl.scenarios.references import SampledReference
 from equimus_ctrl.scenarios.shapes import plane_of, resampled, shape_path, vector_of
 from equimus_ctrl.types import Array
