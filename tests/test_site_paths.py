@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from mjcf_models import CRANE, HINGES, RIG, pendulum, refusal
+from rich.console import Console
 
 from equimus_ctrl import workflow
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.points import points_of
 from equimus_ctrl.report.site_figure import site_figure
-from equimus_ctrl.report.tables import score_to_dict
+from equimus_ctrl.report.tables import run_table, score_to_dict
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.leg import nominal_leg
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
@@ -243,7 +245,7 @@ def test_a_pose_that_actuators_cannot_hold_is_told_before_the_run() -> None:
 # --- scores ------------------------------------------------------------------------------------------------------
 
 
-def test_the_sites_error_is_what_wrong_angles_make_of_it(tmp_path: Path) -> None:
+def test_the_sites_error_is_what_wrong_angles_make_of_it() -> None:
     """A sensor's zero that is off by ε shifts what is measured: the tip is off by ε times its distance from the axis."""
     options = {"site": "tip", "shape": "circle", "size": "0.1", "centre": "0.5 0 0", "leg_time": "0.3"}
     done = workflow.run_scenario("track", "pid", model=Model(TWO), options=options)
@@ -258,6 +260,10 @@ def test_the_sites_error_is_what_wrong_angles_make_of_it(tmp_path: Path) -> None
     assert record == {
         "name": "tip", "rmse_m": score.site.rmse[0], "mae_m": score.site.mae[0], "max_m": score.site.largest[0]
     }  # fmt: skip
+    out = StringIO()
+    Console(file=out, width=100).print(run_table(score, turned, done.scenario, "pid"))
+    row = next(line for line in out.getvalue().splitlines() if "its path" in line).split()
+    assert row[0] == "tip" and row[3:5] == [f"{score.site.rmse[0]:.4f}", f"{1e3 * score.site.rmse[0]:.2f}"]
     figure = site_figure(turned, done.scenario.site, score, "track")
     plane, over_time = figure.axes
     assert (plane.get_xlabel(), plane.get_ylabel()) == ("x [mm]", "z [mm]")
