@@ -51,7 +51,16 @@ def build(
             along_file(context, point, file)
             if file
             else along_shape(
-                context, point, shape, size, plane, centre, context.pose({}, keyframe), swing, leg_time, rounds
+                context,
+                point,
+                shape,
+                size,
+                plane,
+                centre,
+                context.pose({}, keyframe) if keyframe else context.middle,
+                swing,
+                leg_time,
+                rounds,
             )
         )
         times, values, what = own.times, own.values, f"{point} goes along {own.what}"

@@ -160,8 +160,7 @@ class ScenarioContext:
         """
         if self.robot.home is not None:
             return self.robot.home
-        model = Model(self.robot, self.effects, self.phase)
-        return np.asarray(np.mean([rest_pose(model, command) for command in self.robot.command_limits], axis=0))
+        return self._between_rests
 
     def pose(self, given: Mapping[str, float], keyframe: str = "") -> Array:
         """(nj,) a pose in which some joints are where people say, the others where they are in a keyframe [rad or m].
@@ -268,15 +267,28 @@ class ScenarioContext:
         return low, middle + low * swings
 
     def can_do(self, times: Array, values: Array) -> bool:
-        """Whether the actuators can do a motion (n, nj) [rad or m] at evenly spaced times (n,) [s], as far as is known.
-
-        A robot that springs hold comes as near as it can.
-        """
-        if "inverse" not in self.robot.offers or self.robot.traits.held_in_place:
+        """Whether the actuators can do a motion (n, nj) at evenly spaced times (n,) [s], as far as is known."""
+        if "inverse" not in self.robot.offers:
             return True
         rates = np.gradient(values, times, axis=0)
         accelerations = np.gradient(rates, times, axis=0)
         return all(self._exertable(values[k], rates[k], accelerations[k]) for k in _some(len(times)))
+
+    def can_hold(self, pose: Array) -> bool:
+        """Whether the actuators can hold a pose (nj,) [rad or m], as far as is known."""
+        return "inverse" not in self.robot.offers or self._exertable(pose, np.zeros(len(pose)), np.zeros(len(pose)))
+
+    @cached_property
+    def middle(self) -> Array:
+        """(nj,) ``home``; where the actuators cannot hold that and springs do, half way between poses at rest."""
+        if self.can_hold(self.home) or not self.robot.traits.held_in_place:
+            return self.home
+        return self._between_rests
+
+    @property
+    def _between_rests(self) -> Array:
+        model = Model(self.robot, self.effects, self.phase)
+        return np.asarray(np.mean([rest_pose(model, command) for command in self.robot.command_limits], axis=0))
 
     def _exertable(self, q: Array, v: Array, a: Array, more: Array | float = 0.0) -> bool:
         """Whether commands within their limits exert what a motion needs, and more (nj,), at driven joints."""

@@ -7,6 +7,7 @@ move as little as they can and never jump to another branch; joints that turn on
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,8 +84,10 @@ class Reacher:
         signs = np.sign(axes[np.abs(axes).argmax(axis=0), np.arange(3)])
         return Mobility(pose, place, axes * signs, reach)
 
-    def nimblest(self, pose: Array, swings: Array) -> Mobility:
+    def nimblest(self, pose: Array, swings: Array, held: Callable[[Array], bool]) -> Mobility:
         """About the pose within swings (nj,) of one (nj,) in which the point moves farthest in its two best directions.
+
+        Of poses that can be held, as far as there are such.
 
         A robot is often described in a pose in which its arms are stretched: there its end moves one way alone. The
         product of both reaches is Yoshikawa's manipulability in a plane. Joint after joint is tried, twice over.
@@ -97,7 +100,7 @@ class Reacher:
                     other = best.pose.copy()
                     other[j] = np.clip(pose[j] + share * swings[j], low[j], high[j])
                     found = self.mobility(other, swings)
-                    if _both(found) > _both(best) * (1 + BOTH_WAYS):
+                    if _both(found) > _both(best) * (1 + BOTH_WAYS) and held(other):
                         best = found
         return best
 

@@ -118,7 +118,7 @@ def along_shape(
 
     def middle(wider: float) -> Mobility:
         near, swings = context.swings(wider * swing, about)
-        best = reacher.nimblest(near, swings)
+        best = reacher.nimblest(near, swings, context.can_hold)
         if not centre:
             return best
         (pose,) = reacher.follow(np.zeros(1), vector_of("centre", centre)[None], best.pose)
@@ -140,17 +140,19 @@ def along_shape(
         )
     way = float(best.reach[0] if shape == "line" and not plane else best.reach[1])
     usual = 2 * (way or float(best.reach[0]))
-    choices = [(size, wider) for wider in WIDER[: 1 if centre else None]] if size else [
-        (usual * SMALLER**smaller, 1.0) for smaller in range(SIZES)
-    ]  # fmt: skip
-    for diameter, wider in choices:
+    wider = WIDER[:1] if centre or not size else WIDER
+    choices = [(size, own) for own in wider] if size else [(usual * SMALLER**k, 1.0) for k in range(SIZES)]
+    kept: JointsAlong | None = None
+    for k, (diameter, own) in enumerate(choices):
+        last = k == len(choices) - 1
         try:
-            last = (diameter, wider) == choices[-1]
-            found = along(diameter, best if wider == 1.0 else middle(wider), bool(size) and last)
+            found = along(diameter, best if own == 1.0 else middle(own), bool(size) and last)
         except ConfigError:
-            if last:
+            if last and kept is None:
                 raise
             continue
-        if size or context.can_do(times, found.values):
-            break
-    return found
+        if context.can_do(times, found.values):
+            return found
+        kept = found if kept is None or not size else kept
+    assert kept is not None
+    return kept
