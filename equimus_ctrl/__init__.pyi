@@ -83,7 +83,7 @@ from .options import (
     SensitivityOptions as SensitivityOptions,
     ValidateOptions as ValidateOptions,
 )
-from .plants.events import Load as Load, Push as Push
+from .plants.events import Load as Load, PointForce as PointForce, Push as Push
 from .plants.hardware.plant import HardwarePlant as HardwarePlant
 from .plants.hardware.settings import HardwareSettings as HardwareSettings
 from .plants.mujoco_plant import MujocoPlant as MujocoPlant, PlantRates as PlantRates

@@ -53,7 +53,7 @@ every_robot = pytest.mark.parametrize("robot", EVERY, ids=lambda robot: robot.na
 
 
 @every_robot
-@pytest.mark.parametrize("name", ["hold", "step", "track", "chirp", "multisine"])
+@pytest.mark.parametrize("name", ["hold", "step", "track", "chirp", "multisine", "push", "payload"])
 def test_every_robot_has_these_within_its_ranges_and_can_begin_them(name: str, robot: Robot) -> None:
     scenario = workflow.load_scenario(name, robot, search=False)
     low, high = robot.joint_range

@@ -263,8 +263,11 @@ def test_sines_of_many_joints_are_no_faster_than_was_asked_for() -> None:
 
 def test_a_joint_that_is_called_like_an_option_has_a_name_of_its_own() -> None:
     robot = MjcfRobot("odd", pendulum().replace("pivot", "duration"))
-    scenario = built("hold", robot, **{"pos.duration": "30", "duration": "3"})
+    scenario = built("hold", robot, **{"pos.duration": "30", "option.duration": "3"})
     assert scenario.duration == 3.0 and scenario.reference.position(0.0) == pytest.approx([np.pi / 6])
+    said = refusal(lambda: built("hold", robot, duration="3"))
+    assert "expected option.duration or pos.duration" in said
+    assert "there is no option 'option.keyframe'" in refusal(lambda: built("hold", robot, **{"option.keyframe": "a"}))
 
 
 # --- what people look at ------------------------------------------------------------------------------------------

@@ -276,8 +276,8 @@ def test_a_morphology_cannot_be_changed() -> None:
 
 
 def count_numbers(part: object) -> int:
-    """How many numbers a nest of dataclasses holds."""
-    if isinstance(part, bool | str) or part is None:
+    """How many numbers a nest of dataclasses holds, names of poses and options aside."""
+    if isinstance(part, bool | str | dict) or part is None:
         return 0
     if isinstance(part, int | float):
         return 1

@@ -276,7 +276,7 @@ def test_an_impossible_option_is_a_sentence(name: str, key: str, value: str, leg
     assert key in str(caught.value) and value in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["push", "triangle"])
+@pytest.mark.parametrize("name", ["foot_circle", "triangle"])
 def test_a_foreign_robot_is_refused(name: str, leg: eq.Morphology, empty: Path) -> None:
     foreign = eq.Morphology("arm", leg.links, leg.joints, leg.actuators[:1], leg.foot)
     with pytest.raises(eq.ConfigError) as caught:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from equimus_ctrl.errors import SimulationDiverged
     from equimus_ctrl.types import Run
 
-RESULTS = ("score.json", "series.csv", "joints.png", "foot_path.png", "pressures.png", "commands.png")
+RESULTS = ("score.json", "series.csv", "joints.png", "foot_path.png", "site_path.png", "pressures.png", "commands.png")
 """What a run writes into its folder, as far as its robot has it and it is asked for."""
 
 

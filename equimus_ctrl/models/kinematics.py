@@ -28,6 +28,7 @@ def _functions(form: Structure, phase: Phase) -> dict[str, ca.Function]:
         "foot": ca.Function("foot", [m.q, m.p], [m.foot]),
         "foot_jacobian": ca.Function("foot_jacobian", [m.q, m.p], [ca.jacobian(m.foot, m.q)]),
         "knots": ca.Function("knots", [m.q, m.p], [m.knots]),
+        "tips": ca.Function("tips", [m.q, m.p], [m.knots[:, 1:], ca.jacobian(ca.vec(m.knots[:, 1:]), m.q)]),
         "static_pressure": ca.Function("static_pressure", [m.q, m.p], [m.static_pressure]),
         "mass": ca.Function("mass", [m.q, m.p], [m.mass]),
         "energy": ca.Function("energy", [m.q, m.v, m.p], [m.kinetic, m.potential]),
@@ -131,6 +132,12 @@ class Kinematics:
     def knots(self, q: ArrayLike) -> Array:
         """(nj + 1, 2) the base's origin and the tip of each joint's link [m]."""
         return np.array(self._call("knots", q)).T
+
+    def tips(self, q: ArrayLike) -> tuple[Array, Array]:
+        """(nj, 2) the tip of each joint's link [m] as in ``knots``, and (nj, 2, nj) its slope by q."""
+        places, slopes = (np.array(part) for part in self._call("tips", q))
+        nj = places.shape[1]
+        return places.T, slopes.reshape(nj, 2, nj)
 
     def mass(self, q: ArrayLike) -> Array:
         """(nj, nj) mass matrix [kg·m²]."""

@@ -283,6 +283,10 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         if not isinstance(value, list | tuple):
             raise ConfigError(f"{where} is {value!r}, expected a list of tables")
         return tuple(_convert(item_type, item, f"{where}[{i}]") for i, item in enumerate(value))
+    if get_origin(hint) is Mapping:
+        if not isinstance(value, Mapping):
+            raise ConfigError(f"{where} is {value!r}, expected a table")
+        return value
     options = [t for t in get_args(hint) if t is not type(None)]
     if value is None and options:
         return None

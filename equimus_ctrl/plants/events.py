@@ -1,4 +1,4 @@
-"""What befalls a robot while it runs, unknown to every controller: a push (disturbance torques), a load taken up."""
+"""What befalls a robot while it runs, unknown to every controller: a push (torques or a force), a load taken up."""
 
 from __future__ import annotations
 
@@ -56,4 +56,31 @@ class Load:
             raise ConfigError(f"a load at {self.time:g} s has a mass of {self.mass:g} kg, expected at least 0")
 
 
-Event = Push | Load
+@dataclass(frozen=True, eq=False)
+class PointForce:
+    """A force at a named point of the robot for a while, fixed in the room, see ``models.points``.
+
+    Attributes:
+        time: when it begins [s].
+        duration: [s].
+        force: (3,) [N].
+        location: the point.
+
+    Raises:
+        ConfigError: for numbers that are none of these.
+    """
+
+    time: float
+    duration: float
+    force: Array
+    location: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "force", frozen_array(self.force, 1, "force"))
+        if not (math.isfinite(self.time) and math.isfinite(self.duration) and self.duration > 0):
+            raise ConfigError(f"a force at {self.time:g} s lasts {self.duration:g} s, expected more than 0")
+        if self.force.shape != (3,) or not all(math.isfinite(value) for value in self.force):
+            raise ConfigError(f"the force at {self.location} is {self.force.tolist()} N, expected three finite numbers")
+
+
+Event = Push | PointForce | Load

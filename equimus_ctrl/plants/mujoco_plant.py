@@ -15,10 +15,11 @@ from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, follow, recall
 from equimus_ctrl.effects.sensors import shown as seen_by
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.limits import MAX_SPEED
-from equimus_ctrl.errors import ConfigError, SimulationDiverged
+from equimus_ctrl.errors import ConfigError, SimulationDiverged, unknown_name
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.points import Points, points_of
 from equimus_ctrl.plants.body import body_of
-from equimus_ctrl.plants.events import Event, Load, Push
+from equimus_ctrl.plants.events import Event, Load, PointForce, Push
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import Phase
 from equimus_ctrl.robots.reading import shown
@@ -152,6 +153,7 @@ class MujocoPlant:
         self._diverged: str | None = None
         self._events = tuple(events)
         self._loads = self._loaded()
+        self._points = self._pushed_points()
 
     def _loaded(self) -> list[tuple[float, Mapping[str, Array]]]:
         """When loads are taken up [s], the last first, and MuJoCo's numbers of the bodies from then on."""
@@ -167,13 +169,31 @@ class MujocoPlant:
             found.append((load.time, self._body.loaded([(own.location, own.mass) for own in loads[: k + 1]])))
         return found[::-1]
 
+    def _pushed_points(self) -> Points | None:
+        """The robot's named points, where a force acts at one of them."""
+        places = [event.location for event in self._events if isinstance(event, PointForce)]
+        if not places:
+            return None
+        points = points_of(self.model)
+        for place in places:
+            if place not in points.names:
+                raise ConfigError(unknown_name("site or body", place, points.names, self.model.name))
+        return points
+
     def _befall(self, time: float) -> list[Array]:
         """Torques on the joints from a time on, loads taken up."""
         numbers = next(values for begins, values in self._loads if begins <= time + EARLY)
         for name, values in numbers.items():
             getattr(self.mujoco_model, name)[:] = values
-        pushes = [event for event in self._events if isinstance(event, Push)]
-        return [own.torque for own in pushes if own.time <= time + EARLY < own.time + own.duration]
+        pushes = [event for event in self._events if not isinstance(event, Load)]
+        return [self._torque(own) for own in pushes if own.time <= time + EARLY < own.time + own.duration]
+
+    def _torque(self, event: Push | PointForce) -> Array:
+        """(nj,) what an event exerts on the joints where they are [N·m or N]: Jᵀ F of a force at a point."""
+        if isinstance(event, Push):
+            return event.torque
+        assert self._points is not None
+        return np.asarray(self._points.at(event.location, self.position)[1].T @ event.force)
 
     @property
     def spec(self) -> PlantSpec:

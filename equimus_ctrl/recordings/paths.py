@@ -10,14 +10,14 @@ from equimus_ctrl.recordings.sheet import PathLike, open_sheet
 from equimus_ctrl.types import Array
 
 
-def read_path(path: PathLike, joints: Sequence[str]) -> tuple[Array, Array]:
-    """Times (n,) [s] and positions (n, nj) [rad or m].
+def read_path(path: PathLike, names: Sequence[str]) -> tuple[Array, Array]:
+    """Times (n,) [s] of the column ``time``, and (n, k) of the columns of some names.
 
     Raises:
         RecordingError: where the file cannot be read, lacks a column, or times do not ascend.
     """
     sheet = open_sheet(path)
-    columns = ["time", *(f"pos.{joint}" for joint in joints)]
+    columns = ["time", *names]
     for column in columns:
         if column not in sheet.header:
             raise sheet.header_error(f"there is no column {column!r}; expected {', '.join(columns)}")

@@ -18,6 +18,7 @@ from equimus_ctrl.errors import ConfigError, ModelError
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.report import style
 from equimus_ctrl.report.drawing import MM, first_pass, label_parts, skeleton, sketch, well_spaced
+from equimus_ctrl.report.site_figure import site_figure
 from equimus_ctrl.robots.reading import Reading, reading
 from equimus_ctrl.scenarios.scenario import Scenario
 from equimus_ctrl.scenarios.scoring import Score, on_grid
@@ -72,7 +73,7 @@ class Beside:
 def save_run_figures(
     run: Run, scenario: Scenario, score: Score, kinematics: Kinematics | None, folder: Path, label: str
 ) -> list[Path]:
-    """Write ``joints.png``, ``pressures.png`` or ``commands.png``, and ``foot_path.png`` of a robot with a foot.
+    """Write ``joints.png``, ``pressures.png`` or ``commands.png``, and paths of a foot or of a site that has one.
 
     Args:
         run: what happened.
@@ -87,10 +88,14 @@ def save_run_figures(
     """
     pressures = set(run.spec.command_units) == {"Pa"}
     commands = commands_figure(run, score, label), folder / ("pressures.png" if pressures else "commands.png")
+    site = []
+    if scenario.site is not None:
+        site = [style.save(site_figure(run, scenario.site, score, label), folder / "site_path.png")]
     if kinematics is None:
         own, beside = Wanted(run.reference, True), beside_of(run, scenario)
         return [
             style.save(joints_figure(run, score, own, beside, label), folder / "joints.png"), style.save(*commands),
+            *site,
         ]  # fmt: skip
     m = kinematics.morphology
     if (run.spec.joints, run.spec.actuators) != (m.joint_names, m.actuator_names):
@@ -103,6 +108,7 @@ def save_run_figures(
         style.save(joints_figure(run, score, wanted, beside, label), folder / "joints.png"),
         style.save(foot_path_figure(run, kinematics, wanted, beside, label), folder / "foot_path.png"),
         style.save(*commands),
+        *site,
     ]
 
 

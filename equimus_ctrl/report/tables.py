@@ -43,6 +43,7 @@ def score_to_dict(score: Score, run: Run, scenario: Scenario, controller_label: 
         "approach": None if score.approach is None else _figures(spec, score.approach),
         "step": None if score.step is None else _step_figures(spec, score.step),
         "arrival": None if score.arrival is None else _arrival_figures(spec, score.arrival),
+        "site": _site_figures(scenario, score),
         "recorded": recorded,
         "published": published,
         "window_s": [float(edge) for edge in score.window],
@@ -68,7 +69,7 @@ def run_table(score: Score, run: Run, scenario: Scenario, controller_label: str)
     table.add_column("joint", overflow="fold")
     table.add_column("against", no_wrap=True)
     units = run.spec.joint_units
-    alike = set(units) == {"rad"}
+    alike = set(units) == {"rad"} and score.site is None
     for quantity in ("RMSE", "MAE", "max"):
         table.add_column(f"{quantity}\n{'rad' if alike else 'rad, m'}", justify="right", no_wrap=True)
         table.add_column("\n" + ("deg" if alike else "°, mm"), justify="right", no_wrap=True)
@@ -89,6 +90,10 @@ def run_table(score: Score, run: Run, scenario: Scenario, controller_label: str)
             if published is not None:
                 cells.append(f"{published[joint]:.4f}" if k == 0 and joint in published else "")
             table.add_row(*map(Text, cells), end_section=k == len(compared) - 1 > 0)
+    if scenario.site is not None and score.site is not None:
+        numbers = (values[0] for values in (score.site.rmse, score.site.mae, score.site.largest))
+        cells = [text for value in numbers for text in (f"{value:.4f}", f"{value * reading('m').factor:.2f}")]
+        table.add_row(*map(Text, [scenario.site.name, "its path", *cells]))
     parts: list[RenderableType] = [table]
     if score.step is not None:
         parts.append(_step_table(score.step, run.spec))
@@ -132,6 +137,14 @@ def _figures(spec: PlantSpec, figures: ErrorFigures) -> dict[str, Any]:
     for what, values in (("rmse", figures.rmse), ("mae", figures.mae), ("max", figures.largest)):
         found |= by_unit(what, spec.joints, spec.joint_units, values)
     return found
+
+
+def _site_figures(scenario: Scenario, score: Score) -> dict[str, Any] | None:
+    if scenario.site is None or score.site is None:
+        return None
+    own = score.site
+    kinds = ("rmse_m", own.rmse), ("mae_m", own.mae), ("max_m", own.largest)
+    return {"name": scenario.site.name, **{key: float(values[0]) for key, values in kinds}}
 
 
 def _step_figures(spec: PlantSpec, step: StepFigures) -> dict[str, Any]:

@@ -323,6 +323,11 @@ class Robot(ABC):
         return next(iter(self.keyframes.values()), None)
 
     @property
+    def scenario_options(self) -> Mapping[str, Mapping[str, str]]:
+        """Name of a scenario → option → what its description has in the place of the scenario's own default."""
+        return {}
+
+    @property
     def timestep(self) -> float | None:
         """The physics step that its description asks for [s]; None where it asks for none."""
         return None

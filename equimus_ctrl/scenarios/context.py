@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,9 +17,11 @@ from equimus_ctrl.errors import ConfigError, unknown_name
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
+from equimus_ctrl.models.points import Points, points_of
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import Morphology, Phase, elastic_of
 from equimus_ctrl.robots.reading import reading
+from equimus_ctrl.scenarios.reaching import Reacher
 from equimus_ctrl.types import Array, Recording, Start, frozen_array
 
 POSITION = "pos."
@@ -32,8 +34,18 @@ ASIDE = 0.1
 """From a pose in which arms of actuators might vanish [rad or m]."""
 LOOKS, NEAR = 200, 1e-2
 """At how many instants of a motion commands are looked at, and how exactly its share is found."""
+GRAVITY = 9.81
+"""Weight of a kilogram [N]."""
 LACKING = 1e-6
 """Share of the torque that a joint needs, and of 1 N·m or N, of which it lacks none."""
+
+
+ANY_LOAD = 1e9
+"""What is borne beyond this is not limited [N·m or N]."""
+SHARE = 0.2
+"""Of what actuators can bear beside holding a pose, that a disturbance has where nobody says its size."""
+QUICKENING = 1.0
+"""By what it would speed up a free joint where nothing limits the actuators [rad/s² or m/s²]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +84,8 @@ class ScenarioContext:
         recording: file kind (``"triangle"``, ``"step_release"``) → its trials, empty where there are none.
         missing: sentence that says how to get recordings.
         effects: what is known to be attached to the robot.
-        read_path: gives times (n,) [s] and positions (n, nj) [rad or m] of a file.
+        read_path: gives times (n,) [s] and named columns (n, k) of a file.
+        given: options of the scenario that people gave; others are defaults or the robot's description's.
     """
 
     robot: Robot
@@ -80,7 +93,8 @@ class ScenarioContext:
     recording: Callable[[str], tuple[Recording, ...]] = lambda kind: ()
     missing: str = "there are no recordings"
     effects: tuple[Effect, ...] = ()
-    read_path: Callable[[str, Robot], tuple[Array, Array]] | None = None
+    read_path: Callable[[str, Sequence[str]], tuple[Array, Array]] | None = None
+    given: frozenset[str] = frozenset()
 
     @property
     def morphology(self) -> Morphology:
@@ -146,8 +160,7 @@ class ScenarioContext:
         """
         if self.robot.home is not None:
             return self.robot.home
-        model = Model(self.robot, self.effects, self.phase)
-        return np.asarray(np.mean([rest_pose(model, command) for command in self.robot.command_limits], axis=0))
+        return self._between_rests
 
     def pose(self, given: Mapping[str, float], keyframe: str = "") -> Array:
         """(nj,) a pose in which some joints are where people say, the others where they are in a keyframe [rad or m].
@@ -202,14 +215,18 @@ class ScenarioContext:
         return found
 
     def path_file(self, file: str) -> tuple[Array, Array]:
-        """Times (n,) from 0 on [s] and positions (n, nj) [rad or m] that a CSV file says.
+        """Times (n,) from 0 on [s] and positions (n, nj) [rad or m] that a CSV file says, see ``read_columns``."""
+        return self.read_columns(file, [f"{POSITION}{joint}" for joint in self.robot.joint_names])
+
+    def read_columns(self, file: str, columns: Sequence[str]) -> tuple[Array, Array]:
+        """Times (n,) from 0 on [s] and columns (n, k) that a CSV file has.
 
         Raises:
             ConfigError, RecordingError: where no file can be read here, or not this, or it is no path.
         """
         if self.read_path is None:
             raise ConfigError(f"{file}: no files are read here")
-        times, values = self.read_path(file, self.robot)
+        times, values = self.read_path(file, columns)
         if len(times) < 2:
             raise ConfigError(f"{file}: there is one row, expected a path of at least two")
         return times - times[0], values
@@ -234,27 +251,165 @@ class ScenarioContext:
         """
         if "inverse" not in self.robot.offers:
             return 1.0, middle + swings
-        rates, dynamics = np.gradient(swings, times, axis=0), self.dynamics
+        rates = np.gradient(swings, times, axis=0)
         accelerations = np.gradient(rates, times, axis=0)
-        some = np.unique(np.linspace(0, len(times) - 1, min(len(times), LOOKS)).astype(int))
+        some = _some(len(times))
 
         def possible(share: float) -> bool:
-            for k in some:
-                q, v = middle + share * swings[k], share * rates[k]
-                torque = dynamics.needed(q, v, share * accelerations[k])
-                command = dynamics.commands(q, v, torque)
-                if np.any((command < dynamics.low) | (command > dynamics.high)):
-                    return False
-                off = np.abs(dynamics.exerted(q, v, command) - torque)
-                if np.any((off > LACKING * np.maximum(1.0, np.abs(torque))) & self.driven):
-                    return False
-            return True
+            return all(
+                self._exertable(middle + share * swings[k], share * rates[k], share * accelerations[k]) for k in some
+            )
 
         low, high = (1.0, 1.0) if possible(1.0) else (0.0, 1.0)
         while high - low > NEAR:
             middle_share = (low + high) / 2
             low, high = (middle_share, high) if possible(middle_share) else (low, middle_share)
         return low, middle + low * swings
+
+    def can_do(self, times: Array, values: Array) -> bool:
+        """Whether the actuators can do a motion (n, nj) at evenly spaced times (n,) [s], as far as is known."""
+        if "inverse" not in self.robot.offers:
+            return True
+        rates = np.gradient(values, times, axis=0)
+        accelerations = np.gradient(rates, times, axis=0)
+        return all(self._exertable(values[k], rates[k], accelerations[k]) for k in _some(len(times)))
+
+    def can_hold(self, pose: Array) -> bool:
+        """Whether the actuators can hold a pose (nj,) [rad or m], as far as is known."""
+        return "inverse" not in self.robot.offers or self._exertable(pose, np.zeros(len(pose)), np.zeros(len(pose)))
+
+    @cached_property
+    def middle(self) -> Array:
+        """(nj,) ``home``; where the actuators cannot hold that and springs do, half way between poses at rest."""
+        if self.can_hold(self.home) or not self.robot.traits.held_in_place:
+            return self.home
+        return self._between_rests
+
+    @property
+    def _between_rests(self) -> Array:
+        model = Model(self.robot, self.effects, self.phase)
+        return np.asarray(np.mean([rest_pose(model, command) for command in self.robot.command_limits], axis=0))
+
+    def _exertable(self, q: Array, v: Array, a: Array, more: Array | float = 0.0) -> bool:
+        """Whether commands within their limits exert what a motion needs, and more (nj,), at driven joints."""
+        dynamics = self.dynamics
+        torque = dynamics.needed(q, v, a) + more
+        command = dynamics.commands(q, v, torque)
+        if np.any((command < dynamics.low) | (command > dynamics.high)):
+            return False
+        off = np.abs(dynamics.exerted(q, v, command) - torque)
+        return not np.any((off > LACKING * np.maximum(1.0, np.abs(torque))) & self.driven)
+
+    def borne(self, pose: Array, load: Array) -> float:
+        """How many times a load (nj,) on the joints the actuators can bear at rest in a pose (nj,) [N·m or N].
+
+        inf where nothing limits them, 0 where they do not even hold the pose.
+        """
+        still, size = np.zeros(len(pose)), float(np.abs(load[self.driven]).max(initial=0.0))
+        if not self._exertable(pose, still, still):
+            return 0.0
+        low, high = 0.0, 1.0 / size if size > 0 else np.inf
+        while self._exertable(pose, still, still, -high * load) if np.isfinite(high) else False:
+            low, high = high, 2 * high if high * size < ANY_LOAD else np.inf
+        while np.isfinite(high) and high - low > NEAR * high:
+            middle = (low + high) / 2
+            low, high = (middle, high) if self._exertable(pose, still, still, -middle * load) else (low, middle)
+        return low if np.isfinite(high) else np.inf
+
+    def usual_load(self, pose: Array, load: Array) -> float:
+        """How many times a load (nj,) on the joints [N·m or N] is a disturbance that a robot in a pose (nj,) can bear.
+
+        ``SHARE`` of what the actuators bear, see ``borne``; of ``QUICKENING`` where that is none or any.
+
+        Raises:
+            ConfigError: where its equations of motion do not tell, or the load does not act on a driven joint.
+        """
+        if "inverse" not in self.robot.offers:
+            raise ConfigError(
+                f"{self.robot.name}: what its actuators can bear is not known, expected the size of the disturbance"
+            )
+        if not np.any(load[self.driven]):
+            raise ConfigError(f"{self.robot.name}: the disturbance moves no driven joint, expected one that does")
+        most = self.borne(pose, load)
+        if 0 < most < np.inf:
+            return SHARE * most
+        moved = np.ix_(self.driven, self.driven)
+        given = np.linalg.solve(self.dynamics.effective_mass(pose, self.driven)[moved], load[self.driven])
+        return QUICKENING / float(np.abs(given).max())
+
+    def usual_torques(self, pose: Array, pushed: NDArray[np.bool_]) -> Array:
+        """(nj,) disturbances on some joints (nj,), each in its proportion to what its actuators bear [N·m or N]."""
+        rows = zip(np.eye(len(pose)), pushed, strict=True)
+        load = np.array([self.usual_load(pose, row) if own else 0.0 for row, own in rows])
+        return min(1.0, self.usual_load(pose, load)) * load
+
+    def usual_mass(self, point: str, pose: Array) -> float:
+        """A load at a point [kg] that a robot in a pose (nj,) can bear.
+
+        ``SHARE`` of what the actuators bear; where that is none or any, so much that it adds this share to the inertia
+        of the joint that it adds most to.
+
+        Raises:
+            ConfigError: where its equations of motion do not tell, or the point moves with no driven joint.
+        """
+        slope = self.points.at(point, pose)[1][:, self.driven]
+        if "inverse" not in self.robot.offers or not np.any(slope):
+            raise ConfigError(
+                f"{self.robot.name}: what its actuators can bear at {point} is not known, expected the mass of the load"
+            )
+        still = np.zeros(len(pose))
+        laden = Dynamics(Model(self.robot.with_payload(point, 1.0), self.effects, self.phase))
+        weight = laden.needed(pose, still, still) - self.dynamics.needed(pose, still, still)
+        if np.abs(weight[self.driven]).max() > LACKING * GRAVITY:
+            most = self.borne(pose, -weight)
+            if 0 < most < np.inf:
+                return SHARE * most
+        added = np.sum(slope**2, axis=0)
+        felt = added > 0
+        return SHARE * float((np.diag(self.dynamics.mass(pose))[self.driven][felt] / added[felt]).min())
+
+    # Named points.
+
+    @cached_property
+    def points(self) -> Points:
+        """The robot's named points.
+
+        Raises:
+            NotAvailable: where its poses do not tell where they are.
+        """
+        return points_of(Model(self.robot, self.effects, self.phase))
+
+    def point(self, name: str) -> str:
+        """A point of this name; without one, of those that stick out that which most driven joints move.
+
+        Raises:
+            ConfigError: where there is none of this name.
+        """
+        if not name:
+            slopes = {end: self.points.at(end, self.home + ASIDE)[1] for end in self.points.ends}
+            if not slopes:
+                raise ConfigError(f"{self.robot.name}: has no site that moves; expected one")
+            return max(reversed(slopes), key=lambda end: int((np.any(slopes[end] != 0, axis=0) & self.driven).sum()))
+        if name not in self.points.names:
+            raise ConfigError(unknown_name("site or body", name, self.points.names, self.robot.name))
+        return name
+
+    def free_way(self, name: str, pose: Array) -> Array:
+        """(3,) the direction in which a point gives way most in a pose (nj,), as the joints' inertia lets it.
+
+        The eigenvector of J M⁻¹ Jᵀ (Khatib, 1995) with the largest eigenvalue; J alone where M is not known.
+        """
+        slope = self.points.at(name, pose)[1] * self.driven
+        if "inverse" in self.robot.offers:
+            mobility = slope @ np.linalg.inv(self.dynamics.mass(pose)) @ slope.T
+        else:
+            mobility = slope @ slope.T
+        way = np.linalg.eigh(mobility)[1][:, -1]
+        return np.asarray(way * np.sign(way[np.abs(way).argmax()]))
+
+    def reacher(self, name: str) -> Reacher:
+        """What puts a point in its place, see ``point``; joints without actuator stay where they are."""
+        return Reacher(self.robot, self.points, self.point(name), self.driven)
 
     @cached_property
     def driven(self) -> NDArray[np.bool_]:
@@ -295,6 +450,11 @@ class ScenarioContext:
             raise ConfigError(f"{where}: no actuator acts on it; expected a pose in which it rests by itself")
         given, bound = way * self.dynamics.exerted(pose, still, command)[j], "most" if way * lack[j] > 0 else "least"
         raise ConfigError(f"{where}: its actuators exert {given:.3g} {force} at {bound}")
+
+
+def _some(count: int) -> NDArray[np.int64]:
+    """Instants of so many at which commands are looked at."""
+    return np.unique(np.linspace(0, count - 1, min(count, LOOKS)).astype(np.int64))
 
 
 def out_of_range(robot: Robot, pose: Array) -> str:

@@ -20,11 +20,13 @@ class ScenarioEntry:
         build: makes it of a context; its keyword parameters, each with a default, are the scenario's options. It says
             what it needs: ``ScenarioContext.require`` a robot, ``ScenarioContext.recording`` what was recorded.
         where: where it stands, for messages.
+        name: by which robots' descriptions know it.
     """
 
     summary: str
     build: Callable[..., Scenario]
     where: str = ""
+    name: str = ""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -34,7 +36,7 @@ class ScenarioEntry:
 
     def scenario(self, context: ScenarioContext, options: Mapping[str, str] | None = None) -> Scenario:
         """The scenario with options given as text, see ``build_scenario``."""
-        return build_scenario(self.build, context, options, self.where)
+        return build_scenario(self.build, context, options, self.where, self.name)
 
 
 SCENARIOS: Registry[ScenarioEntry] = Registry("scenario")
@@ -46,7 +48,7 @@ def register_scenario(name: str, build: Callable[..., Scenario]) -> None:
     Raises:
         ConfigError: where the name is another's or no plain name.
     """
-    SCENARIOS.add(name, ScenarioEntry(first_paragraph(build), build, f"scenario {name}"))
+    SCENARIOS.add(name, ScenarioEntry(first_paragraph(build), build, f"scenario {name}", name))
 
 
 def first_paragraph(thing: object) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,11 @@ from equimus_ctrl.robots.reading import position_word, reading
 from equimus_ctrl.scenarios.context import POSITION, out_of_range
 from equimus_ctrl.scenarios.context import CommandProfile as CommandProfile
 from equimus_ctrl.scenarios.context import ScenarioContext as ScenarioContext
+from equimus_ctrl.scenarios.site_path import SitePath
 from equimus_ctrl.types import Array, Recording, Reference, Start
 
+OPTION = "option."
+"""Before an option's name where a joint has that name too."""
 LOOKED_AT = 20.0
 """How often a reference is looked at before anything runs [Hz]."""
 
@@ -71,6 +74,7 @@ class Scenario:
         events: what befalls the robot meanwhile, see ``plants.events``; unknown to controllers.
         arrival: what counts as being there, where that is what is asked; then hinges without range may have turned
             whole turns more.
+        site: where a point of the robot should be, of which the reference is the joints' motion; None of none.
     """
 
     name: str
@@ -90,6 +94,7 @@ class Scenario:
     missing: str | None = None
     events: tuple[Event, ...] = ()
     arrival: Arrival | None = None
+    site: SitePath | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.duration < float("inf"):
@@ -105,36 +110,82 @@ class Scenario:
 
 
 def build_scenario(
-    build: Callable[..., Scenario], context: ScenarioContext, options: Mapping[str, str] | None = None, where: str = ""
+    build: Callable[..., Scenario],
+    context: ScenarioContext,
+    options: Mapping[str, str] | None = None,
+    where: str = "",
+    name: str = "",
 ) -> Scenario:
     """Call a scenario script's ``build`` with options given as text.
 
-    The options are the function's keyword parameters after the context; a text is read as the type of the default. A
-    joint that is called like one of them is ``pos.<joint>``.
+    The options are the function's keyword parameters after the context; a text is read as the type of the default.
+    What the robot's description asks of the scenario stands in the place of its defaults. Where an option and a joint
+    have one name, they are ``option.<name>`` and ``pos.<joint>``.
+
+    Args:
+        build: of the script.
+        context: what it builds on.
+        options: name → text.
+        where: the script, for messages.
+        name: of the scenario, by which the robot's description knows it.
 
     Raises:
         ConfigError: for an unknown option or a text that is not of the default's type.
     """
     joints = context.robot.joint_names if takes_joints(build) else ()
     own = option_defaults(build)
-    known = {**{POSITION + joint if joint in own else joint: 0.0 for joint in joints}, **own}
-    for key, default in known.items():
+    for key, default in own.items():
         if default is inspect.Parameter.empty:
             raise ConfigError(f"{where}: build's parameter {key!r} has no default; each option of a scenario needs one")
+    known = {
+        **{POSITION + joint if joint in own else joint: 0.0 for joint in joints},
+        **{OPTION + key if key in joints else key: default for key, default in own.items()},
+    }
+    described = context.robot.scenario_options.get(name, {})
+    usual = {
+        key: _read_option(key, text, type(own.get(key, 0.0)), where)
+        for key, text in described.items()
+        if key in own or key in joints
+    }
     values: dict[str, Any] = {}
     for key, text in (options or {}).items():
+        if key in own and key in joints:
+            raise ConfigError(
+                f"{where}: {key} is an option of the scenario and a joint of {context.robot.name}; expected "
+                f"{OPTION}{key} or {POSITION}{key}"
+            )
         if key not in known:
             raise ConfigError(unknown_name("option", key, known, where))
         values[key] = _read_option(key, text, type(known[key]), where)
-    given = "".join(f" with {key} = {text}" for key, text in (options or {}).items())
-    try:
-        scenario = build(context, **values)
+
+    def built(given: Mapping[str, Any]) -> Scenario:
+        own = {key.removeprefix(OPTION): value for key, value in given.items()}
+        scenario = build(replace(context, given=frozenset(own)), **{**usual, **own})
         _check_scenario(scenario, context)
-    except EquimusError as error:
-        raise type(error)(f"{where}{given}: {error}" if where or given else str(error)) from None
+        return scenario
+
+    try:
+        return built(values)
     except Exception as error:
-        raise ConfigError(f"{where}{given}: build fails: {type(error).__name__}: {error}") from error
-    return scenario
+        said = "".join(f" with {key} = {(options or {})[key]}" for key in _at_fault(built, values, error))
+        if isinstance(error, EquimusError):
+            raise type(error)(f"{where}{said}: {error}" if where or said else str(error)) from None
+        raise ConfigError(f"{where}{said}: build fails: {type(error).__name__}: {error}") from error
+
+
+def _at_fault(built: Callable[[Mapping[str, Any]], Scenario], values: Mapping[str, Any], error: Exception) -> list[str]:
+    """Options without which a scenario would not fail, or not in this way; of none, if none alone is at fault."""
+    if len(values) < 2:
+        return list(values)
+    found = []
+    for key in values:
+        try:
+            built({other: value for other, value in values.items() if other != key})
+        except Exception as other:
+            if str(other) == str(error):
+                continue
+        found.append(key)
+    return found
 
 
 def _read_option(key: str, text: str, kind: type, where: str) -> Any:

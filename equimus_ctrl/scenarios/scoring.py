@@ -144,6 +144,7 @@ class Score:
         approach: measured against reference before the window; None where there is nothing before.
         step: of a reference that steps; of the true positions where they are known.
         arrival: at a pose that was to be reached; of the true positions where they are known.
+        site: of the distance of a point of the robot from its path, (1,) each [m]; None where it has none.
     """
 
     tracking: ErrorFigures
@@ -155,6 +156,7 @@ class Score:
     approach: ErrorFigures | None = None
     step: StepFigures | None = None
     arrival: ArrivalFigures | None = None
+    site: ErrorFigures | None = None
 
 
 def on_grid(time: Array, values: Array, grid: Array) -> Array:
@@ -179,6 +181,10 @@ def score_run(run: Run, scenario: Scenario) -> Score:
     measured = on_grid(run.time, run.position, grid)
     wanted = on_grid(run.time, run.reference, grid)
     tracking = ErrorFigures.of(off_reference(measured, wanted, run.spec, scenario))
+    site = None
+    if (path := scenario.site) is not None:
+        off = np.linalg.norm(path.places(measured) - path.wanted_at(grid), axis=1)
+        site = ErrorFigures.of(off[:, None])
     recorded = None
     if scenario.recorded is not None:
         shown = grid[(grid >= recorded_time[0]) & (grid <= recorded_time[-1])]
@@ -200,6 +206,7 @@ def score_run(run: Run, scenario: Scenario) -> Score:
         approach=_approach(run, float(grid[0])),
         step=_step(run, scenario.step_at),
         arrival=_arrival(run, scenario),
+        site=site,
     )
 
 

@@ -26,7 +26,7 @@ from equimus_ctrl.scenarios.registry import SCENARIOS, ScenarioEntry, first_para
 from equimus_ctrl.scenarios.scenario import Scenario, ScenarioContext
 from equimus_ctrl.scenarios.scoring import Score, score_run
 from equimus_ctrl.simulate import run
-from equimus_ctrl.types import Array, Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
+from equimus_ctrl.types import Controller, Counts, CountsInstants, Ends, Plant, Recording, Run
 
 STUDIES = ("pid.toml", "pid_any.toml")
 """Of the PID's tuning: the first that suits a robot."""
@@ -66,7 +66,7 @@ def scenario_entry(name: str) -> ScenarioEntry:
 def _script(name: str) -> ScenarioEntry:
     build, where = presets.load_scenario(name, SCENARIOS)
     module = inspect.getmodule(build)
-    return ScenarioEntry("" if module is None else first_paragraph(module), build, where)
+    return ScenarioEntry("" if module is None else first_paragraph(module), build, where, name)
 
 
 def load_scenario(
@@ -94,12 +94,8 @@ def load_scenario(
         ConfigError: where there is no such scenario, or an option does not fit.
     """
     find = recordings_of(recordings) if search else (lambda kind: ())
-    context = ScenarioContext(robot, phase, find, locate.missing_hint(), tuple(effects), _path_of)
+    context = ScenarioContext(robot, phase, find, locate.missing_hint(), tuple(effects), read_path)
     return scenario_entry(name).scenario(context, options)
-
-
-def _path_of(file: str, robot: Robot) -> tuple[Array, Array]:
-    return read_path(file, robot.joint_names)
 
 
 def load_controller(

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import math
 
-from equimus_ctrl.robots.elastic.morphology import BUILT_IN, KEYFRAMES, Morphology
+from equimus_ctrl.robots.elastic.morphology import BUILT_IN, Morphology
 from equimus_ctrl.robots.elastic.parts import ElasticActuator, Joint, JointStop, Link, Point
-from equimus_ctrl.types import frozen_array
 
 HIP_STOPS = (math.pi / 6, 5 * math.pi / 6)
 KNEE_STOPS = (-0.035, 2.0)
+POSES = {"stretched": (math.pi / 2, 0.0)}
+SCENARIOS = {
+    "push": {"hip": 85.0, "knee": 35.0, "torque": 0.4},
+    "payload": {"hip": 85.0, "knee": 35.0, "mass": 0.1},
+}
 
 
 def _leg(
@@ -52,6 +56,8 @@ def _leg(
         foot="calf",
         base_mass=0.155,
         gravity=9.8,
+        poses=POSES,
+        scenarios=SCENARIOS,
     )
 
 
@@ -81,4 +87,3 @@ def ideal_leg() -> Morphology:
 
 MORPHOLOGIES = {"nominal_leg": nominal_leg, "ideal_leg": ideal_leg}
 BUILT_IN.update(MORPHOLOGIES)
-KEYFRAMES[("hip", "knee"), ("maa", "baa")] = {"stretched": frozen_array([math.pi / 2, 0.0])}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache, cached_property
 from numbers import Real
 from typing import Any, ClassVar, Literal, TypeVar
@@ -30,6 +30,8 @@ from equimus_ctrl.robots.elastic.parts import (
     Point,
     check_finite,
     check_least,
+    checked_poses,
+    checked_scenarios,
     require,
 )
 from equimus_ctrl.robots.elastic.traits import TRAITS
@@ -74,6 +76,8 @@ class Morphology(Robot):
         tilt: angle by which gravity leans from +y towards −x, as when the base is turned by it [rad].
         command_low: lowest pressure [Pa].
         command_high: highest pressure [Pa].
+        poses: keyframes, name → the joints' angles [rad]; the first is ``home``.
+        scenarios: see ``scenario_options``.
 
     Raises:
         ModelError: for a name used twice, a link without a joint, a closed skeleton loop, or an actuator that
@@ -92,6 +96,8 @@ class Morphology(Robot):
     tilt: float = 0.0
     command_low: float = 0.0
     command_high: float = 50e3
+    poses: Mapping[str, tuple[float, ...]] = field(default_factory=dict, compare=False)
+    scenarios: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
         for key in ("links", "joints", "actuators"):
@@ -113,6 +119,8 @@ class Morphology(Robot):
             require(name.isidentifier(), f"{self.name}: {name!r} is not a plain name of letters, digits and '_'")
         self._check_tree()
         self._check_actuators()
+        object.__setattr__(self, "poses", checked_poses(self.name, self.poses, len(self.joints)))
+        object.__setattr__(self, "scenarios", checked_scenarios(self.name, self.scenarios))
 
     def _check_tree(self) -> None:
         link_names = {link.name for link in self.links}
@@ -354,8 +362,13 @@ class Morphology(Robot):
 
     @property
     def keyframes(self) -> Mapping[str, Array]:
-        """As of any robot; those of the built-in robots with these joints and actuators."""
-        return KEYFRAMES.get((self.joint_names, self.actuator_names), {})
+        """As of any robot: its ``poses``."""
+        return {name: frozen_array(angles, 1) for name, angles in self.poses.items()}
+
+    @property
+    def scenario_options(self) -> Mapping[str, Mapping[str, str]]:
+        """As of any robot: its ``scenarios``."""
+        return {name: {key: str(value) for key, value in own.items()} for name, own in self.scenarios.items()}
 
     @property
     def offers(self) -> frozenset[Need]:
@@ -372,7 +385,8 @@ class Morphology(Robot):
         """What a model file says of it: a built-in by its name with what differs, else all of it."""
         base = next((name for name, make in BUILT_IN.items() if self._is_like(make())), None)
         if base is None:
-            return {"morphology": _without_none(asdict(self))}
+            whole = {key: value for key, value in asdict(self).items() if value or key not in ("poses", "scenarios")}
+            return {"morphology": _without_none(whole)}
         reference = BUILT_IN[base]().parameters()
         changed = {key: value for key, value in self._parameters.items() if value != reference[key]}
         return {"morphology": base, "parameters": changed}
@@ -381,13 +395,13 @@ class Morphology(Robot):
         """Whether the two differ in nothing but their name and parameters."""
         if other.parameters().keys() != self._parameters.keys():
             return False
+        if (other.poses, other.scenarios) != (self.poses, self.scenarios):
+            return False
         return replace(other.with_parameters(self._parameters), name=self.name) == self
 
 
 BUILT_IN: dict[str, Callable[[], Morphology]] = {}
 """The robots that model files know by name; ``robots.elastic.leg`` puts them there."""
-KEYFRAMES: dict[tuple[tuple[str, ...], tuple[str, ...]], Mapping[str, Array]] = {}
-"""Names of joints and actuators → poses of robots that have them; from there too."""
 
 
 def elastic_of(robot: Robot) -> Morphology:

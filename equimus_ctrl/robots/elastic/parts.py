@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +42,33 @@ def check_positive(owner: str, **values: float) -> None:
     check_finite(owner, **values)
     for key, value in values.items():
         require(value > 0, f"{owner}: {key} is {value:g}, expected more than 0")
+
+
+def checked_poses(owner: str, poses: Mapping[str, Any], joints: int) -> dict[str, tuple[float, ...]]:
+    """Keyframes, each an angle of every joint [rad].
+
+    Raises:
+        ModelError: where one is not.
+    """
+    for name, angles in poses.items():
+        given = list(angles) if isinstance(angles, list | tuple | np.ndarray) else [None]
+        require(
+            len(given) == joints and all(_is_finite(angle) for angle in given),
+            f"{owner}: pose {name!r} is {angles!r}, expected one finite angle in rad for each of {joints} joints",
+        )
+    return {name: tuple(float(angle) for angle in angles) for name, angles in poses.items()}
+
+
+def checked_scenarios(owner: str, scenarios: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
+    """Options of scenarios by name.
+
+    Raises:
+        ModelError: where they are no table of numbers and texts.
+    """
+    for name, options in scenarios.items():
+        plain = isinstance(options, Mapping) and all(isinstance(value, int | float | str) for value in options.values())
+        require(plain, f"{owner}: scenario {name!r} is {options!r}, expected a table of its options")
+    return {name: dict(options) for name, options in scenarios.items()}
 
 
 @dataclass(frozen=True)
