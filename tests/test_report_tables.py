@@ -73,6 +73,7 @@ def test_the_dict_holds_the_right_numbers_in_plain_types() -> None:
         "max_rad",
         "approach",
         "step",
+        "arrival",
         "site",
         "recorded",
         "published",
