@@ -241,6 +241,9 @@ def test_it_does_not_matter_where_parameters_are_that_forces_are_linear_in() -> 
     assert moved[0][0] == pytest.approx(0.6, rel=0.02), "the mass that it has"
     nothing = here.moved(own, [[0.0]])
     assert nothing == pytest.approx(here.moved([], [])) and nothing != pytest.approx(moved[0], rel=1e-3)
+    once = replace(own[0], scaled=())  # a law without a size to scale counts once, as it does in ``fitted``
+    assert once.fixed and here.moved([once], [[]]) == pytest.approx(here.moved(own, [[own[0].unit("friction")]]))
+    assert here.fitted([once])[0] == pytest.approx(here.missing + here.beyond[0, 0] - 2 * here.beyond[0, -1], rel=1e-9)
 
 
 def test_nothing_is_asked_for_by_a_robot_that_is_held() -> None:

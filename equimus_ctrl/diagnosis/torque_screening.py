@@ -170,13 +170,12 @@ class TorqueScreen:
         return np.split(spread * units, np.cumsum([len(own.place) for own in chosen])[:-1])
 
     def moved(self, chosen: Sequence[Columns], sizes: Sequence[Sequence[float]]) -> Array:
-        """(p,) the parameters that go with some candidates at some sizes, within bounds."""
+        """(p,) the parameters that go with some candidates at some sizes, within bounds; a fixed one counts once."""
         taken = [k for own in chosen for k in own.place]
-        coefficients = [
-            (size - own.nothing(name)) / own.unit(name)
-            for own, sizes_of_it in zip(chosen, sizes, strict=True)
-            for name, size in zip(own.scaled, sizes_of_it, strict=True)
-        ]
+        coefficients = list[float]()
+        for own, values in zip(chosen, sizes, strict=True):
+            scaled = zip(own.scaled, values, strict=True)
+            coefficients += [1.0] if own.fixed else [(v - own.nothing(name)) / own.unit(name) for name, v in scaled]
         p = len(self.theta)
         aim = self.gram[:p, -1] - self.gram[:p, [p + k for k in taken]] @ np.array(coefficients)
         return np.asarray(np.clip(self.theta + self._inverse @ aim, self.free.low, self.free.high))
