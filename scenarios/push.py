@@ -1,5 +1,7 @@
 """Hold a pose while something pushes: torques on joints, or a force at a site or body."""
 
+import math
+
 import numpy as np
 
 import equimus_ctrl as eq
@@ -36,6 +38,8 @@ def build(
         )
     pose = context.pose(joints, keyframe)
     context.check_held(pose)
+    if not math.isfinite(force):
+        raise eq.ConfigError(f"force is {force:g} N, expected a finite number")
     if at_site:
         point = context.point(site)
         way = context.free_way(point, pose) if not direction else vector_of("direction", direction)

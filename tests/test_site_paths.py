@@ -16,7 +16,7 @@ from rich.console import Console
 from equimus_ctrl import workflow
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.points import points_of
-from equimus_ctrl.report.site_figure import site_figure
+from equimus_ctrl.report.site_figure import _plane, site_figure
 from equimus_ctrl.report.tables import run_table, score_to_dict
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.leg import nominal_leg
@@ -242,7 +242,25 @@ def test_a_pose_that_actuators_cannot_hold_is_told_before_the_run() -> None:
     assert "j0 cannot be held" in said
 
 
+def test_a_path_that_actuators_cannot_move_so_fast_along_is_told_before_the_run() -> None:
+    weak = arm(
+        (0.4, 0.3), drives='<motor joint="j0" name="a" ctrlrange="-6 6"/><motor joint="j1" name="b" ctrlrange="-6 6"/>'
+    )
+    asked = {"site": "tip", "shape": "circle", "size": "0.1", "centre": "0.3 0 -0.3"}
+    assert built(weak, **asked, leg_time="2").duration > 2
+    said = refusal(lambda: built(weak, **asked, leg_time="0.05"))
+    assert "its actuators cannot move tip along a circle of 100 mm, 0.05 s from corner to corner" in said
+
+
 # --- scores ------------------------------------------------------------------------------------------------------
+
+
+def test_the_plane_of_a_long_path_is_found() -> None:
+    turn = np.linspace(0, 2 * np.pi, 50_000)
+    places = np.outer(np.cos(turn), [0.1, 0, 0]) + np.outer(np.sin(turn), [0, 0.1, 0.1])
+    _, axes, names = _plane(places)
+    assert np.abs(axes.T @ [0, 1, -1]).max() < 1e-9 and all("along" in name for name in names)
+    assert _plane(np.zeros((1, 3)))[1].shape == (3, 2)
 
 
 def test_the_sites_error_is_what_wrong_angles_make_of_it() -> None:

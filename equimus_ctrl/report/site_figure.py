@@ -72,7 +72,7 @@ def _plane(places: Array) -> tuple[Array, Array, tuple[str, str]]:
     from their mean.
     """
     mean = places.mean(axis=0)
-    across = np.linalg.svd(places - mean)[2]
+    across = np.linalg.eigh((places - mean).T @ (places - mean))[1].T[::-1]
     normal = across[2]
     k = int(np.abs(normal).argmax())
     if abs(normal[k]) > 1 - ALONG or np.ptp(places, axis=0).min() < 1e-9:

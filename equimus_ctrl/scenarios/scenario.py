@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from equimus_ctrl.errors import ConfigError, EquimusError, unknown_name
-from equimus_ctrl.plants.events import Event
+from equimus_ctrl.plants.events import Event, Load
 from equimus_ctrl.robots.reading import position_word, reading
 from equimus_ctrl.scenarios.context import POSITION, out_of_range
 from equimus_ctrl.scenarios.context import CommandProfile as CommandProfile
@@ -21,6 +21,8 @@ from equimus_ctrl.types import Array, Recording, Reference, Start
 
 OPTION = "option."
 """Before an option's name where a joint has that name too."""
+HALF_TURN = 180.0
+"""No hinge that turns on is farther from a pose than this [°]."""
 LOOKED_AT = 20.0
 """How often a reference is looked at before anything runs [Hz]."""
 
@@ -44,6 +46,8 @@ class Arrival:
         for size in (self.angle, self.slide):
             if not (math.isfinite(size) and size > 0):
                 raise ConfigError(f"a pose is to be reached within {size:g}, expected more than 0")
+        if self.angle >= HALF_TURN:
+            raise ConfigError(f"a pose is to be reached within {self.angle:g}°, expected less than half a turn")
 
     def near(self, units: Iterable[str]) -> Array:
         """(nj,) how near joints of some SI units have to come [rad or m]."""
@@ -105,6 +109,13 @@ class Scenario:
                 f"scenario {self.name}: the scored window {low:g} to {high:g} s holds no samples of the first "
                 f"{self.duration:g} s, its duration"
             )
+        for event in self.events:
+            begins, ends = event.time, math.inf if isinstance(event, Load) else event.time + event.duration
+            if begins >= self.duration or ends <= 0:
+                raise ConfigError(
+                    f"scenario {self.name}: what befalls the robot {begins:g} s after the start never does, expected a "
+                    f"time from 0 to {self.duration:g} s, its duration"
+                )
         if self.step_like and self.step_at is None:
             object.__setattr__(self, "step_at", 0.0)
 

@@ -108,7 +108,7 @@ def along_shape(
         rounds: how often.
 
     Raises:
-        ConfigError: where the path cannot be followed, or a pose along it not be held.
+        ConfigError: where the path cannot be followed, a pose along it not be held, or the actuators are too weak.
     """
     shape = shape or USUAL
     if not 0 <= size < np.inf:
@@ -155,4 +155,9 @@ def along_shape(
             return found
         kept = found if kept is None or not size else kept
     assert kept is not None
+    if not context.robot.traits.held_in_place:
+        raise ConfigError(
+            f"{context.robot.name}: its actuators cannot move {reacher.name} along {kept.what}, {leg_time:g} s from "
+            "corner to corner; expected a longer leg_time or a smaller size"
+        )
     return kept
