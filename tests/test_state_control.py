@@ -155,6 +155,21 @@ def test_what_is_late_makes_it_slower_and_is_borne_when_it_is_not_known() -> Non
     assert "for a bandwidth of" in own.note
 
 
+STIFF = MjcfRobot("stiff", pendulum('damping="0.02" stiffness="5000"'))
+"""A mode of 35 Hz that hardly anything damps, some 1.8 rad a control period."""
+
+
+def test_where_less_delay_is_worse_than_more_all_of_it_is_looked_at() -> None:
+    plant, dynamics = MujocoPlant(Model(STIFF)), Dynamics(Model(STIFF))
+    loop = Loop(dynamics.linear(np.zeros(1)), dynamics, Model(STIFF), plant.spec.control_dt)
+    quick = allowances(plant.spec, LqrSettings(bandwidth=3.0), np.zeros(1))
+    growth = [loop.growth(quick, late, 1.0) for late in range(loop.unknown + 1)]
+    assert growth[0] < 1 and max(growth) > 1.01 > growth[-1]
+    own = allowances(plant.spec, LqrSettings(), np.zeros(1))
+    assert own.late and not own.dies
+    assert max(loop.growth(own, late, 1.0) for late in range(loop.unknown + 1)) <= 1 + 1e-9
+
+
 def test_the_loop_that_is_judged_is_the_one_that_runs() -> None:
     """What is left of a small error after a while, in the plant and by the largest eigenvalue."""
     still = MjcfRobot("still", pendulum('damping="0.2"'))
