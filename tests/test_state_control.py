@@ -17,9 +17,10 @@ from equimus_ctrl.controllers.placement import DAMPING
 from equimus_ctrl.effects import Effect, FirstOrderLag, PayloadMass, TransportDelay
 from equimus_ctrl.engines import native
 from equimus_ctrl.errors import ControllerError
+from equimus_ctrl.estimation.beliefs import followed
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.prediction import prediction
+from equimus_ctrl.models.prediction import prediction, steps_in
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
@@ -107,6 +108,19 @@ def test_a_step_is_of_second_order_and_knows_its_derivatives(robot: MjcfRobot) -
             np.testing.assert_allclose(slope[:, i], (sides[1] - sides[0]) / 2e-6, atol=1e-4)
 
 
+@pytest.mark.parametrize(("damping", "stiffness"), [(0.02, 5000), (0.5, 5000), (20, 5000), (0.02, 5)])
+def test_what_oscillates_fast_is_followed_by_as_many_steps_as_that_takes(damping: float, stiffness: float) -> None:
+    model = Model(MjcfRobot("mode", pendulum(f'damping="{damping}" stiffness="{stiffness}"')))
+    own, dynamics = prediction(model, stops=False), Dynamics(model)
+    steps, a = steps_in(model, 0.016), dynamics.linear(np.zeros(1)).matrices()[0]
+    whole = np.eye(2)
+    for _ in range(steps):
+        slopes = own.slopes(own.at_rest(np.zeros(1), np.zeros(1)), np.zeros(1), np.zeros(1), 0.016 / steps)
+        whole = np.array(slopes[1])[:2, :2] @ whole
+    assert np.abs(np.linalg.eigvals(whole) - np.linalg.eigvals(expm(a * 0.016))).max() < 0.06
+    assert (steps > 3) == (damping < 1 and stiffness > 1000)
+
+
 def test_a_stiff_servo_is_stepped_as_it_moves() -> None:
     stiff = MjcfRobot("stiff", pendulum(drive='<position name="goal" joint="pivot" kp="2000" kv="400"/>'))
     own = prediction(Model(stiff), stops=False)
@@ -168,6 +182,11 @@ def test_where_less_delay_is_worse_than_more_all_of_it_is_looked_at() -> None:
     own = allowances(plant.spec, LqrSettings(), np.zeros(1))
     assert own.late and not own.dies
     assert max(loop.growth(own, late, 1.0) for late in range(loop.unknown + 1)) <= 1 + 1e-9
+
+
+def test_what_arrives_strays_by_shares_of_what_is_allowed_whatever_positions_are_measured_in() -> None:
+    one, other = (followed(np.ones(1), np.full(1, 3.0), 4.0, noise, DT) for noise in (2e-3, 2.0))
+    np.testing.assert_array_equal(one.pressure, other.pressure)
 
 
 def test_the_loop_that_is_judged_is_the_one_that_runs() -> None:
