@@ -11,6 +11,7 @@ from scipy.linalg import expm
 
 from equimus_ctrl import workflow
 from equimus_ctrl.controllers.allowances import Loop, allowances
+from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings, Schedule, _nearest_corners, regulator
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.placement import DAMPING
@@ -184,6 +185,12 @@ def test_where_less_delay_is_worse_than_more_all_of_it_is_looked_at() -> None:
     assert max(loop.growth(own, late, 1.0) for late in range(loop.unknown + 1)) <= 1 + 1e-9
 
 
+def test_a_bandwidth_that_was_set_is_judged() -> None:
+    spec = MujocoPlant(Model(STIFF)).spec
+    note = allowances(spec, LqrSettings(bandwidth=3.0), np.zeros(1)).note
+    assert "3 Hz that was set" in note and "not where commands are later than is known" in note
+
+
 def test_what_arrives_strays_by_shares_of_what_is_allowed_whatever_positions_are_measured_in() -> None:
     one, other = (followed(np.ones(1), np.full(1, 3.0), 4.0, noise, DT) for noise in (2e-3, 2.0))
     np.testing.assert_array_equal(one.pressure, other.pressure)
@@ -339,6 +346,22 @@ def test_machine_code_gives_the_same_plans() -> None:
     np.testing.assert_array_equal(found[0], found[1])
 
 
+def test_a_step_is_toned_down_when_any_actuator_is_fed_its_motion() -> None:
+    inverse = Inverse(Model(ARM, (TransportDelay("m1", 0.06),)), DT, 0.0)
+    step = FunctionReference(lambda t: np.array([0.0, 0.0 if t < 0.5 else 0.6]))
+    possible: tuple[float, ...] = ()
+    state, moved = inverse.start(0.0, np.zeros(2)), 0
+    for time in 0.4 + DT * np.arange(20):
+        target, after = inverse.target(step, time, state)
+        possible = inverse.possible(step, time, state, possible)
+        own = inverse.toned(target, min(possible), step, time, state)
+        state = after
+        beyond = np.abs(target.feed) > 25.0  # more than it takes to hold any pose
+        moved += int(beyond.any())
+        assert not beyond.any() or np.abs(own.feed).max() < 0.7 * np.abs(target.feed).max()
+    assert moved > 5
+
+
 def test_commands_stay_within_limits_and_nothing_winds_up() -> None:
     weak = MjcfRobot("weak", pendulum('damping="0.4"', drive='<motor name="motor" joint="pivot" ctrlrange="-2 2"/>'))
     plant = MujocoPlant(Model(weak))
@@ -382,6 +405,9 @@ def test_what_keeps_it_from_a_robot_is_told() -> None:
     falling = MjcfRobot("falling", pendulum().replace("</worldbody>", aside + "</worldbody>"))
     said = refusal(lambda: workflow.run_scenario("hold", "lqr", model=Model(falling)))
     assert "keeps loose at 0°, where it begins, for it has no actuator, and pivot cannot hold it" in said
+    controller = LqrController(LqrSettings(bandwidth=1.0))
+    said = refusal(lambda: workflow.run_scenario("hold", controller, model=Model(falling)))
+    assert "falling: with bandwidth 1 Hz the loop is unstable where the robot begins" in said
 
 
 @pytest.mark.parametrize("robot", [ARM], ids=lambda robot: robot.name)

@@ -39,7 +39,7 @@ from equimus_ctrl.types import Array, PlantSpec
 FINER = 2**0.25
 """By so much ω is made smaller each time."""
 WHOLE = {"rad": np.pi, "m": 1.0}
-"""Half a range where a joint has none."""
+"""Longest half range that counts: half a turn, 1 m."""
 
 
 class Settings(Protocol):
@@ -70,6 +70,7 @@ class Allowances:
         late: ω was found stable with what usually stands between commands and forces unknown.
         everywhere: and in all poses looked at, else only where the robot begins.
         dies: what is off dies away about as fast as ω says, all that is slow in the robot included.
+        is_set: somebody set ω.
         usual: (na,) efforts where the robot begins; ``effort`` by default.
         driven: (nj,) joints on which an actuator acts; all by default. Where some have none, a first pose that fades
             out of a reference would be a motion which nothing can do; it is an error then, as any other.
@@ -83,6 +84,7 @@ class Allowances:
     late: bool = True
     everywhere: bool = True
     dies: bool = True
+    is_set: bool = False
     usual: Array = field(default_factory=lambda: np.empty(0))
     driven: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
 
@@ -111,10 +113,11 @@ class Allowances:
             return ""
         only = "" if self.everywhere else ", stable about where it begins but not in all poses of its range"
         slow = "" if self.late else ", and not where commands are later than is known"
+        by = " that was set" if self.is_set else ""
         dies = "" if self.dies else ", though what is off may take longer to die away"
         return (
             "weights and observer follow from the masses and ranges for a bandwidth of "
-            f"{self.bandwidth / (2 * np.pi):.2g} Hz{only}{slow}{dies}"
+            f"{self.bandwidth / (2 * np.pi):.2g} Hz{by}{only}{slow}{dies}"
         )
 
 
@@ -152,7 +155,7 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
         return replace(own, driven=driven)
 
     if settings.bandwidth:
-        return of(tried)
+        return _judged(of(tried), loops, dynamics)
     kept: Allowances | None = None
     slow: Allowances | None = None
     risky: Allowances | None = None
@@ -186,8 +189,25 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
     )
 
 
+def _judged(own: Allowances, loops: Sequence[Loop], dynamics: Dynamics) -> Allowances:
+    """Those of an ω that somebody set, with what holds of it.
+
+    Raises:
+        ControllerError: where it does not keep the robot where it begins.
+    """
+    first, *others = loops
+    if first.growth(own, 0, 1.0) > 1 + GROWS:
+        raise ControllerError(
+            f"{dynamics.robot.name}: with bandwidth {own.bandwidth / (2 * np.pi):.3g} Hz the loop is unstable where "
+            "the robot begins; expected another, or 0 for the highest that is stable"
+        )
+    late = first.stands(own, 1 + GROWS)
+    everywhere = late and all(loop.stands(own, 1 + GROWS) for loop in others)
+    return replace(own, late=late, everywhere=everywhere, is_set=True)
+
+
 def _half_ranges(spec: PlantSpec) -> Array:
-    """(nj,) half the joints' ranges, a turn or 2 m in place of longer ones [rad or m]."""
+    """(nj,) half the joints' ranges, at most half a turn or 1 m [rad or m]."""
     whole = np.array([WHOLE[unit] for unit in spec.joint_units])
     half: Array = (np.asarray(spec.joint_high) - np.asarray(spec.joint_low)) / 2
     return np.asarray(np.minimum(half, whole))
