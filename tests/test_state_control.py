@@ -11,15 +11,17 @@ from scipy.linalg import expm
 
 from equimus_ctrl import workflow
 from equimus_ctrl.controllers.allowances import Loop, allowances
+from equimus_ctrl.controllers.inverse import Inverse
 from equimus_ctrl.controllers.lqr import LqrController, LqrSettings, Schedule, _nearest_corners, regulator
 from equimus_ctrl.controllers.nmpc import NmpcController, NmpcSettings
 from equimus_ctrl.controllers.placement import DAMPING
 from equimus_ctrl.effects import Effect, FirstOrderLag, PayloadMass, TransportDelay
 from equimus_ctrl.engines import native
 from equimus_ctrl.errors import ControllerError
+from equimus_ctrl.estimation.beliefs import followed
 from equimus_ctrl.models.dynamics import Dynamics
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.prediction import prediction
+from equimus_ctrl.models.prediction import prediction, steps_in
 from equimus_ctrl.plants.mujoco_plant import MujocoPlant, PlantRates
 from equimus_ctrl.robots.mjcf.robot import MjcfRobot
 from equimus_ctrl.scenarios.references import FunctionReference, HoldReference
@@ -107,6 +109,19 @@ def test_a_step_is_of_second_order_and_knows_its_derivatives(robot: MjcfRobot) -
             np.testing.assert_allclose(slope[:, i], (sides[1] - sides[0]) / 2e-6, atol=1e-4)
 
 
+@pytest.mark.parametrize(("damping", "stiffness"), [(0.02, 5000), (0.5, 5000), (20, 5000), (0.02, 5)])
+def test_what_oscillates_fast_is_followed_by_as_many_steps_as_that_takes(damping: float, stiffness: float) -> None:
+    model = Model(MjcfRobot("mode", pendulum(f'damping="{damping}" stiffness="{stiffness}"')))
+    own, dynamics = prediction(model, stops=False), Dynamics(model)
+    steps, a = steps_in(model, 0.016), dynamics.linear(np.zeros(1)).matrices()[0]
+    whole = np.eye(2)
+    for _ in range(steps):
+        slopes = own.slopes(own.at_rest(np.zeros(1), np.zeros(1)), np.zeros(1), np.zeros(1), 0.016 / steps)
+        whole = np.array(slopes[1])[:2, :2] @ whole
+    assert np.abs(np.linalg.eigvals(whole) - np.linalg.eigvals(expm(a * 0.016))).max() < 0.06
+    assert (steps > 3) == (damping < 1 and stiffness > 1000)
+
+
 def test_a_stiff_servo_is_stepped_as_it_moves() -> None:
     stiff = MjcfRobot("stiff", pendulum(drive='<position name="goal" joint="pivot" kp="2000" kv="400"/>'))
     own = prediction(Model(stiff), stops=False)
@@ -153,6 +168,32 @@ def test_what_is_late_makes_it_slower_and_is_borne_when_it_is_not_known() -> Non
         found.append(own.bandwidth)
     assert found[0] > 1.3 * found[1] > 1.5 * found[2]
     assert "for a bandwidth of" in own.note
+
+
+STIFF = MjcfRobot("stiff", pendulum('damping="0.02" stiffness="5000"'))
+"""A mode of 35 Hz that hardly anything damps, some 1.8 rad a control period."""
+
+
+def test_where_less_delay_is_worse_than_more_all_of_it_is_looked_at() -> None:
+    plant, dynamics = MujocoPlant(Model(STIFF)), Dynamics(Model(STIFF))
+    loop = Loop(dynamics.linear(np.zeros(1)), dynamics, Model(STIFF), plant.spec.control_dt)
+    quick = allowances(plant.spec, LqrSettings(bandwidth=3.0), np.zeros(1))
+    growth = [loop.growth(quick, late, 1.0) for late in range(loop.unknown + 1)]
+    assert growth[0] < 1 and max(growth) > 1.01 > growth[-1]
+    own = allowances(plant.spec, LqrSettings(), np.zeros(1))
+    assert own.late and not own.dies
+    assert max(loop.growth(own, late, 1.0) for late in range(loop.unknown + 1)) <= 1 + 1e-9
+
+
+def test_a_bandwidth_that_was_set_is_judged() -> None:
+    spec = MujocoPlant(Model(STIFF)).spec
+    note = allowances(spec, LqrSettings(bandwidth=3.0), np.zeros(1)).note
+    assert "3 Hz that was set" in note and "not where commands are later than is known" in note
+
+
+def test_what_arrives_strays_by_shares_of_what_is_allowed_whatever_positions_are_measured_in() -> None:
+    one, other = (followed(np.ones(1), np.full(1, 3.0), 4.0, noise, DT) for noise in (2e-3, 2.0))
+    np.testing.assert_array_equal(one.pressure, other.pressure)
 
 
 def test_the_loop_that_is_judged_is_the_one_that_runs() -> None:
@@ -305,6 +346,22 @@ def test_machine_code_gives_the_same_plans() -> None:
     np.testing.assert_array_equal(found[0], found[1])
 
 
+def test_a_step_is_toned_down_when_any_actuator_is_fed_its_motion() -> None:
+    inverse = Inverse(Model(ARM, (TransportDelay("m1", 0.06),)), DT, 0.0)
+    step = FunctionReference(lambda t: np.array([0.0, 0.0 if t < 0.5 else 0.6]))
+    possible: tuple[float, ...] = ()
+    state, moved = inverse.start(0.0, np.zeros(2)), 0
+    for time in 0.4 + DT * np.arange(20):
+        target, after = inverse.target(step, time, state)
+        possible = inverse.possible(step, time, state, possible)
+        own = inverse.toned(target, min(possible), step, time, state)
+        state = after
+        beyond = np.abs(target.feed) > 25.0  # more than it takes to hold any pose
+        moved += int(beyond.any())
+        assert not beyond.any() or np.abs(own.feed).max() < 0.7 * np.abs(target.feed).max()
+    assert moved > 5
+
+
 def test_commands_stay_within_limits_and_nothing_winds_up() -> None:
     weak = MjcfRobot("weak", pendulum('damping="0.4"', drive='<motor name="motor" joint="pivot" ctrlrange="-2 2"/>'))
     plant = MujocoPlant(Model(weak))
@@ -348,6 +405,9 @@ def test_what_keeps_it_from_a_robot_is_told() -> None:
     falling = MjcfRobot("falling", pendulum().replace("</worldbody>", aside + "</worldbody>"))
     said = refusal(lambda: workflow.run_scenario("hold", "lqr", model=Model(falling)))
     assert "keeps loose at 0°, where it begins, for it has no actuator, and pivot cannot hold it" in said
+    controller = LqrController(LqrSettings(bandwidth=1.0))
+    said = refusal(lambda: workflow.run_scenario("hold", controller, model=Model(falling)))
+    assert "falling: with bandwidth 1 Hz the loop is unstable where the robot begins" in said
 
 
 @pytest.mark.parametrize("robot", [ARM], ids=lambda robot: robot.name)

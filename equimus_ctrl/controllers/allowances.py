@@ -39,7 +39,7 @@ from equimus_ctrl.types import Array, PlantSpec
 FINER = 2**0.25
 """By so much ω is made smaller each time."""
 WHOLE = {"rad": np.pi, "m": 1.0}
-"""Half a range where a joint has none."""
+"""Longest half range that counts: half a turn, 1 m."""
 
 
 class Settings(Protocol):
@@ -69,6 +69,8 @@ class Allowances:
         bandwidth: ω [rad/s]; 0 where settings say all.
         late: ω was found stable with what usually stands between commands and forces unknown.
         everywhere: and in all poses looked at, else only where the robot begins.
+        dies: what is off dies away about as fast as ω says, all that is slow in the robot included.
+        is_set: somebody set ω.
         usual: (na,) efforts where the robot begins; ``effort`` by default.
         driven: (nj,) joints on which an actuator acts; all by default. Where some have none, a first pose that fades
             out of a reference would be a motion which nothing can do; it is an error then, as any other.
@@ -81,6 +83,8 @@ class Allowances:
     bandwidth: float = 0.0
     late: bool = True
     everywhere: bool = True
+    dies: bool = True
+    is_set: bool = False
     usual: Array = field(default_factory=lambda: np.empty(0))
     driven: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
 
@@ -109,9 +113,11 @@ class Allowances:
             return ""
         only = "" if self.everywhere else ", stable about where it begins but not in all poses of its range"
         slow = "" if self.late else ", and not where commands are later than is known"
+        by = " that was set" if self.is_set else ""
+        dies = "" if self.dies else ", though what is off may take longer to die away"
         return (
             "weights and observer follow from the masses and ranges for a bandwidth of "
-            f"{self.bandwidth / (2 * np.pi):.2g} Hz{only}{slow}"
+            f"{self.bandwidth / (2 * np.pi):.2g} Hz{by}{only}{slow}{dies}"
         )
 
 
@@ -149,8 +155,9 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
         return replace(own, driven=driven)
 
     if settings.bandwidth:
-        return of(tried)
+        return _judged(of(tried), loops, dynamics)
     kept: Allowances | None = None
+    slow: Allowances | None = None
     risky: Allowances | None = None
     while tried >= SLOWEST:
         own = of(tried)
@@ -160,10 +167,13 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
             if all(loop.stands(own, 1 + GROWS) for loop in others):
                 return own
             kept = kept or replace(own, everywhere=False)
+        elif slow is None and first.stands(own, 1 + GROWS):
+            every = all(loop.stands(own, 1 + GROWS) for loop in others)
+            slow = replace(own, everywhere=every, dies=False)
         elif risky is None and first.growth(own, 0, 1.0) <= 1 + GROWS:
             risky = replace(own, late=False, everywhere=False)
         tried /= FINER
-    found = kept or risky
+    found = kept or slow or risky
     if found is not None:
         return found
     joint = int(np.argmax(~driven)) if not driven.all() else 0
@@ -179,8 +189,25 @@ def _followed(spec: PlantSpec, settings: Settings, pose: Array, dynamics: Dynami
     )
 
 
+def _judged(own: Allowances, loops: Sequence[Loop], dynamics: Dynamics) -> Allowances:
+    """Those of an ω that somebody set, with what holds of it.
+
+    Raises:
+        ControllerError: where it does not keep the robot where it begins.
+    """
+    first, *others = loops
+    if first.growth(own, 0, 1.0) > 1 + GROWS:
+        raise ControllerError(
+            f"{dynamics.robot.name}: with bandwidth {own.bandwidth / (2 * np.pi):.3g} Hz the loop is unstable where "
+            "the robot begins; expected another, or 0 for the highest that is stable"
+        )
+    late = first.stands(own, 1 + GROWS)
+    everywhere = late and all(loop.stands(own, 1 + GROWS) for loop in others)
+    return replace(own, late=late, everywhere=everywhere, is_set=True)
+
+
 def _half_ranges(spec: PlantSpec) -> Array:
-    """(nj,) half the joints' ranges, a turn or 2 m in place of longer ones [rad or m]."""
+    """(nj,) half the joints' ranges, at most half a turn or 1 m [rad or m]."""
     whole = np.array([WHOLE[unit] for unit in spec.joint_units])
     half: Array = (np.asarray(spec.joint_high) - np.asarray(spec.joint_low)) / 2
     return np.asarray(np.minimum(half, whole))
@@ -221,6 +248,7 @@ class Loop:
         whole[:n] = np.hstack([a, b, pushed])
         stepped = expm(whole * dt)
         self._a, self._b, self._pushed = stepped[:n, :n], stepped[:n, n : n + na], stepped[:n, n + na :]
+        self._f = np.block([[self._a, self._pushed], [np.zeros((nj, n)), np.eye(nj)]])
         self._counter = np.column_stack([dynamics.answer(linear.drive, column) for column in np.eye(nj)])
         self._acceleration = pushed[nj : 2 * nj] @ linear.drive
         self._dt, self._nj = dt, nj
@@ -231,24 +259,37 @@ class Loop:
         self.unknown = _periods(usual, dt)
 
     def stands(self, own: Allowances, most: float) -> bool:
-        """Whether it is stable as it is and with gains raised, and grows no more than this where commands are later."""
-        raised = max(self.growth(own, 0, 1.0), self.growth(own, 0, RAISED))
-        return raised <= 1 + GROWS and self.growth(own, self.unknown, 1.0) <= most
+        """Whether it is stable as it is and with gains raised, and grows no more than this where commands are later.
+
+        Of a mode that turns far within a period, less delay or gain may be worse than more: all in between count.
+        """
+        found = self._gains(own)
+        if found is None:
+            return False
+        raised = all(self._growth(found, 0, RAISED**share) <= 1 + GROWS for share in (0.0, 0.5, 1.0))
+        return raised and all(self._growth(found, late, 1.0) <= most for late in range(self.unknown + 1))
 
     def growth(self, own: Allowances, unknown: int, factor: float) -> float:
         """Largest |eigenvalue| with commands so many periods later than is known, and gains so many times as large."""
+        found = self._gains(own)
+        return np.inf if found is None else self._growth(found, unknown, factor)
+
+    def _gains(self, own: Allowances) -> tuple[Array, Array] | None:
+        """Of the regulator (na, n) and of the observer (n + nj, nj); None where there are none."""
         nj, dt, a, b = self._nj, self._dt, self._a, self._b
-        n, na = b.shape
-        weight = np.zeros(n)
+        weight = np.zeros(len(a))
         weight[: 2 * nj] = dt / np.concatenate([own.angle, own.rate]) ** 2
         effort = np.diag(dt / own.efforts(self._acceleration) ** 2)
-        f = np.block([[a, self._pushed], [np.zeros((nj, n)), np.eye(nj)]])
         try:
             cost = solve_discrete_are(a, b, np.diag(weight), effort)
-            found = self._filter(f, own)
+            return np.linalg.solve(effort + b.T @ cost @ b, b.T @ cost @ a), self._filter(own)
         except (np.linalg.LinAlgError, ValueError):
-            return np.inf
-        gain = factor * np.linalg.solve(effort + b.T @ cost @ b, b.T @ cost @ a)
+            return None
+
+    def _growth(self, gains: tuple[Array, Array], unknown: int, factor: float) -> float:
+        nj, a, b = self._nj, self._a, self._b
+        n, na = b.shape
+        gain, found, f = factor * gains[0], gains[1], self._f
         fed = np.vstack([b, np.zeros((nj, na))])
         known, seen = self._known, self._seen
         held = known + seen + unknown
@@ -270,10 +311,10 @@ class Loop:
         after = [a @ x + b @ line[known + unknown], f @ mean + fed @ line[known + seen], *line[:held], *later]
         return float(np.abs(np.linalg.eigvals(np.vstack(after))).max())
 
-    def _filter(self, f: Array, own: Allowances) -> Array:
+    def _filter(self, own: Allowances) -> Array:
         """(n + nj, nj) the settled gain of the observer."""
         assert own.beliefs is not None
-        nj, dt, n, believed = self._nj, self._dt, len(self._a), own.beliefs
+        nj, dt, n, believed, f = self._nj, self._dt, len(self._a), own.beliefs, self._f
         kick = self._pushed * (believed.torque / np.sqrt(dt))
         noise = np.zeros_like(f)
         noise[:n, :n] = kick @ kick.T

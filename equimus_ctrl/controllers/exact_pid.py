@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from equimus_ctrl.controllers.inverse import SMOOTHING, Inverse, InverseState, window
+from equimus_ctrl.controllers.inverse import Inverse, InverseState
 from equimus_ctrl.controllers.pid_kernel import (
     DERIVATIVE,
     FILTER,
@@ -53,7 +53,7 @@ class ExactPidState:
         dt: control period [s].
         driven: (nj,) joints on which an actuator acts.
         reach: (na,) by how much what commands ask for can change from one command to the next.
-        possible: of the instants from ``SMOOTHING`` before now to as much after, what share of the motion can be done.
+        possible: of the instants from ``SMOOTHING`` before now on, what share of the motion can be done.
         shown: (nj,) reference of the measurement before.
         note: where the gains come from; empty where somebody gave them.
     """
@@ -104,10 +104,9 @@ def step(observation: Observation, reference: Reference, state: ExactPidState) -
     s, gains, dt, inverse, dynamics = state.settings, state.gains, state.dt, state.inverse, state.dynamics
     now, measured = observation.time, max(observation.stamp, state.begun)
     shown, planned, followed = inverse.follow(reference, np.array([now]), state.followed, np.array([measured]))
-    instants = np.array([now + dt / 2, now + dt / 2 + SMOOTHING])
-    (q, soon), (v, soon_v), (_, soon_a) = (x.T for x in inverse.motion(reference, instants, state.followed))
+    q, v, _ = (x[:, 0] for x in inverse.motion(reference, np.array([now + dt / 2]), state.followed))
     # A step is differentiated to a motion there and back, of which half may be possible.
-    possible = (*state.possible, dynamics.possible(soon, soon_v, soon_a))[-window(dt) :]
+    possible = inverse.possible(reference, now, state.followed, state.possible, now=True)
     share, still = min(possible), _fed(s, dynamics, q)
     fed = still + share * (planned[0] - still) if s.inverse else still
     r, y = shown[0], np.array(observation.position)

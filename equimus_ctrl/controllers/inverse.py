@@ -9,6 +9,7 @@ delay and play of the sensors make of the reference.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,9 +26,9 @@ SMOOTHING = 1 / 60
 """A reference is differentiated over as much to either side [s]."""
 
 
-def window(control_dt: float) -> int:
-    """How many control instants a step of a reference is differentiated over."""
-    return round(2 * SMOOTHING / control_dt) + 2
+def window(control_dt: float, spread: float = 0.0) -> int:
+    """How many control instants a step of a reference is differentiated over, from the first to a last arrival [s]."""
+    return round(2 * SMOOTHING / control_dt) + 2 + math.ceil(spread / control_dt - 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,17 +149,47 @@ class Inverse:
         pressure = self.pressures(q, v, a, state.states[0][:, None])
         return Target(q[:, 0], v[:, 0], pressure[0], feed[0]), replace(state, states=states)
 
-    def possible(self, reference: Reference, time: float, state: InverseState) -> float:
-        """The share of the reference's motion, beside what holds its pose, that is to be fed forward at an instant."""
-        q, v, a = (x[:, 0] for x in self.motion(reference, np.array([time]), state))
-        return self._law.possible(q, v, a)
+    def possible(
+        self, reference: Reference, time: float, state: InverseState, before: tuple[float, ...], now: bool = False
+    ) -> tuple[float, ...]:
+        """Shares of the reference's motion, beside what holds its pose, that can be done at instants a period apart.
 
-    def toned(self, target: Target, share: float, state: InverseState) -> Target:
-        """A target with a share of the motion that it has beside its pose; as it is where that is all of it."""
+        They reach from ``SMOOTHING`` before a command that is given now first arrives to as much after it last does:
+        actuators that are late by unlike times move one robot, and a motion is toned down for all alike.
+
+        Args:
+            reference: of the true angles.
+            time: of the control instant [s].
+            state: how far it has been followed.
+            before: what was found an instant before; empty at the first.
+            now: whether they reach from ``SMOOTHING`` before now on.
+        """
+        spread = float(self._delays[-1]) - (0.0 if now else float(self._delays[0]))
+        latest = time + float(self._delays[-1]) + SMOOTHING + self._dt / 2
+        new = range(0 if before else math.ceil(spread / self._dt - 1e-9), -1, -1)
+        instants = np.array([latest - k * self._dt for k in new])
+        motion = (x.T for x in self.motion(reference, instants, state))
+        found = [self._law.possible(q, v, a) for q, v, a in zip(*motion, strict=True)]
+        return (*before, *found)[-window(self._dt, spread) :]
+
+    def toned(self, target: Target, share: float, reference: Reference, time: float, state: InverseState) -> Target:
+        """A target with a share of the motion that it has beside its pose; as it is where that is all of it.
+
+        Args:
+            target: of a control instant.
+            share: of its motion.
+            reference: that it is of.
+            time: of the instant [s].
+            state: how far the reference has been followed.
+        """
         if share >= 1:
             return target
-        rest = self.resting(target.position, state.states[0])
-        pressure, feed = (rest + share * (whole - rest) for whole in (target.pressure, target.feed))
+        rest, held = self.resting(target.position, state.states[0]), np.empty_like(target.feed)
+        for k, delay in enumerate(self._delays):
+            own = np.flatnonzero(self._valve[:, DELAY] == delay)
+            pose = self._poses(reference, np.array([time + delay + self._dt / 2]), state)[0]
+            held[own] = self.resting(pose, state.states[k])[own]
+        pressure, feed = rest + share * (target.pressure - rest), held + share * (target.feed - held)
         return Target(target.position, share * target.velocity, pressure, feed)
 
     def resting(self, q: Array, z: Array) -> Array:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.allowances import Allowances, allowances
-from equimus_ctrl.controllers.inverse import SMOOTHING, Inverse, InverseState, Target, window
+from equimus_ctrl.controllers.inverse import Inverse, InverseState, Target
 from equimus_ctrl.effects.command import DELAY
 from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.observer import Estimate, Observer, ObserverSettings, ObserverState, require_model
@@ -362,10 +362,9 @@ class LqrController:
         t.observer.require_sound(known)
         ahead = t.observer.foresee(known, observation.time + float(t.observer.delays.min()))
         target, followed = t.inverse.target(reference, observation.time, state.inverse)
-        arrival = observation.time + float(t.observer.delays.min()) + SMOOTHING + t.dt / 2
         # A step is differentiated to a motion there and back, of which half may be possible.
-        possible = (*state.possible, t.inverse.possible(reference, arrival, state.inverse))[-window(t.dt) :]
-        target = t.inverse.toned(target, min(possible), state.inverse)
+        possible = t.inverse.possible(reference, observation.time, state.inverse, state.possible)
+        target = t.inverse.toned(target, min(possible), reference, observation.time, state.inverse)
         against = np.zeros(len(t.observer.delays))
         if s.disturbance:
             against = -t.inverse.counter(ahead.position, ahead.disturbance)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from equimus_ctrl.controllers.horizon import Horizon, HorizonSettings, HorizonState, Pace
 from equimus_ctrl.errors import ConfigError
-from equimus_ctrl.models.prediction import followed_rates
+from equimus_ctrl.models.prediction import followed_rates, steps_in
 from equimus_ctrl.predictive.problem import Answer, Plan, Problem
 from equimus_ctrl.predictive.quadratic import SOLVERS
 from equimus_ctrl.settings import FileSettings
@@ -137,6 +137,7 @@ class NmpcController:
         position = np.array(observation.position)
         horizon = Horizon(spec, s, lambda later: intervals(s.nodes, s.stride, later), position)
         angles, rate = s.joint_range(spec), followed_rates(horizon.observer.model)[0]
+        interval = s.stride * horizon.dt
         if s.velocity:
             angles = np.hstack([angles, s.velocity * np.array([[-1.0], [1.0]]) * np.ones(len(position))])
         problem = Problem(
@@ -148,7 +149,7 @@ class NmpcController:
             horizon.rate,
             s.solver,
             s.compiled,
-            max(math.ceil(rate * s.stride * horizon.dt / FOLLOWED), 1),
+            max(math.ceil(rate * interval / FOLLOWED), steps_in(horizon.observer.model, interval)),
         )
         return NmpcState(**horizon.begin(observation), plan=None, answer=None, tools=NmpcTools(horizon, problem))
 

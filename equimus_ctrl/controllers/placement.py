@@ -110,22 +110,29 @@ def placed_gains(dynamics: Dynamics, spec: PlantSpec, pose: Array) -> Placed:
     known = known_lateness(dynamics.model)
     late = 1.5 * dt + known
     still, driven = looked_at(dynamics, spec, pose)
+    # Of a mode that turns far within a period, less delay or gain may be worse than more: all in between count.
+    late_by = [DELAY, FILL, VENT]
+    more = usual[:, late_by] - valve[:, late_by]
+    parts = max(int(np.ceil(float(more[:, :2].max(axis=0).sum()) / dt - 1e-9)), 1)
+    valves = [usual] * parts
+    for k in range(1, parts):
+        valves[k] = valve.copy()
+        valves[k][:, late_by] += more * k / parts
     joint, most = 0, PHASE / (2 * late)
     for part in (still, still[:1]):
         own = Own.of([linear for _, linear in part], driven)
         loops = []
         for q, linear in part:
             known_loop = Loop(q, linear, driven, dynamics, valve, dt, sensor)
-            loops.append(
-                ((Loop(q, linear, driven, dynamics, usual, dt, sensor), 1.0), (known_loop, 1.0), (known_loop, RAISED))
-            )
+            later = [(Loop(q, linear, driven, dynamics, between, dt, sensor), 1.0) for between in valves]
+            loops.append([*later, *((known_loop, RAISED**share) for share in (0.0, 0.5, 1.0))])
         omega = most
         while omega >= SLOWEST:
             settings = _settings(spec, driven, omega, own, late)
             growth = [loop.growth(settings, factor) for own_loops in loops for loop, factor in own_loops]
             # What joints without actuator do dies away as slowly as it does.
             slowest = np.exp(-DECAYS * THIRD * omega * dt) if driven.all() else 1 + GROWS
-            if max(size for size, _ in growth) <= 1 + GROWS and growth[0][0] <= slowest:
+            if max(size for size, _ in growth) <= 1 + GROWS and max(growth[:parts])[0] <= slowest:
                 return Placed(settings, omega, everywhere=part is still)
             omega /= 2
         joint = max(growth)[1]

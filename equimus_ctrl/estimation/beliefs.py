@@ -26,6 +26,8 @@ QUICKER = 6.0
 """ω_o by the bandwidth of the loop."""
 TAKEN_UP = 1.0
 """Rate at which unknown torques are found by the same."""
+STRAYS = 0.005
+"""By so much what has arrived strays within 1/ω, in shares of allowed efforts: little, and not the 0 of blind trust."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,4 +79,5 @@ def followed(inertia: Array, effort: Array, bandwidth: float, noise: float, dt: 
     torque = inertia * (QUICKER * bandwidth) ** 2 * noise * math.sqrt(dt)
     walk = TAKEN_UP * bandwidth * torque
     # After as long as the loop takes, the unknown torques may be what white ones would have come to.
-    return Beliefs(torque, walk, torque * math.sqrt(bandwidth) * QUICKER, bandwidth * noise * effort, noise)
+    strays = STRAYS * math.sqrt(bandwidth) * effort
+    return Beliefs(torque, walk, torque * math.sqrt(bandwidth) * QUICKER, strays, noise)

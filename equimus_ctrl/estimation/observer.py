@@ -23,7 +23,7 @@ from equimus_ctrl.errors import ConfigError, ControllerError
 from equimus_ctrl.estimation.beliefs import Beliefs, pressed
 from equimus_ctrl.models.buffered import Buffered
 from equimus_ctrl.models.model import Model
-from equimus_ctrl.models.prediction import Prediction, followed_rates, prediction
+from equimus_ctrl.models.prediction import Prediction, followed_rates, prediction, steps_in
 from equimus_ctrl.types import Array, Observation, PlantSpec
 
 Status = Literal["tracking", "coasting", "fault"]
@@ -188,7 +188,8 @@ class Observer:
         self.model, self._names = model, model.robot.actuator_names
         self.delays: Array = p.valve[:, DELAY].copy()
         self._sensor_delay: Array = p.sensor[:, SENSOR_DELAY].copy()
-        self._substep = min(control_dt, STABLE / max(*followed_rates(model), STABLE / control_dt))
+        longest = control_dt / steps_in(model, control_dt)
+        self._substep = min(longest, STABLE / max(*followed_rates(model), STABLE / control_dt))
         self.beliefs = own = beliefs or pressed(model, s.torque, s.disturbance, s.pressure, s.noise)
         walk = np.zeros(p.nx + p.nj)
         walk[2 * p.nj : 2 * p.nj + p.na] = own.pressure

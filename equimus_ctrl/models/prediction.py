@@ -24,10 +24,11 @@ from equimus_ctrl.effects.command import FILL, FLOW, POWER, RATE, REFERENCE, VEN
 from equimus_ctrl.effects.force import laws_of
 from equimus_ctrl.effects.sensors import sensor_settings
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters, sliding_friction
-from equimus_ctrl.models.dynamics import computable
+from equimus_ctrl.models.dynamics import Dynamics, computable
 from equimus_ctrl.models.linear import fastest_rates
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.models.solved import valves_of
+from equimus_ctrl.models.spread import latin_hypercube
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.models.symbolic_model import eliminate, ldl_solve
 from equimus_ctrl.robots.elastic.morphology import Phase, elastic_of
@@ -42,6 +43,12 @@ LEAST = 1.0
 """Commands below count as this where their power is taken [Pa]: it would have no slope at 0."""
 GAMMA = 1 - 2**-0.5
 """γ of ROS2 with which it forgets what is infinitely fast."""
+FOLLOWS = 0.05
+"""Share of its size by which a mode may be off after a control period or an interval of a plan."""
+MOST_STEPS = 50
+"""Into which either is divided, at most."""
+POSES = 12
+"""In which modes are looked at, beside the middle of the joints' ranges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +131,38 @@ def followed_rates(model: Model) -> tuple[float, float]:
         return 0.0, 0.0
     middle = np.clip(robot.joint_range, -np.pi, np.pi).mean(axis=0)
     return fastest_rates(elastic_of(robot), middle, model.phase)
+
+
+def steps_in(model: Model, span: float) -> int:
+    """Into how many implicit steps a span [s] is divided, so that what oscillates is followed; 1 of explicit ones.
+
+    ROS2 is stable however long a step is, but turns a mode λ by R(λ h) in place of exp(λ h). Of modes that oscillate
+    about poses at rest, none may be off by more than ``FOLLOWS`` of its size at the end of the span; those that do not
+    die away in any case.
+    """
+    robot = changed_bodies(model.effects, model.robot)
+    if not robot.mechanics().form.stiff:
+        return 1
+    modes = _modes(model)
+    modes = span * modes[np.abs(modes.imag) * span > FOLLOWS]
+    count = 1
+    while count < MOST_STEPS and len(modes):
+        part = modes / count
+        once = (1 + (1 - 2 * GAMMA) * part) / (1 - GAMMA * part) ** 2
+        if np.abs(once**count - np.exp(modes)).max() <= FOLLOWS:
+            break
+        count += 1
+    return count
+
+
+@lru_cache(maxsize=16)
+def _modes(model: Model) -> Array:
+    """(n,) eigenvalues of the motion about poses at rest across the joints' ranges [1/s]."""
+    dynamics = Dynamics(model)
+    low, high = np.clip(dynamics.robot.joint_range, -np.pi, np.pi)
+    places = np.vstack([np.full(len(low), 0.5), latin_hypercube(POSES, len(low), np.random.default_rng(0))])
+    poses = low + places * (high - low)
+    return np.concatenate([np.linalg.eigvals(dynamics.linear(pose).matrices()[0]) for pose in poses])
 
 
 @dataclass(frozen=True, eq=False)

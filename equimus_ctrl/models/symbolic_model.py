@@ -158,7 +158,11 @@ def ldl_solve(matrix: ca.SX, rhs: ca.SX) -> ca.SX:
 
 
 def eliminate(matrix: ca.SX) -> Callable[[ca.SX], ca.SX]:
-    """Columns b → A⁻¹ b of a small A by LU without pivots, written out: of 1 + M⁻¹D, D not below 0, none is 0."""
+    """Columns b → A⁻¹ b of a small A by LU without pivots, written out.
+
+    Pivots are ratios of leading minors of A. Of 1 + M⁻¹D with a diagonal D not below 0 these are above 0; of any other
+    A, as with damping that couples joints, nothing says so, but they tend to 1 with the step.
+    """
     n = matrix.shape[0]
     a = [[matrix[i, j] for j in range(n)] for i in range(n)]
     for k in range(n):
