@@ -139,7 +139,11 @@ def test_a_lanes_equations_of_motion_are_newtons(name: str, phase: Phase) -> Non
 
 @pytest.mark.parametrize(
     ("name", "phase"),
-    [("mono_and_bi", "swing"), ("mono_and_bi", "stance"), pytest.param("branched", "swing", marks=pytest.mark.slow)],
+    [
+        ("mono_and_bi", "swing"),
+        pytest.param("mono_and_bi", "stance", marks=pytest.mark.slow),
+        pytest.param("branched", "swing", marks=pytest.mark.slow),
+    ],
 )
 def test_robots_move_as_newton_says(name: str, phase: Phase) -> None:
     robots = [random_morphology(name, seed) for seed in range(3)]

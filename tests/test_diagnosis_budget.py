@@ -65,12 +65,14 @@ def test_the_diagram_of_the_stages_has_them_in_order() -> None:
     assert " → ".join(("refit", *STAGES, "report")) in " ".join(str(stages.__doc__).split())
 
 
+@pytest.mark.slow
 def test_what_is_carried_out_lacks_nothing(whole: tuple[Diagnosis, int]) -> None:
     found, _ = whole
     assert found.verdict == "explained" and found.not_done == ()
     assert not any("not looked at" in note for note in found.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
 def test_the_best_so_far_is_given_with_what_was_not_looked_at(
     parts: Split, whole: tuple[Diagnosis, int], share: float
@@ -89,12 +91,14 @@ def test_the_best_so_far_is_given_with_what_was_not_looked_at(
     assert ended(parts, int(share * steps)).to_dict() | {"seconds": 0} == record | {"seconds": 0}
 
 
+@pytest.mark.slow
 def test_a_search_that_had_found_something_names_it(parts: Split, whole: tuple[Diagnosis, int]) -> None:
     full, steps = whole
     found = [ended(parts, count) for count in (steps - 1, int(0.9 * steps))]
     assert all(f.best.labels == full.best.labels for f in found)
 
 
+@pytest.mark.slow
 def test_intervals_of_discontinuous_parameters_are_had_after_the_end(
     parts: Split, whole: tuple[Diagnosis, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,6 +118,7 @@ def test_before_there_is_any_nothing_is_given(parts: Split) -> None:
             diagnose(default_free_parameters(NOMINAL), parts, settings=DiagnosisSettings(threads=1, budget=budget))
 
 
+@pytest.mark.slow
 def test_ctrl_c_gives_the_best_so_far_and_a_second_one_ends_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

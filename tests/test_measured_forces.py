@@ -98,7 +98,7 @@ def simulated(model: Model, given: Array, engine: EngineName, dt: float, q0: flo
     return np.asarray(found.forces[0])
 
 
-@pytest.mark.parametrize(("engine", "dt"), [("reduced", 5e-4), ("mujoco", 1e-4)])
+@pytest.mark.parametrize(("engine", "dt"), [pytest.param("reduced", 5e-4, marks=pytest.mark.slow), ("mujoco", 1e-4)])
 def test_forces_of_every_law_are_those_of_mujoco_stepped_by_hand(engine: EngineName, dt: float) -> None:
     robot = MjcfRobot("many", MANY)
     assert robot.actuator_names == ("plain", "dc", "pid.pos", "pid.vel", "rate", "slow", "cable")

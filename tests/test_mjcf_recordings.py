@@ -158,6 +158,7 @@ LOADED = """<mujoco model="loaded"><compiler angle="radian" boundmass="1e-12" bo
   <actuator><motor name="motor" joint="pivot"/></actuator></mujoco>"""
 
 
+@pytest.mark.slow
 def test_a_load_that_was_weighed_is_known_in_its_own_trials_and_the_arm_is_estimated_from_all() -> None:
     """The true motions are those of a pendulum with the load's moments worked out by hand."""
     time, rng = np.arange(0, 3.0, 0.01), np.random.default_rng(2)

@@ -78,6 +78,7 @@ def test_parameters_that_stay_are_known_by_what_they_are() -> None:
     assert _kept(4, (part("coulomb_friction:reach", 2.0), drag), whole) == (0, 1, 2, 3, 5)
 
 
+@pytest.mark.slow
 def test_what_is_there_already_is_not_added_once_more() -> None:
     both = (part("coulomb_friction:shoulder,reach", 0.3, 2.0),)
     fitted = data().coarse_fit(both, [(data().theta_of(data().free.start, both), [s.start for s in data().segments])],

@@ -247,6 +247,7 @@ def tracked(robot: MjcfRobot, controller: str | Controller, *effects: Effect) ->
     return float(np.sqrt(((own.truth - own.reference)[inside] ** 2).mean()))
 
 
+@pytest.mark.slow
 @every_robot
 def test_it_follows_a_path_about_as_well_as_the_pid(robot: MjcfRobot) -> None:
     assert tracked(robot, "lqr") < max(1.2 * tracked(robot, "pid"), 1e-3)
