@@ -23,10 +23,7 @@ from equimus_ctrl.identification.noise import white_noise
 
 
 def with_richer_alternatives(search: HypothesisMoves, state: SearchState) -> SearchState:
-    """The end with richer laws among the alternatives of its parts, or with the best of these that it needs.
-
-    It is needed where it gains more than its further parameters would by chance: it began at a fit of what it holds, so
-    no scatter among minima has to be exceeded.
+    """The end with richer laws among the alternatives of its parts, or with the best of these that fits better.
 
     Only where fits have many local minima.
 
@@ -44,20 +41,11 @@ def with_richer_alternatives(search: HypothesisMoves, state: SearchState) -> Sea
             continue
         alternatives = (*state.alternatives[:k], (*state.alternatives[k], *found), *state.alternatives[k + 1 :])
         state = replace(state, alternatives=alternatives, tried=state.tried.having(*found))
-        better = [
-            f
-            for f in found
-            if search.score(f) < search.score(state.best) - EXCHANGE_MARGIN and _more_than_chance(search, state.best, f)
-        ]
+        better = [f for f in found if search.score(f) < search.score(state.best) - EXCHANGE_MARGIN]
         top = min((f for f in better if not search.aliased(f)), key=search.score, default=None)
         if top is not None and search.accepts(state.without[k], top):
             return search.exchanged(replace(state, best=top, without=(), alternatives=()))
     return state
-
-
-def _more_than_chance(search: HypothesisMoves, simple: Fitted, rich: Fitted) -> bool:
-    more, gain = rich.n_parameters - simple.n_parameters, simple.deviance - rich.deviance
-    return more <= 0 or search.data.thresholds.decides(lambda t: gain > search.chance(more, t))
 
 
 def _beginnings(search: HypothesisMoves, state: SearchState, k: int) -> Iterator[tuple[Fitted, list[Hypothesis]]]:
