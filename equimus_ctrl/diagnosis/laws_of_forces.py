@@ -1,4 +1,4 @@
-"""Laws that a residual force asks for, before it is reported as unexplained.
+"""Laws that a residual force asks for, before it is reported as physics without a name.
 
 Where there is a torque domain, laws with equations of their own that explain less there than others do are not
 simulated (``torque_start.worth_compiling``), for that takes long. A force of another kind, or noise, may have hidden
