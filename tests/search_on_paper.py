@@ -17,7 +17,6 @@ from equimus_ctrl.diagnosis.policy import SearchSettings, Thresholds
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState
 from equimus_ctrl.effects import REGISTRY
-from equimus_ctrl.errors import SimulationDiverged
 
 VALUES: dict[str, dict[str, float]] = {
     "coulomb_friction": {"friction": 0.01},
@@ -50,13 +49,6 @@ class Known:
     def __call__(self, *labels: str) -> Fitted:
         return self.fits[frozenset(labels)]
 
-    def as_asked(self, hypothesis: Sequence[Part], *given: object) -> Fitted:
-        """A hypothesis' fit; one that is not known diverges."""
-        labels = frozenset(part.candidate.label for part in hypothesis)
-        if labels not in self.fits:
-            raise SimulationDiverged(f"{sorted(labels)}")
-        return self.fits[labels]
-
     def __post_init__(self) -> None:
         self.fits = {frozenset(labels): fitted(deviance, *labels) for labels, deviance in self.of.items()}
 
@@ -72,7 +64,6 @@ class OnPaper(Search):
         data: Any = SimpleNamespace(
             n=1000, free=free, thresholds=Thresholds(), strong=lambda f: False, far_above_noise=lambda f: False, converge=lambda f: f,
             base=lambda: known(), aliased=lambda f, k: f.hypothesis[k].candidate.label in known.aliased, may_be_nothing=lambda f, k: False,
-            theta_of=lambda theta, hypothesis: theta, coarse_fit=known.as_asked,
         )  # fmt: skip
         super().__init__(data, list(POOL.values()), settings or SearchSettings())
         object.__setattr__(self, "known", known)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from search_on_paper import DEAD, OFF, POOL, RUB, STICK, Known, OnPaper, ended, fitted, held_out_rejects
 
@@ -87,21 +86,3 @@ def test_a_law_in_the_place_of_several_is_pruned_and_simplified_as_any(monkeypat
     monkeypatch.setattr(search_module, "with_fewer_laws", lambda search, state: united)
     search = OnPaper(known, SearchSettings(many_minima=True))
     assert search.go_on(ended(known, OFF, DEAD), further=False).best.labels == {RUB}
-
-
-@pytest.mark.parametrize(
-    ("gain", "better"),
-    [
-        (13.0, None),  # two parameters gain that by chance once in 700: of any simpler law they reproduce it
-        (15.0, 0.0),  # more than by chance, and not enough for its cost of 2 ln 1000
-        (25.0, 25.0 - 2 * np.log(1000) - 10.0),  # better by more than what is not distinguishable
-    ],
-)
-def test_a_richer_law_is_listed_where_it_gains_more_than_chance(gain: float, better: float | None) -> None:
-    """Its score, with the cost of its parameters, is what is compared."""
-    known = Known({(): 5000.0, (RUB,): 1000.0, (STICK,): 1000.0 - gain})
-    search = OnPaper(known)
-    search.data.dimensions = lambda fitted, k, most: 3  # type: ignore[misc, method-assign]
-    (others,) = equivalents(search, ended(known, RUB), False, lambda fitted: fitted)
-    said = [other.better for other in others]
-    assert said == ([] if better is None else [pytest.approx(max(better, 0.0))])

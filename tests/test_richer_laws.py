@@ -12,30 +12,23 @@ import pytest
 from pendulum_runs import recorded
 
 from equimus_ctrl.diagnosis.alternatives import simpler_laws
-from equimus_ctrl.diagnosis.fitting import Data, Fitted
+from equimus_ctrl.diagnosis.fitting import Data
 from equimus_ctrl.diagnosis.hypothesis import Candidate, Part
-from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.place_excitation import excitation_of
-from equimus_ctrl.diagnosis.policy import SearchSettings
-from equimus_ctrl.diagnosis.richer_alternatives import with_richer_alternatives
 from equimus_ctrl.diagnosis.richer_laws import holds, richer
-from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.torque_guesses import far_above_noise
 from equimus_ctrl.diagnosis.torque_screening import torque_domain
 from equimus_ctrl.diagnosis.torque_start import laws_asked_for
 from equimus_ctrl.effects import (
     AsymmetricFriction,
-    ConstantForce,
     CoulombFriction,
     DirectionalLoadFriction,
     Effect,
     LoadFriction,
-    ParallelSpring,
     PayloadMass,
     PositionDependentFriction,
     SpringTether,
     TetherWithFreeLength,
-    ViscousFriction,
 )
 from equimus_ctrl.identification.noise import white_noise
 from equimus_ctrl.identification.parameters import free_parameters
@@ -120,51 +113,6 @@ def test_a_free_length_is_found_from_the_spring_without_one() -> None:
     found = data.coarse_fit(hypothesis, begins, noise, 30)
     assert found.hypothesis[0].values == pytest.approx({**PULLS, "length": LENGTH}, rel=0.02)
     assert fitted.deviance - found.deviance > 1e3
-
-
-class Ended(HypothesisMoves):
-    """A search that exchanges no further parts."""
-
-    def exchanged(self, state: SearchState) -> SearchState:
-        return state
-
-
-def test_an_alternative_that_a_richer_law_holds_leads_to_that_law() -> None:
-    """The law named is neither: the spring without a free length is near it, and the one with one explains all."""
-    data, simple, rich = observed()
-    noise, starts = white_noise([np.full((9, 3), 5e-4)]), [s.start for s in data.segments]
-
-    def spring(**values: float) -> Fitted:
-        hypothesis = (Part(simple, {**PULLS, **values}),)
-        return data.coarse_fit(hypothesis, [(data.theta_of(data.free.start, hypothesis), starts)], noise, 30)
-
-    near, base = spring(), data.coarse_fit((), [(data.free.start, starts)], noise, 3)
-    named = replace(near, hypothesis=(Part(Candidate(ConstantForce, ("pan",), ()), {"size": 0.1}),))
-    end = SearchState(base, named, (base,), ((near,),))
-    search = Ended(data, [simple, rich], SearchSettings(many_minima=True))
-    after = with_richer_alternatives(search, end)
-    assert after.best.hypothesis[0].candidate is rich
-    assert after.best.hypothesis[0].values == pytest.approx({**PULLS, "length": LENGTH}, rel=0.02)
-    far = replace(near, deviance=named.deviance + 200.0)
-    assert with_richer_alternatives(search, replace(end, alternatives=((far,),))).best is named
-    few = Ended(data, [simple, rich])
-    assert with_richer_alternatives(few, end) is end
-
-
-def test_without_a_part_that_stands_for_others_these_do_what_it_did() -> None:
-    """A constant force beside a spring is another rest angle of this, however far."""
-    data, *_ = observed()
-    noise, starts = white_noise([np.full((9, 3), 5e-4)]), [s.start for s in data.segments]
-    force = Part(Candidate(ConstantForce, ("pan",), ()), {"size": 0.9})
-    spring = Part(Candidate(ParallelSpring, ("pan",), ()), {"stiffness": 0.5, "rest": -1.0})
-    drag = Part(Candidate(ViscousFriction, ("pan",), ()), {"damping": 0.2})
-    both = (force, spring, drag)
-    fitted = data.coarse_fit(both, [(data.theta_of(data.free.start, both), starts)], noise, 0)
-    fitted = replace(fitted, hypothesis=both)
-    (theta,) = data.taken_over(fitted, both[1:])
-    assert theta[1:] == pytest.approx([0.5, -1.0 + 0.9 / 0.5, 0.2], rel=1e-3)
-    assert data.taken_over(fitted, both[:2]) == []  # nothing else does what the drag does
-    assert data.taken_over(fitted, (drag,)) == []
 
 
 def test_the_torque_domain_finds_both_ends_of_a_spring() -> None:

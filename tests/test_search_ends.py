@@ -324,7 +324,6 @@ def test_what_diverges_from_where_a_larger_set_ended_begins_at_the_nominal_param
     data: Any = SimpleNamespace(
         free=SimpleNamespace(free=[None], start=np.ones(1), model=model),
         theta_of=lambda theta, hypothesis: Data.theta_of(data, theta, hypothesis),
-        taken_over=lambda fitted, hypothesis: [],
         coarse_fit=coarse_fit,
         converge=lambda f, settled: f,
         discontinuous=lambda hypothesis, but: [],
@@ -347,7 +346,6 @@ def test_the_same_refit_is_done_once() -> None:
     data: Any = SimpleNamespace(
         free=SimpleNamespace(free=[None], start=np.ones(1), model=nominal_model()),
         theta_of=lambda theta, hypothesis: Data.theta_of(data, theta, hypothesis),
-        taken_over=lambda fitted, hypothesis: [],
         coarse_fit=coarse_fit,
         converge=lambda f, settled: scanned.append((None, settled)) or f,
         discontinuous=lambda hypothesis, but: [k for k, p in enumerate(hypothesis) if p.candidate.label not in but],

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtrc
 
 from equimus_ctrl.diagnosis.alternatives import in_place, replacement
 from equimus_ctrl.diagnosis.confirmation import HoldoutResiduals
@@ -217,14 +217,12 @@ def estimates_of(data: Data, best: Fitted, k: int) -> dict[str, Estimate]:
 def _equivalent(
     search: Search, end: SearchState, k: int, unexplained: bool, finely: Finely
 ) -> tuple[tuple[Equivalent, ...], SearchHistory]:
-    """Alternatives that fit as well or better.
+    """Alternatives that fit as well or better; none with more parameters, which reproduces anything simpler.
 
-    One with more parameters reproduces anything simpler. So it has to gain more than these would by chance, by the
-    likelihood-ratio test at the level ``Thresholds.significance``: too little to take the place of what is named, too
-    much to be ruled out. One of which held-out trials say nothing may have more, see ``SearchState.undecided``. What a
-    parameter does that others do as well makes a law no richer, see ``Data.dimensions``: a spring to a point of
-    the room has four, of which one hinge shows one. Close ones are compared with short steps: where commands jump,
-    discretisation errors can separate equivalent effects.
+    One of which held-out trials say nothing may have more, see ``SearchState.undecided``. What a parameter does that
+    others do as well makes a law no richer, see ``Data.dimensions``: a spring to a point of the room has four, of which
+    one hinge shows one. Close ones are compared with short steps: where commands jump, discretisation errors can
+    separate equivalent effects.
     """
     thresholds, gain = search.data.thresholds, end.without[k].deviance - end.best.deviance
 
@@ -234,38 +232,33 @@ def _equivalent(
     def within_scatter(t: Thresholds) -> float:
         return margin(t) + t.step_scatter
 
-    def worse(alternative: Fitted, best: Fitted, more: int) -> float:
-        return alternative.deviance - best.deviance + more * math.log(search.data.n)
+    def worse(alternative: Fitted, best: Fitted) -> float:
+        fewer = max(best.n_parameters - alternative.n_parameters, 0)
+        return alternative.deviance - best.deviance - fewer * math.log(search.data.n)
 
     def within(more: float, most: Callable[[Thresholds], float]) -> bool:
         return thresholds.decides(lambda t: more < most(t))
 
-    def dimensions_more(alternative: Fitted, part: Part, more: int) -> int:
-        room = part.candidate.n_parameters - more
-        return more if search.data.dimensions(alternative, alternative.hypothesis.index(part), room) > room else 0
-
-    def by_chance(alternative: Fitted, more: int) -> bool:
-        gain = end.best.deviance - alternative.deviance
-        return thresholds.decides(lambda t: gain <= float(chdtri(more, t.significance)))
+    def richer(alternative: Fitted, part: Part) -> bool:
+        own = part.candidate.n_parameters
+        room = end.best.n_parameters - (alternative.n_parameters - own)
+        return own > room and search.data.dimensions(alternative, alternative.hypothesis.index(part), room) > room
 
     label = end.best.hypothesis[k].candidate.label
     others, tried = _undecided(search, end, k)
     alternatives, tried = in_place(search, replace(end, tried=tried), k, within_scatter)
     for alternative in sorted(alternatives, key=search.score):
         part = replacement(alternative, end.without[k])
-        more = alternative.n_parameters - end.best.n_parameters
-        if part is None or not within(worse(alternative, end.best, min(more, 0)), within_scatter):
+        if part is None or not within(worse(alternative, end.best), within_scatter):
             continue
         other = part.candidate.label
         if named_part(part) == named_part(end.best.hypothesis[k]):  # in other groups of trials
             continue
-        if other == label or other in others:
+        if other == label or other in others or richer(alternative, part):
             continue
-        if more > 0 and (more := dimensions_more(alternative, part, more)) and by_chance(alternative, more):
-            continue
-        lack = worse(finely(alternative), finely(end.best), more)
-        if within(lack, margin):
-            better = 0.0 if within(-lack, margin) else -lack - margin(thresholds)
+        more = worse(finely(alternative), finely(end.best))
+        if within(more, margin):
+            better = 0.0 if within(-more, margin) else -more - margin(thresholds)
             others[other] = Equivalent(named_part(part), alternative, better)
     return tuple(others.values()), tried
 

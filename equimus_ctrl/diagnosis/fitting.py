@@ -27,7 +27,7 @@ from equimus_ctrl.identification.noise import (
     whiten,
 )
 from equimus_ctrl.identification.parameters import FreeParameters
-from equimus_ctrl.identification.projection import DEPENDENT, Nuisance
+from equimus_ctrl.identification.projection import Nuisance
 from equimus_ctrl.identification.residuals import followed
 from equimus_ctrl.identification.segments import Segment
 from equimus_ctrl.identification.simulators import Simulator
@@ -297,25 +297,6 @@ class Data:
         counted = {free.label for free in own} if names is None else set(names)
         blind = (t for t in fitted.fit.uncertainty.trade_offs if t.correlation is None)
         return sum(bool(counted & t.weights.keys()) for t in blind) >= len(counted)
-
-    def taken_over(self, fitted: Fitted, hypothesis: Hypothesis) -> list[Array]:
-        """(p,) θ of a hypothesis less an aliased part, the other parameters where they do to first order what it did.
-
-        min ‖S δ − c‖, S the derivatives of the predictions by these, c the change by the part from nothing to its
-        values: δ leaves nothing of it. None where the hypothesis is another one.
-        """
-        parts, found = fitted.hypothesis, list[Array]()
-        for k, part in enumerate(parts):
-            if (*parts[:k], *parts[k + 1 :]) != hypothesis or not self.aliased(fitted, k):
-                continue
-            first = len(self.free.free) + sum(p.candidate.n_parameters for p in parts[:k])
-            own, end = np.arange(first, first + part.candidate.n_parameters), part.candidate.fades_to()
-            scale, slopes = fitted.fit.parameters.scale, whiten_fit(self.times, fitted.fit, fitted.noise).slopes
-            away = np.array([value - end.get(key, value) for key, value in part.values.items()])
-            others = Nuisance.of(np.delete(slopes, own, axis=1))
-            change = others.solution(others.basis.T @ (slopes[:, own] @ (away / scale[own])), DEPENDENT)
-            found.append(np.delete(fitted.fit.theta, own) + change * np.delete(scale, own))
-        return found
 
     def dimensions(self, fitted: Fitted, k: int, most: int) -> int:
         """In how many directions a part's parameters change what is seen, beside all that others can do.

@@ -19,7 +19,7 @@ from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import ESTIMATED, WHITE, Screened, screen
 from equimus_ctrl.diagnosis.search_state import Choice, Extended, Proposal, SearchHistory, SearchState
 from equimus_ctrl.diagnosis.torque_screening import TorqueDomain, torque_domain
-from equimus_ctrl.diagnosis.torque_start import not_shown, worth_simulating
+from equimus_ctrl.diagnosis.torque_start import worth_simulating
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
 from equimus_ctrl.identification.fit import Begin
 from equimus_ctrl.identification.noise import white_noise
@@ -77,23 +77,18 @@ class HypothesisMoves:
         return self.data.thresholds.decides(lambda t: gain > self.threshold(extra_parameters(simple, rich), t))
 
     def threshold(self, parameters: int, thresholds: Thresholds | None = None) -> float:
-        """Acceptance threshold on −2Δln L of an effect with k parameters: ``chance`` and ``scatter``.
+        """Acceptance threshold on −2Δln L of an effect with k parameters: max(F⁻¹(1 − α/N; k), ε·n) + scatter.
+
+        F is the distribution function of χ², α the ``significance``, N the number of candidates (Bonferroni), ε the
+        ``simulation_error``, n how many numbers were measured; see ``scatter``.
 
         Args:
             parameters: k.
             thresholds: those of the data by default.
         """
         t = thresholds or self.data.thresholds
-        return self.chance(parameters, t) + self.scatter(t)
-
-    def chance(self, parameters: int, t: Thresholds) -> float:
-        """What k more parameters gain in one minimum by chance, or by errors of simulation: max(F⁻¹(1 − α/N; k), ε·n).
-
-        F is the distribution function of χ², α the ``significance``, N the number of candidates (Bonferroni), ε the
-        ``simulation_error``, n how many numbers were measured.
-        """
         quantile = float(chdtri(parameters, t.significance / max(len(self.pool), 1)))
-        return max(quantile, t.simulation_error * self.data.n)
+        return max(quantile, t.simulation_error * self.data.n) + self.scatter(t)
 
     def scatter(self, thresholds: Thresholds) -> float:
         """By how much deviances scatter with the local minimum that a fit ends in; 0 where there is one minimum."""
@@ -162,8 +157,7 @@ class HypothesisMoves:
             known: labels of those that are known; None where only promising ones are to be fitted.
             rival: deviance that they have to come near to.
         """
-        allowed = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
-        pool = allowed
+        pool = [c for c in self.allowed_candidates(tried) if c.label not in {replaced, *(known or ())}]
         most = min(self.settings.tried, self.settings.tried_in_place) if replaced else self.settings.tried
         if (domain := self.torque_domain) is not None:
             pool = worth_simulating(self.data, domain, fitted, pool)
@@ -175,18 +169,7 @@ class HypothesisMoves:
         if self.settings.many_minima and not replaced:
             proposals += (Proposal(*begun) for begun in richer(self.data, fitted, pool))
         options = self._best_converged(fitted, self._coarse_fits(fitted, proposals, rival), rival)
-        if known is None and (late := self._not_shown(fitted, options, allowed)):
-            more = self._promising(fitted, screen(self.data, fitted, late), Choice(late, most, False))
-            options += self._best_converged(fitted, self._coarse_fits(fitted, more, rival), rival)
         return options, tried.having(*options)
-
-    def _not_shown(self, fitted: Fitted, options: Sequence[Fitted], pool: Sequence[Candidate]) -> list[Candidate]:
-        """Laws with equations of their own where one without them is accepted and torques show nothing of either."""
-        accepted = [option.hypothesis[-1].candidate for option in options if self.accepts(fitted, option)]
-        places = {place for candidate in accepted for place in candidate.locations}
-        there = [candidate for candidate in pool if places.issuperset(candidate.locations)]
-        domain = self.torque_domain
-        return [] if domain is None or not there else not_shown(self.data, domain, fitted, pool, there)
 
     def _promising(self, fitted: Fitted, screened: Sequence[Screened], choice: Choice) -> list[Proposal]:
         """For each candidate among the best of a ranking the hypothesis with it, and where its fit can begin.
@@ -500,11 +483,10 @@ class HypothesisMoves:
             return known, tried
         noise, steps = white_noise(fitted.fit.residuals), self.settings.long_steps
         try:
-            thetas = [data.theta_of(fitted.fit.theta, hypothesis), *data.taken_over(fitted, hypothesis)]
-            begins: list[Begin] = [(theta, fitted.fit.starts) for theta in thetas]
-            after = data.coarse_fit(hypothesis, begins, noise, steps, settled=fitted.labels)
+            begin: Begin = (data.theta_of(fitted.fit.theta, hypothesis), fitted.fit.starts)
+            after = data.coarse_fit(hypothesis, [begin], noise, steps, settled=fitted.labels)
         except SimulationDiverged:
-            begin: Begin = (data.theta_of(data.free.start, hypothesis), [s.start for s in data.segments])
+            begin = (data.theta_of(data.free.start, hypothesis), [s.start for s in data.segments])
             after = data.coarse_fit(hypothesis, [begin], noise, steps, settled=fitted.labels)
         after = data.converge(after, settled=self._settled(hypothesis, fitted.labels))
         return after, replace(tried.having(after), refits={**tried.refits, key: after})

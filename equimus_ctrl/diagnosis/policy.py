@@ -65,8 +65,7 @@ class Thresholds:
     significance: float = _decides(
         1e-3,
         "",
-        "probability of accepting any effect where none is missing, over all candidates (false alarm), and of listing "
-        "a richer law beside one that holds",
+        "probability of accepting any effect where none is missing, over all candidates (false alarm)",
         "theory",
         "likelihood-ratio test, Wilks (1938), with Bonferroni's correction for the number of candidates",
     )

@@ -53,7 +53,6 @@ from equimus_ctrl.diagnosis.fitting import Fitted, chi_squared
 from equimus_ctrl.diagnosis.hypothesis import Candidate
 from equimus_ctrl.diagnosis.hypothesis_moves import HypothesisMoves
 from equimus_ctrl.diagnosis.residual_force import force_candidates, linearise_fit
-from equimus_ctrl.diagnosis.richer_alternatives import with_richer_alternatives
 from equimus_ctrl.diagnosis.richer_laws import richer
 from equimus_ctrl.diagnosis.screening import screen
 from equimus_ctrl.diagnosis.search_state import SearchHistory, SearchState, StopReason
@@ -176,7 +175,6 @@ class Search(HypothesisMoves):
     def _finished(self, state: SearchState) -> SearchState:
         """The end: each part the best in its place, at the fewest places, and as few of them as explain as much."""
         state = narrowed(self, exchanged_beside_fewer(self, contested(self, state)))
-        state = with_richer_alternatives(self, state)
         united = with_fewer_laws(self, state)
         if united.best is state.best:
             return united

@@ -34,7 +34,6 @@ from equimus_ctrl.diagnosis.residuals import ResidualForce, Unexplained
 from equimus_ctrl.diagnosis.search import Search
 from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.torque_screening import CORRELATED, torque_screen
-from equimus_ctrl.diagnosis.torque_start import shows
 from equimus_ctrl.diagnosis.unexplained import GENERALISED, ResidualAnalysis, residual_analysis
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import ForceEffect
@@ -175,7 +174,7 @@ def _together(known: Sequence[Unexplained], smooth: Sequence[ResidualForce]) -> 
 def beside(search: Search, state: SearchState, split: Split, also: Collection[str] = ()) -> tuple[SmoothLaw, ...]:
     """The smooth forces that the best hypothesis leaves unexplained, of each joint the one that gains most.
 
-    A force counts where its gain exceeds what chance gains and more than a trace of what the hypothesis
+    A force counts where its gain exceeds the acceptance threshold and more than a trace of what the hypothesis
     explains, and where validation trials confirm it.
 
     Args:
@@ -187,7 +186,7 @@ def beside(search: Search, state: SearchState, split: Split, also: Collection[st
     best = state.best
     whole = state.base.deviance - best.deviance
     found: dict[str, SmoothLaw] = {}
-    for joint, shape, candidate in _asked_for(search, state.base, best, also):
+    for joint, shape, candidate in _asked_for(search, best, also):
         law = _fitted(search, best, joint, shape, candidate)
         if law is None:
             continue
@@ -317,16 +316,9 @@ def _joints_of(search: Search, part: Part) -> set[str]:
     return places.intersection(robot.joint_names).union(*driven)
 
 
-def _asked_for(
-    search: Search, base: Fitted, best: Fitted, also: Collection[str]
-) -> Iterator[tuple[str, Shape, Candidate]]:
-    """Smooth forces that the torque domain asks for at a hypothesis' joints.
-
-    All there where there is none, or where it does not show what the hypothesis explains either.
-    """
+def _asked_for(search: Search, best: Fitted, also: Collection[str]) -> Iterator[tuple[str, Shape, Candidate]]:
+    """Smooth forces that the torque domain asks for at a hypothesis' joints; all there where there is none."""
     data, domain = search.data, search.torque_domain
-    if domain is not None and not shows(data, domain, base, search.pool):
-        domain = None
     excitation = excitation_of(data.free.model, data.segments)
     every = [
         (joint, shape, _candidate(joint, shape, excitation[joint]))
@@ -360,27 +352,22 @@ def _candidate(joint: str, shape: Shape, excitation: Excitation) -> Candidate:
 def _fitted(search: Search, best: Fitted, joint: str, shape: Shape, candidate: Candidate) -> SmoothLaw | None:
     """A smooth force fitted beside a hypothesis, begun at nothing; None where that diverges.
 
-    Its gain is over the better minimum of the hypothesis: the one it has, or the one next to where the fit ended. Both
-    fits are so of one minimum, and no scatter among minima has to be exceeded.
+    Its gain is over the better minimum of the hypothesis: the one it has, or the one next to where the fit ended.
     """
     data, n = search.data, candidate.n_parameters
     hypothesis = (*best.hypothesis, Part(candidate, dict(SmoothForce.neutral)))
     begin = (np.append(best.fit.theta, np.zeros(n)), best.fit.starts)
     try:
         fitted = data.coarse_fit(hypothesis, [begin], best.noise, search.settings.long_steps)
-        if not _more_than_chance(search, best.deviance - fitted.deviance, n):
+        if not search.accepts(best, fitted):
             return None
         fitted = data.converge(fitted)
         back = (fitted.fit.theta[:-n], fitted.fit.starts)
         plain = data.converge(data.coarse_fit(best.hypothesis, [back], best.noise, search.settings.long_steps))
     except SimulationDiverged:
         return None
-    gain = min(best.deviance, plain.deviance) - fitted.deviance
-    return SmoothLaw(joint, shape, fitted, gain) if _more_than_chance(search, gain, n) else None
-
-
-def _more_than_chance(search: Search, gain: float, count: int) -> bool:
-    return search.data.thresholds.decides(lambda t: gain > search.chance(count, t))
+    least = min(best, plain, key=lambda f: f.deviance)
+    return SmoothLaw(joint, shape, fitted, least.deviance - fitted.deviance) if search.accepts(least, fitted) else None
 
 
 def _residual_force(search: Search, law: SmoothLaw) -> ResidualForce:
@@ -404,7 +391,7 @@ def _residual_force(search: Search, law: SmoothLaw) -> ResidualForce:
         coordinates=(axis, *factor),
         places=(law.joint,),
         gain=law.gain,
-        threshold=search.chance(part.candidate.n_parameters, search.data.thresholds),
+        threshold=search.threshold(part.candidate.n_parameters),
         unit=place_unit(model, "N·m·s/rad" if law.shape.times_rate else "N·m", law.joint),
         axis=axis if known else None,
         axis_unit=place_unit(model, "rad" if law.shape.over == "pos" else "rad/s", law.joint) if known else "",

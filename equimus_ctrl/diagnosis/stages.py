@@ -35,18 +35,15 @@ from equimus_ctrl.diagnosis.findings import (
 from equimus_ctrl.diagnosis.fitting import Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Part
-from equimus_ctrl.diagnosis.laws_of_forces import with_laws_of_forces
 from equimus_ctrl.diagnosis.localization import excess_variances, localise
 from equimus_ctrl.diagnosis.noise_size import noise_sizes
 from equimus_ctrl.diagnosis.policy import Thresholds
 from equimus_ctrl.diagnosis.refit import nominal_residuals, refit, searched_from_short
 from equimus_ctrl.diagnosis.residuals import ResidualAboveNoise, Residuals, Unexplained
 from equimus_ctrl.diagnosis.results import STATES, Diagnosis, Equivalent
-from equimus_ctrl.diagnosis.search import Search
-from equimus_ctrl.diagnosis.search_state import SearchState
 from equimus_ctrl.diagnosis.smooth_laws import analysed, analysed_without, without_redundant
 from equimus_ctrl.diagnosis.state import DiagnosisInputs, State
-from equimus_ctrl.diagnosis.unexplained import ResidualAnalysis, not_confirmed, not_on_test
+from equimus_ctrl.diagnosis.unexplained import not_confirmed, not_on_test
 from equimus_ctrl.diagnosis.unit_stages import compare_units, still_apart, tell_apart
 from equimus_ctrl.errors import SimulationDiverged
 from equimus_ctrl.identification.residuals import residuals_of
@@ -180,7 +177,7 @@ def explain_residuals(state: State) -> State:
     search, end, rejected = state.search, state.end, state.rejected
     reasons: dict[str, str] = {}
     further = search.settings.again
-    search, end, analysis = _with_laws_of_forces(state, search, end)
+    analysis = analysed(search, end, state.inputs.split)
     while analysis.redundant:
         end, dropped = without_redundant(search, end, analysis)
         rejected += tuple(named_part(part) for part in dropped)
@@ -199,20 +196,6 @@ def explain_residuals(state: State) -> State:
         ranking=state.ranking or ranking(search, end),
     )
     return _explained(after, state.end.best, reasons)
-
-
-def _with_laws_of_forces(
-    state: State, search: Search, end: SearchState
-) -> tuple[Search, SearchState, ResidualAnalysis]:
-    """An end with the laws that its residual forces ask for, and what it leaves then."""
-    analysis = analysed(search, end, state.inputs.split)
-    while (after := with_laws_of_forces(search, end, analysis.unexplained)) is not end:
-        if after.best is end.best:
-            return search, after, analysis
-        end = confirmed(search, search.go_on(after), state.inputs.split)
-        search, end = still_apart(search, end, state.inputs.split)
-        analysis = analysed(search, end, state.inputs.split)
-    return search, end, analysis
 
 
 def _explained(state: State, before: Fitted, reasons: Mapping[str, str]) -> State:

@@ -194,24 +194,6 @@ def worth_simulating(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Seq
     return kept
 
 
-def shows(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> bool:
-    """Whether the torque domain shows anything of what a hypothesis leaves: some candidate explains more than chance.
-
-    Where it shows nothing, as of small motions under noise, that a law explains nothing there says nothing against it.
-    """
-    fits = torque_screen(data, domain, fitted, pool).alone().values()
-    return _more_than_chance(data, max((fit.gain for fit in fits), default=0.0), pool)
-
-
-def not_shown(
-    data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate], some: Sequence[Candidate]
-) -> list[Candidate]:
-    """Those of some candidates that ``worth_compiling`` leaves out though the torque domain shows nothing of any."""
-    worth = {candidate.label for candidate in worth_compiling(data, domain, fitted, pool)}
-    left = [candidate for candidate in some if candidate.label not in worth]
-    return [] if not left or shows(data, domain, fitted, pool) else left
-
-
 def worth_compiling(data: Data, domain: TorqueDomain, fitted: Fitted, pool: Sequence[Candidate]) -> list[Candidate]:
     """Candidates without those with ``own_equations`` that hardly explain more than the others.
 
