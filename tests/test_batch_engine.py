@@ -35,10 +35,11 @@ from equimus_ctrl.effects import (
 )
 from equimus_ctrl.effects.base import parameter, register
 from equimus_ctrl.effects.force import Parameters, force_laws
-from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines import lane_functions
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.encoding import encode
-from equimus_ctrl.engines.lane_functions import LANES
+from equimus_ctrl.engines.lane_equations import FUNCTIONS, load_lanes
+from equimus_ctrl.engines.lane_functions import LANES, ROW_GAPS, ROW_PRESSED, ROW_PRESSURE, ROW_RATE, ROW_X
 from equimus_ctrl.engines.trials import Predicted, Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.augmented import law_parameters, slots_of
@@ -109,31 +110,34 @@ def same(a: Sequence[Predicted], b: Sequence[Predicted]) -> bool:
 def test_a_lanes_equations_of_motion_are_newtons(name: str, phase: Phase) -> None:
     """Another set of numbers in every lane."""
     form = structure(random_morphology(name, 0, stops=True))
-    names = vars(compiled._lane_model(form, phase, force_laws()))
+    lanes = load_lanes(form, phase, force_laws())
+    x, pressures, rate, pressing, asking = (
+        lanes.robot[place] for place in (ROW_X, ROW_PRESSURE, ROW_RATE, ROW_PRESSED, ROW_GAPS)
+    )
     laws = slots_of(form, force_laws())
     robots = [random_morphology(name, seed, stops=True) for seed in range(LANES)]
     nj, na = len(robots[0].joints), len(robots[0].actuators)
     rng = np.random.default_rng(1)
-    w = np.zeros(names["WORK_ROWS"] * LANES)
+    w = lanes.work()
     rows = w.reshape(-1, LANES)
-    rows[names["ROW_X"] : names["ROW_X"] + nj] = np.array([random_poses(m, rng, 1)[0] for m in robots]).T
-    rows[names["ROW_X"] + nj : names["ROW_X"] + 2 * nj] = rng.normal(0, 2, (nj, LANES))
-    rows[names["ROW_PRESSURE"] : names["ROW_PRESSURE"] + na] = rng.uniform(0, 5e4, (na, LANES))
+    rows[x : x + nj] = np.array([random_poses(m, rng, 1)[0] for m in robots]).T
+    rows[x + nj : x + 2 * nj] = rng.normal(0, 2, (nj, LANES))
+    rows[pressures : pressures + na] = rng.uniform(0, 5e4, (na, LANES))
     for lane, m in enumerate(robots):
         p = np.concatenate([pack(m), law_parameters(laws, [], m.joint_names, m.actuator_names)])
-        names["prepare_lane"](p, w, lane)
-    names["lane_start"](w)
-    names["lane_gaps"](w)
-    pressed, gaps = (rows[names[row] : names[row] + 2 * nj] for row in ("ROW_PRESSED", "ROW_GAPS"))
+        lanes.functions.prepare_lane(lanes.robot, p, w, lane)
+    lanes.functions.lane_start(lanes.robot, w)
+    lanes.functions.lane_gaps(lanes.robot, w)
+    pressed, gaps = (rows[row : row + 2 * nj] for row in (pressing, asking))
     pressed[:] = gaps > 0
     assert 0 < pressed.sum() < pressed.size
-    names["lane_grips"](w)
-    names["lane_motion"](w)
+    lanes.functions.lane_grips(lanes.robot, w)
+    lanes.functions.lane_motion(lanes.robot, w)
     for lane, m in enumerate(robots):
-        q, v = rows[names["ROW_X"] :][: 2 * nj, lane].reshape(2, nj)
-        pressure = rows[names["ROW_PRESSURE"] :][:na, lane]
+        q, v = rows[x:][: 2 * nj, lane].reshape(2, nj)
+        pressure = rows[pressures:][:na, lane]
         expected = newton_acceleration(m, q, v, pressure, phase=phase)
-        found = rows[names["ROW_RATE"] + nj :][:nj, lane]
+        found = rows[rate + nj :][:nj, lane]
         np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max())
 
 
@@ -225,14 +229,23 @@ def test_neighbours_that_differ_in_the_command_before_alone_are_told_apart() -> 
         np.testing.assert_array_equal(found[k], simulate([model], [one])[0].position[0])
 
 
-def test_one_structure_has_one_kernel() -> None:
+def test_what_kernels_are_told_of_a_structure_has_a_place_each() -> None:
+    places = [n for name, n in vars(lane_functions).items() if name.isupper() and name not in ("LANES", "LENGTH")]
+    assert sorted(places) == list(range(lane_functions.LENGTH))
+    robot = load_lanes(structure(LEG), "swing", ()).robot
+    assert all(robot[place] != 0 for place in FUNCTIONS.values())
+
+
+def test_one_structure_has_one_set_of_equations_and_all_have_one_kernel() -> None:
     laws = force_laws()
-    kernel = compiled.load_lanes(structure(LEG), "swing", laws)
-    assert compiled.load_lanes(structure(ideal_leg()), "swing", laws) is kernel
-    assert compiled.load_lanes(structure(random_morphology("mono_and_bi", 7)), "swing", laws) is kernel
+    lanes = load_lanes(structure(LEG), "swing", laws)
+    assert load_lanes(structure(ideal_leg()), "swing", laws) is lanes
+    assert load_lanes(structure(random_morphology("mono_and_bi", 7)), "swing", laws) is lanes
+    other = load_lanes(structure(random_morphology("one_joint", 7)), "swing", laws)
+    assert other.kernel is lanes.kernel and other.n_joints < lanes.n_joints
     # Compiled once for all of them: one signature.
     simulate([crowd(19)[0], Model(ideal_leg())], trials())
-    assert len(kernel.run_trials.signatures) == 1
+    assert len(lanes.kernel.run_trials.signatures) == 1
 
 
 def test_what_is_handed_in_is_left_alone() -> None:

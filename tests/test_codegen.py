@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
-import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -201,11 +200,11 @@ def run_lanes(routines: list[LaneRoutine], p: ca.SX, first: int, folder: Path) -
     prefix = f"test_{uuid.uuid4().hex}"
     made = generate_lanes(routines, p, WIDTH, prefix, first)
     (folder / "lanes.o").write_bytes(made.code)
-    load(folder / "lanes.o", prefix, ("prepare", *made.names))
+    addresses = load(folder / "lanes.o", prefix, ("prepare", *made.names))
     pointer = ctypes.POINTER(ctypes.c_double)
 
     def function(name: str, *kinds: Any) -> Any:
-        return ctypes.CFUNCTYPE(None, *kinds)(llvm.address_of_symbol(f"{prefix}_{name}"))
+        return ctypes.CFUNCTYPE(None, *kinds)(addresses[name])
 
     def at(values: Any) -> Any:
         return values.ctypes.data_as(pointer)

@@ -25,9 +25,10 @@ from equimus_ctrl.effects import (
     make,
 )
 from equimus_ctrl.effects.force import force_laws
-from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.encoding import encode
+from equimus_ctrl.engines.lane_equations import load_lanes
+from equimus_ctrl.engines.lane_functions import LANES, ROW_X
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.kinematics import Kinematics
 from equimus_ctrl.models.model import Model
@@ -59,20 +60,18 @@ def states(model: Model, q0: Array, v0: Array, pressure: Array, until: float, dt
     """(steps + 1, nj) angles and rates on the physics' grid itself, under constant pressures."""
     coded = encode([model])
     form = structure(model.morphology)
-    kernel = compiled.load_lanes(form, model.phase, force_laws())
-    names = vars(compiled._lane_model(form, model.phase, force_laws()))
-    lanes, nj, steps = names["LANES"], len(q0), round(until / dt)
-    w = np.zeros(names["WORK_ROWS"] * lanes)
-    for lane in range(lanes):
-        names["prepare_lane"](coded.parameters[0], w, lane)
-    rows = w.reshape(-1, lanes)
-    rows[names["ROW_X"] :][: 2 * nj] = np.concatenate([q0, v0])[:, None]
-    names["lane_start"](w)
-    drive = np.zeros((steps, 2, len(pressure) * lanes))
-    drive[:, 0] = np.repeat(pressure, lanes)
-    out = np.empty((steps + 1, 2 * nj * lanes))
-    kernel.run_lanes(w, drive, dt, coded.rubbing, out)
-    found = out.reshape(-1, 2 * nj, lanes)[:, :, 0]
+    lanes = load_lanes(form, model.phase, force_laws())
+    nj, steps, w = len(q0), round(until / dt), lanes.work()
+    for lane in range(LANES):
+        lanes.functions.prepare_lane(lanes.robot, coded.parameters[0], w, lane)
+    rows = w.reshape(-1, LANES)
+    rows[lanes.robot[ROW_X] :][: 2 * nj] = np.concatenate([q0, v0])[:, None]
+    lanes.functions.lane_start(lanes.robot, w)
+    drive = np.zeros((steps, 2, len(pressure) * LANES))
+    drive[:, 0] = np.repeat(pressure, LANES)
+    out = np.empty((steps + 1, 2 * nj * LANES))
+    lanes.kernel.run_lanes(lanes.robot, w, drive, dt, coded.rubbing, out)
+    found = out.reshape(-1, 2 * nj, LANES)[:, :, 0]
     return found[:, :nj], found[:, nj:]
 
 

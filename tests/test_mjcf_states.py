@@ -36,10 +36,10 @@ from equimus_ctrl.effects import (
 )
 from equimus_ctrl.effects.excitation import Excitation
 from equimus_ctrl.effects.force import force_laws
-from equimus_ctrl.engines import compiled
 from equimus_ctrl.engines.batch import simulate
 from equimus_ctrl.engines.choice import engine_for
 from equimus_ctrl.engines.encoding import encode, grouped
+from equimus_ctrl.engines.lane_functions import SHORT
 from equimus_ctrl.engines.mjcf import simulate_mjcf
 from equimus_ctrl.engines.mjcf_inverse import law_force, law_slopes
 from equimus_ctrl.engines.trials import Predicted, Trial
@@ -169,8 +169,8 @@ def test_a_model_without_such_a_law_keeps_its_kernel() -> None:
     assert laws == {law for law in force_laws("mjcf") if not law.n_states}
     assert with_drift - laws == {FrictionDrift}
     coded = groups[0][1]
-    generated = compiled._lane_model(coded.form, "swing", coded.laws)
-    assert generated.N_STATES == 0 and generated.SHORT  # type: ignore[attr-defined]
+    lanes = coded.lanes
+    assert lanes.n_states == 0 and lanes.robot[SHORT]
     assert set(encode([plain, warming]).laws) == with_drift
 
 

@@ -15,20 +15,17 @@ import numpy as np
 
 from equimus_ctrl.controllers import pid_kernel
 from equimus_ctrl.effects.command import advance_pressure
-from equimus_ctrl.effects.force import ForceEffect
 from equimus_ctrl.effects.sensors import follow, recall
 from equimus_ctrl.effects.shaping import shape_command
 from equimus_ctrl.engines import compiled
 from equimus_ctrl.models.model import Model, model_from_dict, model_to_dict
-from equimus_ctrl.robots.elastic.morphology import pack, structure
 
 
-def compile_laws(model: Model, lanes: bool) -> None:
+def compile_laws(model: Model) -> None:
     """Compile the functions of PID, valves and sensors for a model's structure, or load them from the cache.
 
     Args:
         model: whose structure.
-        lanes: whether to compile what prepares the constants of robots without force laws, too.
     """
     m = model.morphology
     law = compiled.load(m, model.phase, pid_kernel)
@@ -41,9 +38,6 @@ def compile_laws(model: Model, lanes: bool) -> None:
     shape_command(np.empty((0, 3)), command, np.empty(na))
     advance_pressure(np.zeros(1), np.zeros(1), 0.0, -1, 0.0, 0.01, 0.0, np.zeros(6))
     follow(recall(np.zeros((1, 2)), 0, 0.0, 0.01), 0.0, 0.0)
-    if lanes:
-        kernel = compiled.load_lanes(structure(m), model.phase, ())
-        kernel.prepare_lane(pack(m), np.zeros(kernel.WORK_ROWS * kernel.LANES), 0)
     compiled.mark_compiled(law)
 
 
@@ -64,8 +58,7 @@ def start(model: Model) -> subprocess.Popen[str] | None:
         )
         assert process.stdin is not None
         # Only the structure counts, and the other process knows no effects of a user's own.
-        lanes = not any(isinstance(effect, ForceEffect) for effect in model.effects)
-        process.stdin.write(json.dumps([model_to_dict(replace(model, effects=())), lanes]))
+        process.stdin.write(json.dumps(model_to_dict(replace(model, effects=()))))
         process.stdin.close()
     except OSError:
         return None
@@ -85,5 +78,4 @@ def finish(process: subprocess.Popen[str] | None) -> None:
 
 
 if __name__ == "__main__":
-    described, with_lanes = json.load(sys.stdin)
-    compile_laws(model_from_dict(described), with_lanes)
+    compile_laws(model_from_dict(json.load(sys.stdin)))

@@ -98,7 +98,7 @@ def _simulated(
                 for first in range(0, len(chosen), LANES)
             ]
             # Of trials that a recording leads to, each part follows it from its beginning.
-            led = arrays.kernel.N_STATES > 0 and any(trials[index].led is not None for index in own_trials)
+            led = arrays.lanes.n_states > 0 and any(trials[index].led is not None for index in own_trials)
             parts_a_thread = 1 if led else BATCHES_A_THREAD
             size = max(math.ceil(len(own_trials) * len(blocks) / (parts_a_thread * count)), 1)
             for together in _shared(trials, own_trials):
@@ -116,11 +116,8 @@ def _simulated(
         for task in tasks:
             work(task)
     else:
-        for kernel in {block.kernel for block, _ in tasks}:
-            if not kernel.run_trials.signatures:  # what has to be compiled is compiled once
-                first_task = next(task for task in tasks if task[0].kernel is kernel)
-                tasks.remove(first_task)
-                work(first_task)
+        if not tasks[0][0].lanes.kernel.run_trials.signatures:  # what has to be compiled is compiled once
+            work(tasks.pop(0))
         list(computer.threads(count).map(work, tasks))
     poses = [trial.position for trial in trials]
     robot = changed_bodies(models[0].effects, models[0].robot)
@@ -169,7 +166,7 @@ class _Block:
     """
 
     def __init__(self, coded: Encoded, models: NDArray[np.int64], rows: slice, histories: _Histories) -> None:
-        self.coded, self.rows, self.kernel = coded, rows, coded.kernel
+        self.coded, self.rows, self.lanes = coded, rows, coded.lanes
         self.models, self.model_places = _run_of(models), models
         self.histories = histories
         own = coded.mechanics[0]
@@ -227,9 +224,10 @@ class _Block:
         reached = np.zeros((len(trials), k), np.int64)
         forces = any(trial.forces for trial in trials)
         inner = forces or any(trial.inner for trial in trials)
-        numbers = self.kernel.N_STATE if forces else 2 * len(self.moved)
+        numbers = self.lanes.n_state if forces else 2 * len(self.moved)
         motion = np.empty((k, place[-1] if inner else 0, numbers))
-        self.kernel.run_trials(
+        self.lanes.kernel.run_trials(
+            self.lanes.robot,
             self.parameters,
             trials[0].times,
             commands,

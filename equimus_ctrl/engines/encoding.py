@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from equimus_ctrl.effects.following import DIRECT, FILTERED, FOLLOW_KIND, SLEWED
 from equimus_ctrl.effects.force import force_laws, laws_with
 from equimus_ctrl.effects.sensors import SCALE, sensor_settings
 from equimus_ctrl.effects.valves import valve_settings
-from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines import lane_equations
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.models.augmented import Laws, law_parameters, rubbing_places, slots_of
@@ -59,9 +58,9 @@ class Encoded:
         return self.mechanics[0].form
 
     @property
-    def kernel(self) -> ModuleType:
-        """The compiled kernel of their form."""
-        return compiled.load_lanes(self.form, self.models[0].phase, self.laws)
+    def lanes(self) -> lane_equations.Lanes:
+        """The compiled equations of their form."""
+        return lane_equations.load_lanes(self.form, self.models[0].phase, self.laws)
 
     def sensors_of_coordinates(self, rows: slice) -> Array:
         """(k, nv, 4) the sensors of some models' coordinates; those of coordinates that are no joints show them."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 
 from equimus_ctrl.engines.encoding import Encoded
+from equimus_ctrl.engines.lane_equations import Lanes
 from equimus_ctrl.types import Array
 
 STEP = 1e-5
@@ -69,36 +69,36 @@ class Field:
     """The equations of motion of one model.
 
     Attributes:
-        kernel: compiled.
+        lanes: their compiled form.
         parameters: (np,) of the model.
     """
 
-    kernel: ModuleType
+    lanes: Lanes
     parameters: Array
 
     @classmethod
     def of(cls, coded: Encoded, index: int = 0) -> Field:
         """Of one of some models."""
-        return cls(coded.kernel, coded.parameters[index].copy())
+        return cls(coded.lanes, coded.parameters[index].copy())
 
     def states(self, q: Array, v: Array, z: Array | None = None, pressure: Array | None = None) -> States:
         """States with nothing pressed and no friction; no commands and no states of effects by default."""
-        n, k = len(q), self.kernel
-        z = np.zeros((n, k.N_STATES)) if z is None else z
-        pressure = np.zeros((n, k.N_ACTUATORS)) if pressure is None else pressure
+        n, k = len(q), self.lanes
+        z = np.zeros((n, k.n_states)) if z is None else z
+        pressure = np.zeros((n, k.n_actuators)) if pressure is None else pressure
         q, v, z, pressure = (np.ascontiguousarray(part, dtype=np.float64) for part in (q, v, z, pressure))
-        return States(q, v, z, pressure, np.zeros((n, k.N_LIMITS)), np.zeros((n, k.N_ROWS)))
+        return States(q, v, z, pressure, np.zeros((n, k.n_limits)), np.zeros((n, k.n_rows)))
 
     def at(self, s: States) -> Array:
         """(n, nv + nz) accelerations and rates of the effects' states."""
-        out = np.empty((len(s.q), self.kernel.N_JOINTS + self.kernel.N_STATES))
-        self.kernel.field(self.parameters, s.q, s.v, s.z, s.pressure, s.pressed, s.side, out)
+        out = np.empty((len(s.q), self.lanes.n_joints + self.lanes.n_states))
+        self.lanes.kernel.field(self.lanes.robot, self.parameters, s.q, s.v, s.z, s.pressure, s.pressed, s.side, out)
         return out
 
     def slopes(self, s: States) -> Array:
         """(n, nv + nz, 2 nv + nz) their derivatives by (q, v, z)."""
         whole = np.concatenate([s.q, s.v, s.z], axis=1)
-        found = np.empty((len(s.q), self.kernel.N_JOINTS + self.kernel.N_STATES, whole.shape[1]))
+        found = np.empty((len(s.q), self.lanes.n_joints + self.lanes.n_states, whole.shape[1]))
         for column in range(whole.shape[1]):
             by = STEP * np.maximum(np.abs(whole[:, column]), 1.0)
             change = self.at(s.moved(column, by)) - self.at(s.moved(column, -by))
@@ -107,18 +107,20 @@ class Field:
 
     def rub(self, s: States) -> Rub:
         """What dry friction does, whatever ``side`` says."""
-        n, nv, nr = len(s.q), self.kernel.N_JOINTS, self.kernel.N_ROWS
+        n, nv, nr = len(s.q), self.lanes.n_joints, self.lanes.n_rows
         out = np.empty((n, nr * (nv + nr + 3)))
         if nr:
-            self.kernel.rubbing_field(self.parameters, s.q, s.v, s.z, s.pressure, s.pressed, out)
+            self.lanes.kernel.rubbing_field(
+                self.lanes.robot, self.parameters, s.q, s.v, s.z, s.pressure, s.pressed, out
+            )
         per_impulse, delassus, bound, _, rate = np.split(out, np.cumsum([nv * nr, nr * nr, nr, nr]), axis=1)
         columns = per_impulse.reshape(n, nr, nv).transpose(0, 2, 1)
         return Rub(columns, delassus.reshape(n, nr, nr).transpose(0, 2, 1), rate, bound)
 
     def rows(self, s: States) -> Array:
         """(n, nr, nv) along which dry friction acts."""
-        nv = self.kernel.N_JOINTS
-        found = np.empty((len(s.q), self.kernel.N_ROWS, nv))
+        nv = self.lanes.n_joints
+        found = np.empty((len(s.q), self.lanes.n_rows, nv))
         for j in range(nv):
             unit = np.zeros_like(s.v)
             unit[:, j] = 1.0
@@ -127,15 +129,17 @@ class Field:
 
     def limits(self, s: States) -> tuple[Array, Array]:
         """(n, nl) how far states are beyond each limit, and 1 where one is pressed, of those that are beyond theirs."""
-        depths, gaps = np.empty((2, len(s.q), self.kernel.N_LIMITS))
+        depths, gaps = np.empty((2, len(s.q), self.lanes.n_limits))
         for pressed in (np.zeros_like(depths), None):
             given = (depths > 0).astype(np.float64) if pressed is None else pressed
-            self.kernel.limit_gaps(self.parameters, s.q, s.v, s.z, s.pressure, given, depths, gaps)
+            self.lanes.kernel.limit_gaps(
+                self.lanes.robot, self.parameters, s.q, s.v, s.z, s.pressure, given, depths, gaps
+            )
         return depths, (gaps > 0).astype(np.float64)
 
     def fastest(self, s: States) -> float:
         """Largest |eigenvalue| of the motion about the states [1/s]."""
-        slopes, nv = self.slopes(s), self.kernel.N_JOINTS
+        slopes, nv = self.slopes(s), self.lanes.n_joints
         system = np.zeros((len(slopes), slopes.shape[2], slopes.shape[2]))
         system[:, range(nv), range(nv, 2 * nv)] = 1.0
         system[:, nv:] = slopes

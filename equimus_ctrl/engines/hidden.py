@@ -101,7 +101,7 @@ def lead(
     integrates = given.follow[:, :, FOLLOW_KIND] == INTEGRATED
     integrals = np.zeros(integrates.shape)
     nothing = Lead(none, np.empty((3, 0, len(own.starts))), 0.0, integrals)
-    if recorded is None or not (integrates.any() or coded.kernel.N_STATES > 0):
+    if recorded is None or not (integrates.any() or coded.lanes.n_states > 0):
         return nothing
     robot, motion = coded.models[0].robot, recorded.motion
     if integrates.any():

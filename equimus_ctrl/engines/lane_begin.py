@@ -18,6 +18,7 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_TIME,
     ROW_X,
     WORK_ROWS,
+    Layout,
     lane_start,
     prepare_lane,
 )
@@ -25,11 +26,11 @@ from equimus_ctrl.types import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def prepared(parameters: Array) -> Array:
+def prepared(robot: Layout, parameters: Array) -> Array:
     """A work array with the constants of up to LANES parameter sets (k, np); lanes to spare repeat the last."""
-    w = np.zeros(WORK_ROWS * LANES)
+    w = np.zeros(robot[WORK_ROWS] * LANES)
     for l in range(LANES):  # noqa: E741
-        prepare_lane(parameters[min(l, len(parameters) - 1)], w, l)
+        prepare_lane(robot, parameters[min(l, len(parameters) - 1)], w, l)
     return w
 
 
@@ -49,16 +50,17 @@ def same_as_previous(commands: Array, before: Array, valve: Array, follow: Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def clear(w: Array, time: float) -> None:
+def clear(robot: Layout, w: Array, time: float) -> None:
     """Clear all of the work array but the constants, a time after the recording began [s]."""
-    for i in range(ROW_CONSTANTS * LANES):
+    for i in range(robot[ROW_CONSTANTS] * LANES):
         w[i] = 0.0
     for l in range(LANES):  # noqa: E741
-        w[ROW_TIME * LANES + l] = time
+        w[robot[ROW_TIME] * LANES + l] = time
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def begin_trial(
+    robot: Layout,
     w: Array,
     drive: Array,
     times: Array,
@@ -79,18 +81,19 @@ def begin_trial(
     The other arguments are those of ``run_trials``, for one trial, and what ``same_as_previous`` says of the lanes.
     """
     k = len(q0)
-    clear(w, start - times[0])
+    clear(robot, w, start - times[0])
     for l in range(LANES):  # noqa: E741
         own = min(l, k - 1)
-        for j in range(N_JOINTS):
-            w[(ROW_X + j) * LANES + l] = q0[own, j]
-            w[(ROW_X + N_JOINTS + j) * LANES + l] = v0[own, j]
-    lane_start(w)
-    put_commands(drive, times, commands, before, valve, follow, first, start, dt, same, linear)
+        for j in range(robot[N_JOINTS]):
+            w[(robot[ROW_X] + j) * LANES + l] = q0[own, j]
+            w[(robot[ROW_X] + robot[N_JOINTS] + j) * LANES + l] = v0[own, j]
+    lane_start(robot, w)
+    put_commands(robot, drive, times, commands, before, valve, follow, first, start, dt, same, linear)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def put_commands(
+    robot: Layout,
     drive: Array,
     times: Array,
     commands: Array,
@@ -109,13 +112,13 @@ def put_commands(
     last has. The other arguments are those of ``begin_trial``.
     """
     k, steps = len(commands), len(drive)
-    own = np.zeros((N_ACTUATORS, LANES), dtype=np.int64)  # which of the different histories is a lane's
-    for i in range(N_ACTUATORS):
+    own = np.zeros((robot[N_ACTUATORS], LANES), dtype=np.int64)  # which of the different histories is a lane's
+    for i in range(robot[N_ACTUATORS]):
         for l in range(1, LANES):  # noqa: E741
             other = l < k and not (same[l, i] and first[l, i] == first[l - 1, i])
             own[i, l] = own[i, l - 1] + (1 if other else 0)
-    histories = np.empty((own.max() + 1 if own.size else 0, steps, 2, N_ACTUATORS))
-    for i in range(N_ACTUATORS):
+    histories = np.empty((own.max() + 1 if own.size else 0, steps, 2, robot[N_ACTUATORS]))
+    for i in range(robot[N_ACTUATORS]):
         for l in range(k):  # noqa: E741
             if l == 0 or own[i, l] > own[i, l - 1]:
                 own_followed_history(
@@ -130,6 +133,7 @@ def put_commands(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def go_on_with_commands(
+    robot: Layout,
     drive: Array,
     times: Array,
     columns: Array,
@@ -146,6 +150,7 @@ def go_on_with_commands(
     """``put_commands`` piece by piece, see ``effects.command.go_on``.
 
     Args:
+        robot: see ``lane_functions``.
         drive: (steps, 2, na·LANES) written, as there.
         times: as there, as what is not named here.
         columns: (k, na, n) commands.
@@ -160,7 +165,7 @@ def go_on_with_commands(
         history: (≥ steps, 2, na) room.
     """
     k, steps = len(columns), len(drive)
-    for i in range(N_ACTUATORS):
+    for i in range(robot[N_ACTUATORS]):
         lane = 0
         while lane < k:
             go_on(

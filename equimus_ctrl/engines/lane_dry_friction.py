@@ -9,8 +9,6 @@ correction counts from the instant of the turn, so that a turn costs an error of
 
 from __future__ import annotations
 
-from numba import njit
-
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ROWS,
@@ -25,6 +23,10 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_SPAN,
     ROW_SUM,
     ROW_WORST,
+    Layout,
+    bare,
+    copy_rows,
+    fill_row,
     lane_friction,
     lane_hold,
     lane_rub,
@@ -39,83 +41,83 @@ NO_SIDE = 2.0
 """In ROW_SIDE before it is known."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sweep(w: Array, rubbing: Array) -> None:
+@bare
+def sweep(robot: Layout, w: Array, rubbing: Array) -> None:
     """Find the friction of one row after another, in lanes where it is sought still (projected Gauss–Seidel).
 
     Args:
+        robot: see ``lane_functions``.
         w: work array.
         rubbing: rows where any lane has dry friction.
     """
-    for l in range(LANES):  # noqa: E741
-        w[ROW_WORST * LANES + l] = 0.0
+    n, worst, change, sought = robot[N_ROWS], robot[ROW_WORST], robot[ROW_RATE], robot[ROW_SOUGHT]
+    delassus, bounds, phi = robot[ROW_DELASSUS], robot[ROW_BOUND], robot[ROW_PHI]
+    spans, slip = robot[ROW_SPAN], robot[ROW_SLIP]
+    fill_row(w, worst, 0.0)
     for r in rubbing:
-        own = (ROW_DELASSUS + r * (N_ROWS + 1)) * LANES
+        own = (delassus + r * (n + 1)) * LANES
         for l in range(LANES):  # noqa: E741
-            bound = w[(ROW_BOUND + r) * LANES + l]
-            old = w[(ROW_PHI + r) * LANES + l]
+            bound = w[(bounds + r) * LANES + l]
+            old = w[(phi + r) * LANES + l]
             # An actuator without a lever arm cannot rub.
-            span = w[(ROW_SPAN + r) * LANES + l]
-            correction = w[(ROW_SLIP + r) * LANES + l] / (w[own + l] * span) if w[own + l] > 0.0 else 0.0
-            new = min(max(old - correction, -bound), bound) if w[ROW_SOUGHT * LANES + l] > 0.0 else old
-            w[(ROW_PHI + r) * LANES + l] = new
-            w[ROW_RATE * LANES + l] = (new - old) * span
-            w[ROW_WORST * LANES + l] = max(w[ROW_WORST * LANES + l], abs(new - old) * span * w[own + l])
+            span = w[(spans + r) * LANES + l]
+            correction = w[(slip + r) * LANES + l] / (w[own + l] * span) if w[own + l] > 0.0 else 0.0
+            new = min(max(old - correction, -bound), bound) if w[sought * LANES + l] > 0.0 else old
+            w[(phi + r) * LANES + l] = new
+            w[change * LANES + l] = (new - old) * span
+            w[worst * LANES + l] = max(w[worst * LANES + l], abs(new - old) * span * w[own + l])
         for s in rubbing:
             for l in range(LANES):  # noqa: E741
-                w[(ROW_SLIP + s) * LANES + l] += (
-                    w[(ROW_DELASSUS + s + r * N_ROWS) * LANES + l] * w[ROW_RATE * LANES + l]
-                )
+                w[(slip + s) * LANES + l] += w[(delassus + s + r * n) * LANES + l] * w[change * LANES + l]
     for l in range(LANES):  # noqa: E741
-        w[ROW_SOUGHT * LANES + l] = 1.0 if w[ROW_WORST * LANES + l] > RESIDUAL else 0.0
+        w[sought * LANES + l] = 1.0 if w[worst * LANES + l] > RESIDUAL else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sought_in_any(w: Array) -> bool:
+@bare
+def sought_in_any(robot: Layout, w: Array) -> bool:
     """Whether friction is sought in any lane."""
     left = 0.0
     for l in range(LANES):  # noqa: E741
-        left += w[ROW_SOUGHT * LANES + l]
+        left += w[robot[ROW_SOUGHT] * LANES + l]
     return left > 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def find_at_once(w: Array) -> bool:
+@bare
+def find_at_once(robot: Layout, w: Array) -> bool:
     """Find the friction of all rows at once, see ``models.sticking``; what goes on changing is left to ``sweep``.
 
     Returns:
         Whether it is found in all lanes.
     """
-    for i in range(N_ROWS * LANES):
-        w[ROW_SIDE * LANES + i] = NO_SIDE
+    for row in range(robot[N_ROWS]):
+        fill_row(w, robot[ROW_SIDE] + row, NO_SIDE)
     for _ in range(MOST_SOLUTIONS):
-        lane_sides(w)
-        if not sought_in_any(w):
+        lane_sides(robot, w)
+        if not sought_in_any(robot, w):
             return True
-        lane_hold(w)
+        lane_hold(robot, w)
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def correct_friction(w: Array, dt: float, rubbing: Array) -> None:
+@bare
+def correct_friction(robot: Layout, w: Array, dt: float, rubbing: Array) -> None:
     """Find the friction that the step's end asks for, and change angles and velocities by what is new in it.
 
     Each lane stops when its own friction is found, whatever the others do.
 
     Args:
+        robot: see ``lane_functions``.
         w: work array.
         dt: [s].
         rubbing: rows where any lane has dry friction.
     """
-    for l in range(LANES):  # noqa: E741
-        w[ROW_DT * LANES + l] = dt
-        w[ROW_SOUGHT * LANES + l] = 1.0
-    lane_friction(w)
-    for i in range(N_ROWS * LANES):
-        w[ROW_SUM * LANES + i] = w[ROW_PHI * LANES + i]
-    if not find_at_once(w):
+    fill_row(w, robot[ROW_DT], dt)
+    fill_row(w, robot[ROW_SOUGHT], 1.0)
+    lane_friction(robot, w)
+    copy_rows(w, robot[ROW_PHI], robot[ROW_SUM], robot[N_ROWS])
+    if not find_at_once(robot, w):
         for _ in range(MOST_SWEEPS):
-            sweep(w, rubbing)
-            if not sought_in_any(w):
+            sweep(robot, w, rubbing)
+            if not sought_in_any(robot, w):
                 break
-    lane_rub(w)
+    lane_rub(robot, w)

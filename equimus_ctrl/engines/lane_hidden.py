@@ -33,6 +33,8 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_START,
     ROW_SUM,
     ROW_X,
+    Layout,
+    fill_row,
     lane_keep,
     lane_rates,
     lane_start,
@@ -40,11 +42,6 @@ from equimus_ctrl.engines.lane_functions import (
 from equimus_ctrl.engines.lane_steps import MOST_PARTS, ROUNDING, limit_parts
 from equimus_ctrl.engines.limits import REMEMBERED
 from equimus_ctrl.types import Array
-
-HIDDEN = N_STATES > 0
-"""Whether there are any."""
-ROW_Z = ROW_X + 2 * N_JOINTS
-Z_AT_START, Z_SUM, Z_RATE = ROW_START + 2 * N_JOINTS, ROW_SUM + 2 * N_JOINTS, ROW_RATE + 2 * N_JOINTS
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -60,11 +57,21 @@ def alike(first: Array, second: Array) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def put_recorded(
-    w: Array, times: Array, motion: Array, sensor: Array, row: int, at: Array, bend: Array, bends: float, until: float
+    robot: Layout,
+    w: Array,
+    times: Array,
+    motion: Array,
+    sensor: Array,
+    row: int,
+    at: Array,
+    bend: Array,
+    bends: float,
+    until: float,
 ) -> None:
     """Put all lanes' joints where they were recorded to be.
 
     Args:
+        robot: see ``lane_functions``.
         w: work array.
         times: (n,) of the recorded motion [s].
         motion: (3, n, nj) positions, rates and accelerations then, as the sensors show them.
@@ -76,7 +83,7 @@ def put_recorded(
         until: when the interval starts [s].
     """
     k, last = len(sensor), len(times) - 2
-    for j in range(N_JOINTS):
+    for j in range(robot[N_JOINTS]):
         q, v = 0.0, 0.0
         for l in range(LANES):  # noqa: E741
             own, before = min(l, k - 1), max(min(l, k - 1) - 1, 0)
@@ -91,19 +98,20 @@ def put_recorded(
                 q = motion[0, i, j] + s * (motion[1, i, j] + s * (0.5 * a + s * jerk / 6.0))
                 v = motion[1, i, j] + s * (a + s * 0.5 * jerk)
                 q, v = (q - sensor[own, j, OFFSET]) / sensor[own, j, SCALE], v / sensor[own, j, SCALE]
-            w[(ROW_X + j) * LANES + l], w[(ROW_X + N_JOINTS + j) * LANES + l] = q, v
+            w[(robot[ROW_X] + j) * LANES + l], w[(robot[ROW_X] + robot[N_JOINTS] + j) * LANES + l] = q, v
     if bends == 0.0:
         return
     for l in range(LANES):  # noqa: E741
         share = 1.0 - (until - at[l]) / bends
-        for j in range(N_JOINTS if share > 0.0 else 0):
-            off, faster = bend[j * LANES + l], bend[(N_JOINTS + j) * LANES + l]
-            w[(ROW_X + j) * LANES + l] += hermite(0.0, 0.0, off, faster, bends, share)
-            w[(ROW_X + N_JOINTS + j) * LANES + l] += hermite_rate(0.0, 0.0, off, faster, bends, share)
+        for j in range(robot[N_JOINTS] if share > 0.0 else 0):
+            off, faster = bend[j * LANES + l], bend[(robot[N_JOINTS] + j) * LANES + l]
+            w[(robot[ROW_X] + j) * LANES + l] += hermite(0.0, 0.0, off, faster, bends, share)
+            w[(robot[ROW_X] + robot[N_JOINTS] + j) * LANES + l] += hermite_rate(0.0, 0.0, off, faster, bends, share)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hidden_part(
+    robot: Layout,
     w: Array,
     drive: Array,
     begun: float,
@@ -118,35 +126,39 @@ def hidden_part(
 ) -> None:
     """One Runge–Kutta step of the hidden states over each lane's own part of a step that has begun; see ``advance``."""
     at = np.empty(LANES)
-    for i in range(N_STATES * LANES):
-        w[Z_AT_START * LANES + i] = w[ROW_Z * LANES + i]
-        w[Z_SUM * LANES + i] = 0.0
+    below, part = 2 * robot[N_JOINTS], robot[ROW_PART]
+    z, begun_with = robot[ROW_X] + below, robot[ROW_START] + below
+    total, rates = robot[ROW_SUM] + below, robot[ROW_RATE] + below
+    for i in range(robot[N_STATES] * LANES):
+        w[begun_with * LANES + i] = w[z * LANES + i]
+        w[total * LANES + i] = 0.0
     for stage in range(4):
         into = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
         if stage != 2:  # both in the middle see the same motion and commands
             for l in range(LANES):  # noqa: E741
-                share = w[ROW_FROM * LANES + l] + into * w[ROW_PART * LANES + l]
+                share = w[robot[ROW_FROM] * LANES + l] + into * w[part * LANES + l]
                 at[l] = begun + share * dt
-                for i in range(N_ACTUATORS):
+                for i in range(robot[N_ACTUATORS]):
                     mean, slope = drive[0, i * LANES + l], drive[1, i * LANES + l]
-                    w[(ROW_PRESSURE + i) * LANES + l] = mean + (share - 0.5) * slope
-            put_recorded(w, times, motion, sensor, row, at, bend, bends, until)
-        lane_rates(w)
+                    w[(robot[ROW_PRESSURE] + i) * LANES + l] = mean + (share - 0.5) * slope
+            put_recorded(robot, w, times, motion, sensor, row, at, bend, bends, until)
+        lane_rates(robot, w)
         weight = 1.0 if stage == 0 or stage == 3 else 2.0
         h = 0.5 * dt if stage < 2 else dt
-        for i in range(N_STATES):
+        for i in range(robot[N_STATES]):
             for l in range(LANES):  # noqa: E741
-                rate = w[(Z_RATE + i) * LANES + l]
-                w[(Z_SUM + i) * LANES + l] += weight * rate
-                w[(ROW_Z + i) * LANES + l] = w[(Z_AT_START + i) * LANES + l] + h * w[ROW_PART * LANES + l] * rate
-    for i in range(N_STATES):
+                rate = w[(rates + i) * LANES + l]
+                w[(total + i) * LANES + l] += weight * rate
+                w[(z + i) * LANES + l] = w[(begun_with + i) * LANES + l] + h * w[part * LANES + l] * rate
+    for i in range(robot[N_STATES]):
         for l in range(LANES):  # noqa: E741
-            change = dt / 6.0 * w[ROW_PART * LANES + l] * w[(Z_SUM + i) * LANES + l]
-            w[(ROW_Z + i) * LANES + l] = w[(Z_AT_START + i) * LANES + l] + change
+            change = dt / 6.0 * w[part * LANES + l] * w[(total + i) * LANES + l]
+            w[(z + i) * LANES + l] = w[(begun_with + i) * LANES + l] + change
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hidden_step(
+    robot: Layout,
     w: Array,
     drive: Array,
     begun: float,
@@ -160,28 +172,29 @@ def hidden_step(
     until: float,
 ) -> None:
     """One step of the hidden states, in as short parts as their rates ask for; see ``lane_steps.step``."""
-    for l in range(LANES):  # noqa: E741
-        w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
-    limited = QUICK_INSIDE and limit_parts(w, dt)
+    fill_row(w, robot[ROW_FROM], 0.0)
+    fill_row(w, robot[ROW_PART], 1.0)
+    limited = robot[QUICK_INSIDE] and limit_parts(robot, w, dt)
     for part in range(MOST_PARTS):
-        hidden_part(w, drive, begun, dt, times, motion, sensor, row, bend, bends, until)
+        hidden_part(robot, w, drive, begun, dt, times, motion, sensor, row, bend, bends, until)
         if not limited:
             break
         left = 0.0
         for l in range(LANES):  # noqa: E741
-            reached = w[ROW_FROM * LANES + l] + w[ROW_PART * LANES + l]
-            w[ROW_FROM * LANES + l] = reached if reached < 1.0 - ROUNDING else 1.0
-            left += 1.0 - w[ROW_FROM * LANES + l]
+            reached = w[robot[ROW_FROM] * LANES + l] + w[robot[ROW_PART] * LANES + l]
+            w[robot[ROW_FROM] * LANES + l] = reached if reached < 1.0 - ROUNDING else 1.0
+            left += 1.0 - w[robot[ROW_FROM] * LANES + l]
         if left == 0.0:
             break
         # The last part takes all that is left.
-        limit_parts(w, dt if part < MOST_PARTS - 2 else 0.0)
-    if BOUNDED:
-        lane_keep(w)
+        limit_parts(robot, w, dt if part < MOST_PARTS - 2 else 0.0)
+    if robot[BOUNDED]:
+        lane_keep(robot, w)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow_recorded(
+    robot: Layout,
     w: Array,
     drive: Array,
     begun: float,
@@ -197,6 +210,7 @@ def follow_recorded(
     """Steps of the hidden states along the recorded motion; the row of the motion at or before their end.
 
     Args:
+        robot: see ``lane_functions``.
         w: work array.
         drive: (steps, 2, na·LANES) mean and slope of the pressures over each step [Pa].
         begun: when they begin [s].
@@ -213,12 +227,13 @@ def follow_recorded(
         here = begun + s * dt
         while row < len(times) - 2 and times[row + 1] <= here:
             row += 1
-        hidden_step(w, drive[s], here, dt, times, motion, sensor, row, bend, bends, until)
+        hidden_step(robot, w, drive[s], here, dt, times, motion, sensor, row, bend, bends, until)
     return row
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hidden_starts(
+    robot: Layout,
     w: Array,
     times: Array,
     commands: Array,
@@ -244,6 +259,7 @@ def hidden_starts(
     trial starts: so what is hidden fits to that, and changes smoothly with it.
 
     Args:
+        robot: see ``lane_functions``.
         w: work array with the constants.
         times: as in ``run_trials``, as what is not named here.
         commands: as there.
@@ -265,17 +281,18 @@ def hidden_starts(
     """
     k, begun, stride = len(sensor), times[0], STRIDE * dt
     size = STRIDE + math.ceil(min(reading, REMEMBERED / 2) / dt) + 1
-    drive, history = np.empty((size, 2, N_ACTUATORS * LANES)), np.empty((size, 2, N_ACTUATORS))
-    bend, kept, at = np.zeros(2 * N_JOINTS * LANES), np.empty(N_STATES * LANES), np.empty(LANES)
-    columns, similar = np.empty((k, N_ACTUATORS, len(times))), same.copy()
-    early, carried = np.empty((k, N_ACTUATORS, CARRIED)), np.empty((k, N_ACTUATORS, CARRIED))
+    drive, history = np.empty((size, 2, robot[N_ACTUATORS] * LANES)), np.empty((size, 2, robot[N_ACTUATORS]))
+    bend, kept, at = np.zeros(2 * robot[N_JOINTS] * LANES), np.empty(robot[N_STATES] * LANES), np.empty(LANES)
+    columns, similar = np.empty((k, robot[N_ACTUATORS], len(times))), same.copy()
+    early, carried = np.empty((k, robot[N_ACTUATORS], CARRIED)), np.empty((k, robot[N_ACTUATORS], CARRIED))
     for l in range(k):  # noqa: E741
-        for i in range(N_ACTUATORS):
+        for i in range(robot[N_ACTUATORS]):
             columns[l, i] = commands[l, :, i]
             first_carried(before[l, i], follow[l, i], first[l, i], early[l, i])
             if l > 0 and first[l, i] != first[l - 1, i]:
                 similar[l, i] = False
     period, place, early_place, row = -1, 0, 0, 0
+    z = robot[ROW_X] + 2 * robot[N_JOINTS]
     for trial in np.argsort(start):
         until = start[trial]
         if not until > begun:
@@ -286,16 +303,16 @@ def hidden_starts(
             period, place = own_period, int(own_period * REMEMBERED / stride)
             for passed in range(early_place, place):
                 go_on_with_commands(
-                    drive[:STRIDE], times, columns, before, valve, follow, begun + passed * stride, dt, similar, linear,
-                    early, history,
+                    robot, drive[:STRIDE], times, columns, before, valve, follow, begun + passed * stride, dt,
+                    similar, linear, early, history,
                 )  # fmt: skip
             early_place = place
             carried[:] = early
             at[:] = begun + place * stride
             row = max(min(np.searchsorted(recorded_times, at[0], side="right") - 1, len(recorded_times) - 2), 0)
-            clear(w, at[0] - begun)
-            put_recorded(w, recorded_times, recorded, sensor, row, at, bend, 0.0, until)
-            lane_start(w)
+            clear(robot, w, at[0] - begun)
+            put_recorded(robot, w, recorded_times, recorded, sensor, row, at, bend, 0.0, until)
+            lane_start(robot, w)
         last = int((until - bends - begun) / stride)
         while place <= last:
             # Whole strides, which lead on to the next trial, too; then to this trial's start.
@@ -304,31 +321,34 @@ def hidden_starts(
             step = dt if leads_on else (until - here) / steps
             piece, going = drive[:steps], carried if leads_on else carried.copy()
             go_on_with_commands(
-                piece, times, columns, before, valve, follow, here, step, similar, linear, going, history
+                robot, piece, times, columns, before, valve, follow, here, step, similar, linear, going, history
             )
             if leads_on:
-                row = follow_recorded(w, piece, here, step, recorded_times, recorded, sensor, row, bend, 0.0, until)
+                row = follow_recorded(
+                    robot, w, piece, here, step, recorded_times, recorded, sensor, row, bend, 0.0, until
+                )
                 place += 1
                 continue
-            for i in range(N_STATES * LANES):
-                kept[i] = w[ROW_Z * LANES + i]
+            for i in range(robot[N_STATES] * LANES):
+                kept[i] = w[z * LANES + i]
             at[:] = until
-            put_recorded(w, recorded_times, recorded, sensor, row, at, bend, 0.0, until)
+            put_recorded(robot, w, recorded_times, recorded, sensor, row, at, bend, 0.0, until)
             for l in range(LANES):  # noqa: E741
                 own = min(l, k - 1)
-                for j in range(N_JOINTS):
-                    bend[j * LANES + l] = q0[trial, own, j] - w[(ROW_X + j) * LANES + l]
-                    faster = v0[trial, own, j] - w[(ROW_X + N_JOINTS + j) * LANES + l]
-                    bend[(N_JOINTS + j) * LANES + l] = faster
-            follow_recorded(w, piece, here, step, recorded_times, recorded, sensor, row, bend, bends, until)
+                for j in range(robot[N_JOINTS]):
+                    bend[j * LANES + l] = q0[trial, own, j] - w[(robot[ROW_X] + j) * LANES + l]
+                    faster = v0[trial, own, j] - w[(robot[ROW_X] + robot[N_JOINTS] + j) * LANES + l]
+                    bend[(robot[N_JOINTS] + j) * LANES + l] = faster
+            follow_recorded(robot, w, piece, here, step, recorded_times, recorded, sensor, row, bend, bends, until)
             break
-        for i in range(N_STATES * LANES):
-            out[trial, i] = w[ROW_Z * LANES + i]
-            w[ROW_Z * LANES + i] = kept[i]
+        for i in range(robot[N_STATES] * LANES):
+            out[trial, i] = w[z * LANES + i]
+            w[z * LANES + i] = kept[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def put_hidden(w: Array, states: Array) -> None:
+def put_hidden(robot: Layout, w: Array, states: Array) -> None:
     """Put hidden states (nz·LANES) into the lanes."""
-    for i in range(N_STATES * LANES):
-        w[ROW_Z * LANES + i] = states[i]
+    z = robot[ROW_X] + 2 * robot[N_JOINTS]
+    for i in range(robot[N_STATES] * LANES):
+        w[z * LANES + i] = states[i]

@@ -22,6 +22,7 @@ from equimus_ctrl.engines.lane_functions import (
     N_JOINTS,
     N_LIMITS,
     N_ROWS,
+    N_STATE,
     N_STATES,
     ROW_BOUND,
     ROW_DEPTHS,
@@ -33,46 +34,57 @@ from equimus_ctrl.engines.lane_functions import (
     ROW_RATE,
     ROW_START,
     ROW_X,
+    Layout,
     lane_depths,
     lane_friction,
     lane_motion,
 )
-from equimus_ctrl.engines.lane_hidden import HIDDEN, hidden_starts, put_hidden
-from equimus_ctrl.engines.lane_steps import N_STATE, anything_pressed, grip_limits, lane_stops, press_as_asked, step
+from equimus_ctrl.engines.lane_hidden import hidden_starts, put_hidden
+from equimus_ctrl.engines.lane_steps import anything_pressed, grip_limits, lane_stops, press_as_asked, step
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.types import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run_lanes(w: Array, drive: Array, dt: float, rubbing: Array, out: Array) -> None:
+def run_lanes(robot: Layout, w: Array, drive: Array, dt: float, rubbing: Array, out: Array) -> None:
     """Integrate all lanes over a grid.
 
     Args:
+        robot: see ``lane_functions``.
         w: work array with state and constants.
         drive: (steps, 2, na·LANES) mean and slope of the pressures over each step [Pa].
         dt: [s].
         rubbing: rows where any lane has dry friction.
         out: (steps + 1, r·LANES) written: the first r rows of the state on the grid.
     """
-    steps = len(drive)
-    press_as_asked(w)
+    steps, x = len(drive), robot[ROW_X] * LANES
+    press_as_asked(robot, w)
     for k in range(steps + 1):
         for i in range(out.shape[1]):
-            out[k, i] = w[ROW_X * LANES + i]
+            out[k, i] = w[x + i]
         if k == steps:
             break
-        step(w, drive[k], dt)
+        step(robot, w, drive[k], dt)
         if len(rubbing) > 0:
-            correct_friction(w, dt, rubbing)
+            correct_friction(robot, w, dt, rubbing)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure(
-    grid: Array, start: float, dt: float, sensor: Array, moving: bool, times: Array, out: Array, reached: Array
+    robot: Layout,
+    grid: Array,
+    start: float,
+    dt: float,
+    sensor: Array,
+    moving: bool,
+    times: Array,
+    out: Array,
+    reached: Array,
 ) -> None:
     """What the sensors of k lanes say of motions on a grid.
 
     Args:
+        robot: see ``lane_functions``.
         grid: (n, 2 nj·LANES) angles and velocities.
         start: of the grid [s].
         dt: of the grid [s].
@@ -85,14 +97,14 @@ def measure(
     k, n = len(sensor), len(grid)
     q, v = np.empty(n), np.empty(n)
     reached[:] = len(times)
-    for j in range(N_JOINTS):
-        place, speeds = j * LANES, (N_JOINTS + j) * LANES
+    for j in range(robot[N_JOINTS]):
+        place, speeds = j * LANES, (robot[N_JOINTS] + j) * LANES
         together = True
         for l in range(k):  # noqa: E741
             equal = sensor[l, j, SENSOR_DELAY] == sensor[0, j, SENSOR_DELAY]
             together = together and sensor[l, j, PLAY] == 0.0 and equal
         if together:
-            measure_together(grid, j, start, dt, sensor, moving, times, out)
+            measure_together(robot, grid, j, start, dt, sensor, moving, times, out)
         for l in range(k):  # noqa: E741
             sound = 0
             while sound < n and abs(grid[sound, speeds + l]) < MAX_SPEED:
@@ -108,11 +120,11 @@ def measure(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure_together(
-    grid: Array, j: int, start: float, dt: float, sensor: Array, moving: bool, times: Array, out: Array
+    robot: Layout, grid: Array, j: int, start: float, dt: float, sensor: Array, moving: bool, times: Array, out: Array
 ) -> None:
     """What ``effects.sensors.sample`` says of a joint in all lanes at once, of sensors with one delay and no play."""
     k, n = len(sensor), len(grid)
-    place, speeds, sensor_delay = j * LANES, (N_JOINTS + j) * LANES, sensor[0, j, SENSOR_DELAY]
+    place, speeds, sensor_delay = j * LANES, (robot[N_JOINTS] + j) * LANES, sensor[0, j, SENSOR_DELAY]
     angles = np.empty(LANES)
     for i in range(len(times)):
         at = (times[i] - sensor_delay - start) / dt
@@ -128,7 +140,7 @@ def measure_together(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure_inner(grid: Array, start: float, dt: float, times: Array, out: Array) -> None:
+def measure_inner(robot: Layout, grid: Array, start: float, dt: float, times: Array, out: Array) -> None:
     """True positions and rates of k lanes at given times (m,), and states of laws where these are wanted too.
 
     They are written to out (k, m, 2 nj) or (k, m, 2 nj + nz); see ``measure``. States go along lines between steps.
@@ -136,20 +148,21 @@ def measure_inner(grid: Array, start: float, dt: float, times: Array, out: Array
     n = len(grid)
     q, v = np.empty(n), np.empty(n)
     for l in range(len(out)):  # noqa: E741
-        for j in range(N_JOINTS):
+        for j in range(robot[N_JOINTS]):
             for s in range(n):
-                q[s], v[s] = grid[s, j * LANES + l], grid[s, (N_JOINTS + j) * LANES + l]
-            inner(q, v, start, dt, times, out[l, :, j], out[l, :, N_JOINTS + j])
+                q[s], v[s] = grid[s, j * LANES + l], grid[s, (robot[N_JOINTS] + j) * LANES + l]
+            inner(q, v, start, dt, times, out[l, :, j], out[l, :, robot[N_JOINTS] + j])
         for i in range(len(times)):
             place = max((times[i] - start) / dt, 0.0)
             s = min(int(place), n - 2)
-            for z in range(2 * N_JOINTS, out.shape[2]):
+            for z in range(2 * robot[N_JOINTS], out.shape[2]):
                 begin, end = grid[s, z * LANES + l], grid[s + 1, z * LANES + l]
                 out[l, i, z] = begin + (place - s) * (end - begin)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run_trials(
+    robot: Layout,
     parameters: Array,
     times: Array,
     commands: Array,
@@ -179,6 +192,7 @@ def run_trials(
     """Up to LANES parameter sets through trials of one history of commands: valves, motion and sensors.
 
     Args:
+        robot: see ``lane_functions``.
         parameters: (k, np) parameter vectors, k ≤ LANES.
         times: (n,) from when each command holds [s].
         commands: (k, n, na) what reaches the valves [Pa or unit of the commands].
@@ -208,15 +222,15 @@ def run_trials(
         integrals: (k, na) as ``first`` there.
     """
     most = steps.max()
-    w, same = prepared(parameters), same_as_previous(commands, before, valve, follow)
-    drive = np.empty((most, 2, N_ACTUATORS * LANES))
+    w, same = prepared(robot, parameters), same_as_previous(commands, before, valve, follow)
+    drive = np.empty((most, 2, robot[N_ACTUATORS] * LANES))
     grid = np.empty((most + 1, motion.shape[2] * LANES))
-    hidden = np.empty((len(start), N_STATES * LANES))
-    led = HIDDEN and len(recorded_times) > 0
-    if HIDDEN and led:
+    hidden = np.empty((len(start), robot[N_STATES] * LANES))
+    led = robot[N_STATES] > 0 and len(recorded_times) > 0
+    if led:
         hidden_starts(
-            w, times, commands, before, valve, follow, integrals, sensor, recorded_times, recorded, reading, q0, v0,
-            start, dt, same, linear, hidden,
+            robot, w, times, commands, before, valve, follow, integrals, sensor, recorded_times, recorded, reading,
+            q0, v0, start, dt, same, linear, hidden,
         )  # fmt: skip
     for trial in range(len(start)):
         n, low, high = steps[trial], place[trial], place[trial + 1]
@@ -224,18 +238,33 @@ def run_trials(
         own = drive[:n]
         at = start[trial]
         begin_trial(
-            w, own, times, commands, before, valve, follow, first[trial], q0[trial], v0[trial], at, dt, same, linear
+            robot,
+            w,
+            own,
+            times,
+            commands,
+            before,
+            valve,
+            follow,
+            first[trial],
+            q0[trial],
+            v0[trial],
+            at,
+            dt,
+            same,
+            linear,
         )
         if led and at > times[0]:
-            put_hidden(w, hidden[trial])
-        run_lanes(w, own, dt, rubbing, grid[: n + 1])
-        measure(grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
+            put_hidden(robot, w, hidden[trial])
+        run_lanes(robot, w, own, dt, rubbing, grid[: n + 1])
+        measure(robot, grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
         if motion.shape[1] > 0:
-            measure_inner(grid[: n + 1], at, dt, sampled, motion[:, low:high])
+            measure_inner(robot, grid[: n + 1], at, dt, sampled, motion[:, low:high])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run_inner(
+    robot: Layout,
     parameters: Array,
     times: Array,
     commands: Array,
@@ -260,6 +289,7 @@ def run_inner(
     """One parameter set through one trial, with what no sensor shows.
 
     Args:
+        robot: see ``lane_functions``.
         parameters: (1, np), as all arrays that are handed in those of ``run_trials`` for one set and trial.
         times: (n,) [s].
         commands: (1, n, na).
@@ -281,32 +311,35 @@ def run_inner(
         reading: as there.
         integrals: (1, na).
     """
-    w = prepared(parameters)
-    drive = np.empty((len(pressures), 2, N_ACTUATORS * LANES))
+    w = prepared(robot, parameters)
+    drive = np.empty((len(pressures), 2, robot[N_ACTUATORS] * LANES))
     same = same_as_previous(commands, before, valve, follow)
-    hidden = np.empty((1, N_STATES * LANES))
-    led = HIDDEN and len(recorded_times) > 0 and start > times[0]
-    if HIDDEN and led:
-        hidden_starts(
-            w, times, commands, before, valve, follow, integrals, sensor, recorded_times, recorded, reading,
-            q0.reshape((1, 1, N_JOINTS)), v0.reshape((1, 1, N_JOINTS)), np.array([start]), dt, same, linear, hidden,
-        )  # fmt: skip
-    begin_trial(w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same, linear)
+    hidden = np.empty((1, robot[N_STATES] * LANES))
+    led = robot[N_STATES] > 0 and len(recorded_times) > 0 and start > times[0]
     if led:
-        put_hidden(w, hidden[0])
-    grid = np.empty((len(states), N_STATE * LANES))
-    run_lanes(w, drive, dt, rubbing, grid)
+        hidden_starts(
+            robot, w, times, commands, before, valve, follow, integrals, sensor, recorded_times, recorded, reading,
+            q0.reshape((1, 1, robot[N_JOINTS])), v0.reshape((1, 1, robot[N_JOINTS])), np.array([start]), dt, same,
+            linear, hidden,
+        )  # fmt: skip
+    begin_trial(robot, w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same, linear)
+    if led:
+        put_hidden(robot, w, hidden[0])
+    grid = np.empty((len(states), robot[N_STATE] * LANES))
+    run_lanes(robot, w, drive, dt, rubbing, grid)
     for s in range(len(states)):
-        for i in range(N_STATE):
+        for i in range(robot[N_STATE]):
             states[s, i] = grid[s, i * LANES]
     for s in range(len(pressures)):
-        for i in range(N_ACTUATORS):
+        for i in range(robot[N_ACTUATORS]):
             pressures[s, 0, i] = drive[s, 0, i * LANES]
             pressures[s, 1, i] = drive[s, 1, i * LANES]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def put_states(w: Array, begin: int, q: Array, v: Array, z: Array, pressure: Array, pressed: Array) -> int:
+def put_states(
+    robot: Layout, w: Array, begin: int, q: Array, v: Array, z: Array, pressure: Array, pressed: Array
+) -> int:
     """Put some of many states into the lanes, with what their pressed limits do; lanes to spare repeat the last.
 
     Returns:
@@ -315,28 +348,37 @@ def put_states(w: Array, begin: int, q: Array, v: Array, z: Array, pressure: Arr
     here = min(LANES, len(q) - begin)
     for l in range(LANES):  # noqa: E741
         k = begin + min(l, here - 1)
-        for j in range(N_JOINTS):
-            w[(ROW_X + j) * LANES + l] = q[k, j]
-            w[(ROW_X + N_JOINTS + j) * LANES + l] = v[k, j]
-            w[(ROW_START + j) * LANES + l] = q[k, j]
-            w[(ROW_START + N_JOINTS + j) * LANES + l] = v[k, j]
-        for i in range(N_STATES):
-            w[(ROW_X + 2 * N_JOINTS + i) * LANES + l] = z[k, i]
-        for i in range(N_ACTUATORS):
-            w[(ROW_PRESSURE + i) * LANES + l] = pressure[k, i]
-        for i in range(N_LIMITS):
-            w[(ROW_PRESSED + i) * LANES + l] = pressed[k, i]
-    grip_limits(w, anything_pressed(w))
+        for j in range(robot[N_JOINTS]):
+            w[(robot[ROW_X] + j) * LANES + l] = q[k, j]
+            w[(robot[ROW_X] + robot[N_JOINTS] + j) * LANES + l] = v[k, j]
+            w[(robot[ROW_START] + j) * LANES + l] = q[k, j]
+            w[(robot[ROW_START] + robot[N_JOINTS] + j) * LANES + l] = v[k, j]
+        for i in range(robot[N_STATES]):
+            w[(robot[ROW_X] + 2 * robot[N_JOINTS] + i) * LANES + l] = z[k, i]
+        for i in range(robot[N_ACTUATORS]):
+            w[(robot[ROW_PRESSURE] + i) * LANES + l] = pressure[k, i]
+        for i in range(robot[N_LIMITS]):
+            w[(robot[ROW_PRESSED] + i) * LANES + l] = pressed[k, i]
+    grip_limits(robot, w, anything_pressed(robot, w))
     return here
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def field(
-    parameters: Array, q: Array, v: Array, z: Array, pressure: Array, pressed: Array, side: Array, out: Array
+    robot: Layout,
+    parameters: Array,
+    q: Array,
+    v: Array,
+    z: Array,
+    pressure: Array,
+    pressed: Array,
+    side: Array,
+    out: Array,
 ) -> None:
     """Accelerations and rates of the effects' states at many states.
 
     Args:
+        robot: see ``lane_functions``.
         parameters: (np,).
         q: (n, nj).
         v: (n, nj).
@@ -346,27 +388,30 @@ def field(
         side: (n, nr) the sign of each rubbing rate, against which dry friction acts in full; 0 for none.
         out: (n, nj + nz) written.
     """
-    w = prepared(parameters.reshape(1, -1))
+    w = prepared(robot, parameters.reshape(1, -1))
     rubs = np.any(side != 0.0)
     for begin in range(0, len(q), LANES):
-        here = put_states(w, begin, q, v, z, pressure, pressed)
+        here = put_states(robot, w, begin, q, v, z, pressure, pressed)
         if rubs:
-            lane_friction(w)
+            lane_friction(robot, w)
         for l in range(LANES):  # noqa: E741
-            for r in range(N_ROWS):
-                bound = w[(ROW_BOUND + r) * LANES + l] if rubs else 0.0
-                w[(ROW_PHI + r) * LANES + l] = -side[begin + min(l, here - 1), r] * bound
-        lane_motion(w)
+            for r in range(robot[N_ROWS]):
+                bound = w[(robot[ROW_BOUND] + r) * LANES + l] if rubs else 0.0
+                w[(robot[ROW_PHI] + r) * LANES + l] = -side[begin + min(l, here - 1), r] * bound
+        lane_motion(robot, w)
         for l in range(here):  # noqa: E741
-            for i in range(N_JOINTS + N_STATES):
-                out[begin + l, i] = w[(ROW_RATE + N_JOINTS + i) * LANES + l]
+            for i in range(robot[N_JOINTS] + robot[N_STATES]):
+                out[begin + l, i] = w[(robot[ROW_RATE] + robot[N_JOINTS] + i) * LANES + l]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def rubbing_field(parameters: Array, q: Array, v: Array, z: Array, pressure: Array, pressed: Array, out: Array) -> None:
+def rubbing_field(
+    robot: Layout, parameters: Array, q: Array, v: Array, z: Array, pressure: Array, pressed: Array, out: Array
+) -> None:
     """What dry friction does at many states: M⁻¹Gᵀ column by column, GM⁻¹Gᵀ, the rates Gv and the greatest friction.
 
     Args:
+        robot: see ``lane_functions``.
         parameters: (np,).
         q: as in ``field``, as what is not named here.
         v: as there.
@@ -375,22 +420,31 @@ def rubbing_field(parameters: Array, q: Array, v: Array, z: Array, pressure: Arr
         pressed: as there.
         out: (n, nj·nr + nr·nr + 2 nr) written.
     """
-    w = prepared(parameters.reshape(1, -1))
+    w = prepared(robot, parameters.reshape(1, -1))
     for begin in range(0, len(q), LANES):
-        here = put_states(w, begin, q, v, z, pressure, pressed)
-        lane_friction(w)
+        here = put_states(robot, w, begin, q, v, z, pressure, pressed)
+        lane_friction(robot, w)
         for l in range(here):  # noqa: E741
             for i in range(out.shape[1]):
-                out[begin + l, i] = w[(ROW_PER_IMPULSE + i) * LANES + l]
+                out[begin + l, i] = w[(robot[ROW_PER_IMPULSE] + i) * LANES + l]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def limit_gaps(
-    parameters: Array, q: Array, v: Array, z: Array, pressure: Array, pressed: Array, depths: Array, out: Array
+    robot: Layout,
+    parameters: Array,
+    q: Array,
+    v: Array,
+    z: Array,
+    pressure: Array,
+    pressed: Array,
+    depths: Array,
+    out: Array,
 ) -> None:
     """How far many states are beyond each limit, and what is above 0 where it would be pressed.
 
     Args:
+        robot: see ``lane_functions``.
         parameters: (np,).
         q: as in ``field``, as what is not named here.
         v: as there.
@@ -400,12 +454,12 @@ def limit_gaps(
         depths: (n, nl) written: below 0 short of a limit.
         out: (n, nl) written.
     """
-    w = prepared(parameters.reshape(1, -1))
+    w = prepared(robot, parameters.reshape(1, -1))
     for begin in range(0, len(q), LANES):
-        here = put_states(w, begin, q, v, z, pressure, pressed)
-        lane_depths(w)
-        lane_stops(w)
+        here = put_states(robot, w, begin, q, v, z, pressure, pressed)
+        lane_depths(robot, w)
+        lane_stops(robot, w)
         for l in range(here):  # noqa: E741
-            for i in range(N_LIMITS):
-                depths[begin + l, i] = w[(ROW_DEPTHS + i) * LANES + l]
-                out[begin + l, i] = w[(ROW_GAPS + i) * LANES + l]
+            for i in range(robot[N_LIMITS]):
+                depths[begin + l, i] = w[(robot[ROW_DEPTHS] + i) * LANES + l]
+                out[begin + l, i] = w[(robot[ROW_GAPS] + i) * LANES + l]

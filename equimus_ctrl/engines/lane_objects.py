@@ -1,4 +1,4 @@
-"""Machine code of lanes, loaded from object files so that numba's functions can call it."""
+"""Machine code of lanes, loaded from object files so that the kernels can call it by address."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ _LOADING = threading.Lock()
 """Code that another thread has handed out must not be replaced."""
 
 
-def load(path: Path, prefix: str, names: Sequence[str]) -> None:
-    """Make the functions of an object file known by their symbols ``prefix_name``.
+def load(path: Path, prefix: str, names: Sequence[str]) -> dict[str, int]:
+    """The addresses of functions of an object file, by name; its code lives as long as the process.
 
     Args:
         path: of the object file.
         prefix: of its symbols.
-        names: of its functions.
+        names: of its functions, whose symbols are ``prefix_name``.
     """
     with _LOADING:
         if prefix not in _loaded:
-            _loaded[prefix] = _engine(path, prefix, names)
+            _loaded[prefix] = _engine(path)
+        engine = _loaded[prefix]
+        return {name: engine.get_function_address(f"{prefix}_{name}") for name in names}
 
 
-def _engine(path: Path, prefix: str, names: Sequence[str]) -> Any:
+def _engine(path: Path) -> Any:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
     engine.add_object_file(llvm.object_file.ObjectFileRef.from_path(str(path)))
     engine.finalize_object()
-    for name in names:
-        llvm.add_symbol(f"{prefix}_{name}", engine.get_function_address(f"{prefix}_{name}"))
     return engine

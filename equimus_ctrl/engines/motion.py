@@ -95,20 +95,21 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     if len(times) < 2:
         raise ConfigError(f"{trial.name}: has {len(times)} samples, too few for a motion; expected at least 2")
     coded = encode([model], trial)
-    own, kernel = coded.mechanics[0], coded.kernel
+    own, lanes = coded.mechanics[0], coded.lanes
     nj, nv, na = len(own.joints), len(own.starts), len(own.channels)
     given = np.asarray(trial.position if start is None else start, dtype=np.float64)
     q0, v0 = given[:nj], np.zeros(nj) if trial.velocity is None else trial.velocity
     v0 = given[nj : 2 * nj] if len(given) > nj else v0
     q0, v0 = trial.begun(model.robot, q0, np.asarray(v0), given[2 * nj :])
     steps = max(int(np.ceil((times[-1] - trial.start) / dt - 1e-9)), 1)
-    states, pressures = np.empty((steps + 1, kernel.N_STATE)), np.empty((steps, 2, na))
+    states, pressures = np.empty((steps + 1, lanes.n_state)), np.empty((steps, 2, na))
     shaped = np.clip(shaped_for(model, trial), *coded.between[0])
     commands = Commands(shaped[None, 1:].copy(), shaped[:1].copy(), coded.valve, coded.follow)
     one = slice(0, 1)
     first, sensor = first_activations(coded, one, trial, q0[None]), coded.sensors_of_coordinates(one)
     led = lead(coded, one, [trial], commands, sensor, first[None], dt)
-    kernel.run_inner(
+    lanes.kernel.run_inner(
+        lanes.robot,
         coded.parameters,
         trial.times,
         commands.commands,

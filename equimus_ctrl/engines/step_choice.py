@@ -115,5 +115,5 @@ def fastest_rate(model: Model, trials: Sequence[Trial], starts: Sequence[Array])
     rows = [own[:, :nj] for own in starts]
     begun = [trial.begun(model.robot, q, q)[0] for trial, q in zip(trials, rows, strict=True)]
     poses = np.concatenate(begun)[:FEW, own.starts]
-    field = Field(coded.kernel, own.form.unlimited(coded.parameters[0]))
+    field = Field(coded.lanes, own.form.unlimited(coded.parameters[0]))
     return field.fastest(field.states(poses, np.zeros_like(poses)))

@@ -41,7 +41,6 @@ _LIBRARY = {
     ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1", ca.OP_HYPOT: "hypot",
     ca.OP_ERF: "erf", ca.OP_ATAN2: "atan2", ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow",
 }  # fmt: skip
-_CONTRACT = ("contract",)
 _DOUBLE, _INDEX = ir.DoubleType(), ir.IntType(64)
 
 
@@ -52,10 +51,12 @@ class LaneRoutine(Routine):
     Attributes:
         rows: input name → the row of the work array where its first entry stands.
         result: the row where the output's first entry goes.
+        contracts: whether products and sums may be rounded once together.
     """
 
     rows: Mapping[str, int]
     result: int
+    contracts: bool = True
 
 
 @dataclass(frozen=True)
@@ -110,9 +111,8 @@ def generate_lanes(
     for routine in routines:
         kind = ir.FunctionType(ir.VoidType(), [pointer])
         function = ir.Function(module, kind, f"{prefix}_{routine.name}")
-        _write(
-            routine, parameters, _Values(module, ir.IRBuilder(function.append_basic_block()), lanes), alone, kept_row
-        )
+        own = _Values(module, ir.IRBuilder(function.append_basic_block()), lanes, routine.contracts)
+        _write(routine, parameters, own, alone, kept_row)
     alone.builder.ret_void()
     return LaneCode(_compiled(module), tuple(routine.name for routine in routines), constants_row + len(kept))
 
@@ -181,10 +181,12 @@ class _Values:
         module: that gets them.
         builder: of a function in it.
         width: how many numbers a value has.
+        contracts: whether products and sums may be rounded once together.
     """
 
-    def __init__(self, module: Any, builder: Any, width: int) -> None:
+    def __init__(self, module: Any, builder: Any, width: int, contracts: bool = True) -> None:
         self.module, self.builder, self.width = module, builder, width
+        self.flags = ("contract",) if contracts else ()
         self.kind = ir.VectorType(_DOUBLE, width) if width > 1 else _DOUBLE
         self._known: dict[Hashable, Any] = {}
 
@@ -221,7 +223,7 @@ class _Values:
     def _made(self, operation: int, values: Sequence[Any], name: str) -> Any:
         b, one, none = self.builder, self.number(1.0), self.number(0.0)
         if operation in _ARITHMETIC:
-            return getattr(b, _ARITHMETIC[operation])(*values, flags=_CONTRACT)
+            return getattr(b, _ARITHMETIC[operation])(*values, flags=self.flags)
         if operation in _COMPARED:
             return b.select(b.fcmp_ordered(_COMPARED[operation], *values), one, none)
         if operation in _INTRINSIC:
@@ -236,9 +238,9 @@ class _Values:
         if operation == ca.OP_NEG:
             return b.fneg(values[0])
         if operation == ca.OP_SQ:
-            return b.fmul(values[0], values[0], flags=_CONTRACT)
+            return b.fmul(values[0], values[0], flags=self.flags)
         if operation == ca.OP_TWICE:
-            return b.fadd(values[0], values[0], flags=_CONTRACT)
+            return b.fadd(values[0], values[0], flags=self.flags)
         if operation == ca.OP_ASSIGN:
             return values[0]
         if operation in (ca.OP_FMIN, ca.OP_FMAX):
@@ -306,10 +308,10 @@ class _Values:
         return self._product(sign, whole)
 
     def _sum(self, a: Any, b: Any) -> Any:
-        return self.builder.fadd(a, b, flags=_CONTRACT)
+        return self.builder.fadd(a, b, flags=self.flags)
 
     def _product(self, a: Any, b: Any) -> Any:
-        return self.builder.fmul(a, b, flags=_CONTRACT)
+        return self.builder.fmul(a, b, flags=self.flags)
 
     def _whole(self, x: Any) -> Any:
         """The nearest whole number; nothing may be contracted here."""

@@ -62,7 +62,7 @@ def unseen_problem(problem: Problem, study: Study) -> Problem:
 
 def study_key(study: Study, problem: Problem) -> str:
     """A fingerprint of everything an evaluation depends on; journals of another fingerprint are of no use."""
-    kernel = getattr(problem.kernel(), "__name__", "")
+    kernel = problem.code()
     classes = {type(effect) for effect in problem.model.effects}
     laws = sorted(_source(cls) for cls in classes if not cls.__module__.startswith("equimus_ctrl."))
     text = json.dumps([asdict(study), model_to_dict(problem.model), versions(), kernel, laws], sort_keys=True)

@@ -18,7 +18,7 @@ from equimus_ctrl.effects.base import Effect
 from equimus_ctrl.effects.force import ForceEffect, force_laws
 from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, sensor_settings, shown
 from equimus_ctrl.effects.valves import shaped_commands, shaping_laws
-from equimus_ctrl.engines import compiled
+from equimus_ctrl.engines import compiled, lane_equations
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.models.augmented import Laws, augmented_model, law_parameters
 from equimus_ctrl.models.model import Model
@@ -128,20 +128,24 @@ class Tracked:
 
 
 def laws_of(effects: Sequence[Effect]) -> Laws:
-    """The kernel's force laws: none without force effects, else all of them, so that few kernels are compiled."""
+    """Force laws that the equations have: none without force effects, else all of them, so that few are generated."""
     return force_laws() if any(isinstance(effect, ForceEffect) for effect in effects) else ()
 
 
-def kernel_of(nominal: Morphology, phase: Phase, effects: Sequence[Effect]) -> ModuleType:
-    """The compiled closed loop of robots with these effects, see ``tuning.loop_kernel``."""
-    return compiled.load(nominal, phase, loop_kernel, laws_of(effects))
+def kernel_of(nominal: Morphology, phase: Phase) -> ModuleType:
+    """The compiled closed loop, see ``tuning.loop_kernel``."""
+    return compiled.load(nominal, phase, loop_kernel)
+
+
+def lanes_of(nominal: Morphology, phase: Phase, effects: Sequence[Effect]) -> lane_equations.Lanes:
+    """The compiled equations of motion of robots with these effects."""
+    return lane_equations.load_lanes(structure(nominal), phase, laws_of(effects))
 
 
 def compile_motion(nominal: Morphology, phase: Phase, effects: Sequence[Effect]) -> None:
     """Compile what moves robots with these effects, or load it from the cache."""
-    kernel = kernel_of(nominal, phase, effects)
-    drive = np.zeros((2, len(nominal.actuators) * LANES))
-    kernel.step_lanes(np.zeros(kernel.WORK_ROWS * LANES), drive, 1e-3, np.empty(0, dtype=np.int64))
+    lanes, drive = lanes_of(nominal, phase, effects), np.zeros((2, len(nominal.actuators) * LANES))
+    kernel_of(nominal, phase).step_lanes(lanes.robot, lanes.work(), drive, 1e-3, np.empty(0, dtype=np.int64))
 
 
 @lru_cache(maxsize=16)
@@ -179,7 +183,7 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
     settings, effects = loops[0].settings, loops[0].robot.effects
     actuators, (n, nj), k = nominal.actuator_names, course.reference.shape, len(loops)
     na = len(actuators)
-    kernel = kernel_of(nominal, phase, effects)
+    kernel, robot = kernel_of(nominal, phase), lanes_of(nominal, phase, effects).robot
     effect_parameters, rubbing = _effect_parameters(nominal, phase, laws_of(effects), effects)
     position = np.array([loop.position for loop in loops])
     sensor = np.tile(sensor_settings(effects, nominal.joint_names), (k, 1, 1))
@@ -199,7 +203,7 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
     parameters = np.array([np.append(loop.robot.parameters, effect_parameters) for loop in loops])
     gains = np.array([loop.settings.gain_matrix(loop.settings.channels(nominal)) for loop in loops])
     state = (
-        kernel.start_lanes(parameters, position, reached_before),
+        kernel.start_lanes(robot, parameters, position, reached_before),
         compiled.prepared(nominal, phase),
         np.array([loop.robot.valve for loop in loops]),
         sensor,
@@ -233,11 +237,11 @@ def _track_block(nominal: Morphology, phase: Phase, course: Course, loops: Seque
         sound,
     )
     if shaping is not None:
-        kernel.run_loop(0, n + 1, *state)
+        kernel.run_loop(robot, 0, n + 1, *state)
     else:
         # A law that is Python alone cannot be called from within.
         for now in range(n + 1):
-            kernel.run_loop(now, now + 1, *state)
+            kernel.run_loop(robot, now, now + 1, *state)
             if now < n:
                 reaches[:, :, now] = shaped_commands(effects, actuators, command[:, now].copy())
     return [Tracked(*ended) for ended in zip(q, command, map(int, sound), strict=True)]

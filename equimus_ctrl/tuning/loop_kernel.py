@@ -17,66 +17,70 @@ from equimus_ctrl.effects.shaping import shape_command
 from equimus_ctrl.engines.lane_functions import (
     LANES,
     N_ROWS,
-    N_STATES,
+    N_STATE,
     ROW_FROM,
     ROW_PART,
     ROW_PRESSURE,
     ROW_START,
     ROW_X,
     WORK_ROWS,
+    Layout,
+    copy_rows,
+    fill_row,
     lane_start,
     prepare_lane,
 )
 from equimus_ctrl.engines.lane_kernel import correct_friction
-from equimus_ctrl.engines.lane_steps import advance, copy_rows
+from equimus_ctrl.engines.lane_steps import advance
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.model_functions import N_ACTUATORS, N_JOINTS
 from equimus_ctrl.types import Array
 
-N_STATE = 2 * N_JOINTS + N_STATES
-
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def start_lanes(parameters: Array, q0: Array, pressure: Array) -> Array:
+def start_lanes(robot: Layout, parameters: Array, q0: Array, pressure: Array) -> Array:
     """The work array of robots that have long been at rest; lanes without a robot of their own repeat the last.
 
     Args:
+        robot: see ``lane_functions``.
         parameters: (k, np) parameter vectors of structure and laws, k ≤ LANES.
         q0: (k, nj) poses [rad].
         pressure: (na,) [Pa].
     """
-    w = np.zeros(WORK_ROWS * LANES)
+    w = np.zeros(robot[WORK_ROWS] * LANES)
     for l in range(LANES):  # noqa: E741
         own = min(l, len(parameters) - 1)
-        prepare_lane(parameters[own], w, l)
+        prepare_lane(robot, parameters[own], w, l)
         for j in range(N_JOINTS):
-            w[(ROW_X + j) * LANES + l] = q0[own, j]
+            w[(robot[ROW_X] + j) * LANES + l] = q0[own, j]
         for i in range(N_ACTUATORS):
-            w[(ROW_PRESSURE + i) * LANES + l] = pressure[i]
-    lane_start(w)
+            w[(robot[ROW_PRESSURE] + i) * LANES + l] = pressure[i]
+    lane_start(robot, w)
     return w
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def step_lanes(w: Array, drive: Array, dt: float, rubbing: Array) -> None:
+def step_lanes(robot: Layout, w: Array, drive: Array, dt: float, rubbing: Array) -> None:
     """One Runge–Kutta step of all lanes.
 
     Args:
+        robot: see ``lane_functions``.
         w: work array.
         drive: (2, na·LANES) mean and slope of the pressures over the step [Pa].
         dt: [s].
         rubbing: rows where any lane has dry friction.
     """
-    copy_rows(w, ROW_X, ROW_START, N_STATE)
-    for l in range(LANES):  # noqa: E741
-        w[ROW_FROM * LANES + l], w[ROW_PART * LANES + l] = 0.0, 1.0
-    advance(w, drive, dt, False, True)
-    if N_ROWS > 0 and len(rubbing) > 0:
-        correct_friction(w, dt, rubbing)
+    copy_rows(w, robot[ROW_X], robot[ROW_START], robot[N_STATE])
+    fill_row(w, robot[ROW_FROM], 0.0)
+    fill_row(w, robot[ROW_PART], 1.0)
+    advance(robot, w, drive, dt, False, True)
+    if robot[N_ROWS] > 0 and len(rubbing) > 0:
+        correct_friction(robot, w, dt, rubbing)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def run_loop(
+    robot: Layout,
     first: int,
     last: int,
     w: Array,
@@ -118,6 +122,7 @@ def run_loop(
     say in between what of the newest command reaches the valves.
 
     Args:
+        robot: see ``lane_functions``.
         first: control instant to begin with.
         last: where to stop, at most n + 1; instant n only ends the motion.
         w: work array, see ``start_lanes``.
@@ -158,7 +163,7 @@ def run_loop(
     dt = control_dt / steps
     y, r, fed = np.empty(N_JOINTS), np.empty(N_JOINTS), np.empty(N_ACTUATORS)
     arriving, drive = np.empty(N_ACTUATORS), np.zeros((2, N_ACTUATORS * LANES))
-    drive[0] = w[ROW_PRESSURE * LANES : (ROW_PRESSURE + N_ACTUATORS) * LANES]
+    drive[0] = w[robot[ROW_PRESSURE] * LANES : (robot[ROW_PRESSURE] + N_ACTUATORS) * LANES]
     for now in range(first, last):
         for s in range(steps if now > 0 else 0):
             at = times[now - 1] + s * dt
@@ -169,11 +174,11 @@ def run_loop(
                         valve[l, i],
                     )  # fmt: skip
                     drive[0, i * LANES + l] = mean
-            step_lanes(w, drive, dt, rubbing)
+            step_lanes(robot, w, drive, dt, rubbing)
             newest = (now - 1) * steps + s + 1
             for l in range(k):  # noqa: E741
                 for j in range(N_JOINTS):
-                    q, v = w[(ROW_X + j) * LANES + l], w[(ROW_X + N_JOINTS + j) * LANES + l]
+                    q, v = w[(robot[ROW_X] + j) * LANES + l], w[(robot[ROW_X] + N_JOINTS + j) * LANES + l]
                     if not abs(v) < MAX_SPEED:
                         sound[l] = min(sound[l], now - 1)
                     if back > 1:
@@ -189,7 +194,7 @@ def run_loop(
                 continue
             running += 1
             for j in range(N_JOINTS):
-                q = w[(ROW_X + j) * LANES + l]
+                q = w[(robot[ROW_X] + j) * LANES + l]
                 out_q[l, now, j] = q
                 if sensor[l, j, PLAY] > 0.0:
                     q = held[l, j]

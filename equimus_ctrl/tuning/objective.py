@@ -243,9 +243,11 @@ class Problem:
         pairs = [self.moduli(settings, i, 8) for i in range(len(self.members))]
         return all(modulus <= slowest and raised < 1 for modulus, raised in pairs)
 
-    def kernel(self) -> Any:
-        """The compiled closed loop."""
-        return closed_loop.kernel_of(self.model.morphology, self.model.phase, self.model.effects)
+    def code(self) -> str:
+        """Which compiled closed loop and which equations of motion there are."""
+        robot, phase = self.model.morphology, self.model.phase
+        lanes = closed_loop.lanes_of(robot, phase, self.model.effects)
+        return f"{closed_loop.kernel_of(robot, phase).__name__} {lanes.key}"
 
     def simulate_all(self, runs: Sequence[tuple[PidSettings, int]], task: int) -> list[Tracked]:
         """Closed-loop runs of one scenario on the reduced engine, side by side.
