@@ -14,7 +14,7 @@ from equimus_ctrl.effects.following import FOLLOW_KIND, arrived
 from equimus_ctrl.effects.valves import ShapingEffect, shaped_commands
 from equimus_ctrl.engines.drive_forces import drive_forces
 from equimus_ctrl.engines.encoding import Encoded, grouped
-from equimus_ctrl.engines.hidden import Commands, first_activations, lead
+from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_states
 from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.limits import MOST_DIVISOR
 from equimus_ctrl.engines.steps import warn_if_coarse
@@ -226,6 +226,10 @@ class _Block:
         inner = forces or any(trial.inner for trial in trials)
         numbers = self.lanes.n_state if forces else 2 * len(self.moved)
         motion = np.empty((k, place[-1] if inner else 0, numbers))
+        q, v, linear = q0[:, :, self.moved].copy(), v0[:, :, self.moved].copy(), trials[0].lines(robot)
+        hidden = led_states(
+            self.lanes, self.parameters, trials[0].times, given, self.sensor, led, (start, q, v), dt, linear
+        )
         self.lanes.kernel.run_trials(
             self.lanes.robot,
             self.parameters,
@@ -236,8 +240,8 @@ class _Block:
             self.follow,
             first,
             self.sensor,
-            q0[:, :, self.moved].copy(),
-            v0[:, :, self.moved].copy(),
+            q,
+            v,
             self.coded.rubbing,
             self.moving,
             start,
@@ -247,12 +251,9 @@ class _Block:
             place,
             position,
             reached,
-            trials[0].lines(robot),
+            linear,
             motion,
-            led.times,
-            led.motion,
-            led.reading,
-            led.integrals,
+            hidden,
         )
         position = position[:, :, self.still]
         for t, result in enumerate(results):

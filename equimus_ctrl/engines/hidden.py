@@ -8,10 +8,13 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from equimus_ctrl.effects.following import FOLLOW_KIND, FOLLOW_LEAST, FOLLOW_MOST, INTEGRATED, integrate
 from equimus_ctrl.effects.sensors import behind
 from equimus_ctrl.engines.encoding import Encoded
+from equimus_ctrl.engines.lane_equations import Lanes
+from equimus_ctrl.engines.lane_functions import LANES
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.models.symbolic import build
 from equimus_ctrl.recordings.smoothing import RecordedMotion
@@ -112,6 +115,41 @@ def lead(
         first[led] = _integrated(robot, [trials[i] for i in led], given, integrals, dt, first[led])
     columns = np.stack([motion.position, motion.velocity, motion.acceleration])[:, :, own.starts]
     return Lead(motion.times, np.ascontiguousarray(columns), recorded.reading, integrals)
+
+
+def led_states(
+    lanes: Lanes,
+    parameters: Array,
+    times: Array,
+    given: Commands,
+    sensor: Array,
+    led: Lead,
+    start: tuple[Array, Array, Array],
+    dt: float,
+    linear: NDArray[np.bool_],
+) -> Array:
+    """(trials, nz·LANES) hidden states where trials of one history start; no rows where nothing leads there.
+
+    Args:
+        lanes: equations of the models.
+        parameters: (k, np) of up to LANES models.
+        times: (n,) from when each command holds [s].
+        given: their commands.
+        sensor: (k, nv, 4), see ``lead``.
+        led: what leads there.
+        start: (trials,) when they start [s], and (trials, k, nv) with which coordinates and rates.
+        dt: longest steps in which states are followed [s].
+        linear: (na,) see ``run_trials``.
+    """
+    if lanes.n_states == 0 or not len(led.times):
+        return np.empty((0, 0))
+    at, q0, v0 = start
+    found = np.empty((len(at), lanes.n_states * LANES))
+    lanes.kernel.led_starts(
+        lanes.robot, parameters, times, given.commands, given.before, given.valve, given.follow, led.integrals, sensor,
+        led.times, led.motion, led.reading, q0, v0, at, dt, linear, found,
+    )  # fmt: skip
+    return found
 
 
 def _integrated(robot: Robot, trials: Sequence[Trial], given: Commands, begun: Array, dt: float, first: Array) -> Array:

@@ -161,6 +161,56 @@ def measure_inner(robot: Layout, grid: Array, start: float, dt: float, times: Ar
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def led_starts(
+    robot: Layout,
+    parameters: Array,
+    times: Array,
+    commands: Array,
+    before: Array,
+    valve: Array,
+    follow: Array,
+    first: Array,
+    sensor: Array,
+    recorded_times: Array,
+    recorded: Array,
+    reading: float,
+    q0: Array,
+    v0: Array,
+    start: Array,
+    dt: float,
+    linear: NDArray[np.bool_],
+    out: Array,
+) -> None:
+    """The hidden states where trials of one recording start, of up to LANES parameter sets; see ``hidden_starts``.
+
+    Args:
+        robot: see ``lane_functions``.
+        parameters: as in ``run_trials``, as what is not named here.
+        times: as there.
+        commands: as there.
+        before: as there.
+        valve: as there.
+        follow: as there.
+        first: (k, na) what integrators of commands begin with at the recording's start.
+        sensor: as there.
+        recorded_times: (n,) of the motion that was recorded [s].
+        recorded: (3, n, nj), see ``hidden_starts``.
+        reading: as there [s].
+        q0: as there.
+        v0: as there.
+        start: as there.
+        dt: as there.
+        linear: as there.
+        out: (trials, nz·LANES) written, of trials that start after the recording does.
+    """
+    same = same_as_previous(commands, before, valve, follow)
+    hidden_starts(
+        robot, prepared(robot, parameters), times, commands, before, valve, follow, first, sensor, recorded_times,
+        recorded, reading, q0, v0, start, dt, same, linear, out,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def run_trials(
     robot: Layout,
     parameters: Array,
@@ -184,10 +234,7 @@ def run_trials(
     reached: Array,
     linear: NDArray[np.bool_],
     motion: Array,
-    recorded_times: Array,
-    recorded: Array,
-    reading: float,
-    integrals: Array,
+    hidden: Array,
 ) -> None:
     """Up to LANES parameter sets through trials of one history of commands: valves, motion and sensors.
 
@@ -215,23 +262,13 @@ def run_trials(
             could not be had.
         linear: (na,) whether an actuator's commands go along a line from each instant to the next; else they are held.
         motion: (k, m, 2 nj) or (k, m, 2 nj + nz) written, see ``measure_inner``; with m = 0 they are not wanted.
-        recorded_times: (n,) of the motion that was recorded, of which all trials are parts [s]; with n = 0 hidden
-            states start as if nothing had been before.
-        recorded: (3, n, nj), see ``hidden_starts``, as what follows.
-        reading: as there [s].
-        integrals: (k, na) as ``first`` there.
+        hidden: (trials, nz·LANES) states where trials start that begin inside of a recording, see ``led_starts``; with
+            no rows hidden states start as if nothing had been before.
     """
     most = steps.max()
     w, same = prepared(robot, parameters), same_as_previous(commands, before, valve, follow)
     drive = np.empty((most, 2, robot[N_ACTUATORS] * LANES))
     grid = np.empty((most + 1, motion.shape[2] * LANES))
-    hidden = np.empty((len(start), robot[N_STATES] * LANES))
-    led = robot[N_STATES] > 0 and len(recorded_times) > 0
-    if led:
-        hidden_starts(
-            robot, w, times, commands, before, valve, follow, integrals, sensor, recorded_times, recorded, reading,
-            q0, v0, start, dt, same, linear, hidden,
-        )  # fmt: skip
     for trial in range(len(start)):
         n, low, high = steps[trial], place[trial], place[trial + 1]
         sampled = out_times[low:high]
@@ -254,7 +291,7 @@ def run_trials(
             same,
             linear,
         )
-        if led and at > times[0]:
+        if len(hidden) > 0 and at > times[0]:
             put_hidden(robot, w, hidden[trial])
         run_lanes(robot, w, own, dt, rubbing, grid[: n + 1])
         measure(robot, grid[: n + 1], at, dt, sensor, moving, sampled, out[:, low:high], reached[trial])
@@ -280,11 +317,7 @@ def run_inner(
     states: Array,
     pressures: Array,
     linear: NDArray[np.bool_],
-    sensor: Array,
-    recorded_times: Array,
-    recorded: Array,
-    reading: float,
-    integrals: Array,
+    hidden: Array,
 ) -> None:
     """One parameter set through one trial, with what no sensor shows.
 
@@ -305,25 +338,13 @@ def run_inner(
         states: (steps + 1, 2 nj + nz) written: positions, velocities and effect states on the grid.
         pressures: (steps, 2, na) written: mean and slope over each step of what the forces are made of.
         linear: as there.
-        sensor: (1, nj, 4).
-        recorded_times: as there.
-        recorded: as there.
-        reading: as there.
-        integrals: (1, na).
+        hidden: as there.
     """
     w = prepared(robot, parameters)
     drive = np.empty((len(pressures), 2, robot[N_ACTUATORS] * LANES))
     same = same_as_previous(commands, before, valve, follow)
-    hidden = np.empty((1, robot[N_STATES] * LANES))
-    led = robot[N_STATES] > 0 and len(recorded_times) > 0 and start > times[0]
-    if led:
-        hidden_starts(
-            robot, w, times, commands, before, valve, follow, integrals, sensor, recorded_times, recorded, reading,
-            q0.reshape((1, 1, robot[N_JOINTS])), v0.reshape((1, 1, robot[N_JOINTS])), np.array([start]), dt, same,
-            linear, hidden,
-        )  # fmt: skip
     begin_trial(robot, w, drive, times, commands, before, valve, follow, first, q0, v0, start, dt, same, linear)
-    if led:
+    if len(hidden) > 0 and start > times[0]:
         put_hidden(robot, w, hidden[0])
     grid = np.empty((len(states), robot[N_STATE] * LANES))
     run_lanes(robot, w, drive, dt, rubbing, grid)

@@ -13,7 +13,7 @@ import numpy as np
 from equimus_ctrl.effects.sensors import hermite
 from equimus_ctrl.engines.batch import STEP, shaped_for
 from equimus_ctrl.engines.encoding import Encoded, encode
-from equimus_ctrl.engines.hidden import Commands, first_activations, lead
+from equimus_ctrl.engines.hidden import Commands, first_activations, lead, led_states
 from equimus_ctrl.engines.limits import MAX_SPEED
 from equimus_ctrl.engines.trials import Trial
 from equimus_ctrl.errors import ConfigError, SimulationDiverged
@@ -108,6 +108,9 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
     one = slice(0, 1)
     first, sensor = first_activations(coded, one, trial, q0[None]), coded.sensors_of_coordinates(one)
     led = lead(coded, one, [trial], commands, sensor, first[None], dt)
+    q, v, linear = q0[None, own.starts].copy(), v0[None, own.starts].copy(), trial.lines(model.robot)
+    at_start = np.array([trial.start]), q[None], v[None]
+    hidden = led_states(lanes, coded.parameters, trial.times, commands, sensor, led, at_start, dt, linear)
     lanes.kernel.run_inner(
         lanes.robot,
         coded.parameters,
@@ -117,19 +120,15 @@ def motion(model: Model, trial: Trial, start: Array | None = None, dt: float = S
         coded.valve,
         coded.follow,
         first,
-        q0[None, own.starts].copy(),
-        v0[None, own.starts].copy(),
+        q,
+        v,
         coded.rubbing,
         trial.start,
         dt,
         states,
         pressures,
-        trial.lines(model.robot),
-        sensor,
-        led.times,
-        led.motion,
-        led.reading,
-        led.integrals,
+        linear,
+        hidden,
     )
     if not np.all(np.abs(states[:, nv : 2 * nv]) < MAX_SPEED):
         raise SimulationDiverged(f"{trial.name}: the simulation of {model.name} diverged")
