@@ -154,7 +154,7 @@ def _model(form: Structure, phase: Phase) -> ModuleType:
     sources = [inspect.getsource(m) for m in modules]
     key = digest([repr((form, phase)), *sources])
     path = cache_folder() / f"equimus_model_{key}.py"
-    text = path.read_text(encoding="utf-8") if path.exists() else _source(form, phase)
+    text = kept(path) if path.exists() else _source(form, phase)
     return _written(path, text)
 
 
@@ -194,6 +194,11 @@ def _imported_from(path: Path) -> ModuleType:
         del sys.modules[path.stem]
         raise
     return module
+
+
+def kept(path: Path) -> str:
+    """Text that ``put`` wrote."""
+    return path.read_text(encoding="utf-8")
 
 
 def put(path: Path, content: bytes) -> None:

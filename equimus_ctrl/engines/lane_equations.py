@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from equimus_ctrl.engines import lane_functions, lane_kernel, lane_objects
-from equimus_ctrl.engines.compiled import cache_folder, digest, lane_modules, put
+from equimus_ctrl.engines.compiled import cache_folder, digest, kept, lane_modules, put
 from equimus_ctrl.engines.limits import NOTHING, SLIDING
 from equimus_ctrl.models import (
     actuator_laws,
@@ -131,7 +131,7 @@ def _lane_model(form: Structure, phase: Phase, laws: Laws) -> tuple[lane_functio
         machine_code, described = _lane_source(form, phase, laws, prefix)
         put(code, machine_code)
         put(path, json.dumps(described).encode())
-    robot = np.array(json.loads(path.read_text(encoding="utf-8")), dtype=np.int64)
+    robot = np.array(json.loads(kept(path)), dtype=np.int64)
     addresses = lane_objects.load(code, prefix, tuple(FUNCTIONS))
     for name, place in FUNCTIONS.items():
         robot[place] = addresses[name]
