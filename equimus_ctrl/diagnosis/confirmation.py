@@ -1,4 +1,4 @@
-"""Confirmation on held-out trials: whether they improve by as much as the fitted trials let expect."""
+"""Confirmation: whether gains stand out from the scatter of residuals, and held-out trials improve as is expected."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from equimus_ctrl.diagnosis.alternatives import indistinguishable, listed, simpler_laws
+from equimus_ctrl.diagnosis.block_scatter import block_scatter, stands_out
 from equimus_ctrl.diagnosis.fitting import Data, Fitted, chi_squared
 from equimus_ctrl.diagnosis.holdout import Split, kind_of
 from equimus_ctrl.diagnosis.hypothesis import parameters_of
@@ -25,7 +26,7 @@ from equimus_ctrl.identification.residuals import residuals_of
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.types import Array
 
-Reason = Literal["gain", "distance", "evident", "uninformative", "worse"]
+Reason = Literal["gain", "distance", "evident", "uninformative", "worse", "scatter"]
 """By what a part is confirmed, or is not:
 
 - gain: what validation trials gain by it, over what as many samples of the fitted ones gain.
@@ -34,6 +35,8 @@ Reason = Literal["gain", "distance", "evident", "uninformative", "worse"]
   ``Thresholds.evident`` times the least one.
 - uninformative: they cannot show it, and that gain is not as large.
 - worse: with it half of a kind of validation trials gets worse than without any effect, see ``Thresholds.worse``.
+- scatter: residuals are more than noise, and its gain on the fitted trials does not stand out from how they scatter
+  from block to block, see ``block_scatter``.
 """
 
 
@@ -44,13 +47,15 @@ class Confirmation:
     Attributes:
         reason: see ``Reason``.
         ratio: to be at least ``Thresholds.validation_share``; inf where the part is evident. Of "worse" χ² there, over
-            that of the refitted model.
+            that of the refitted model. Of "scatter" the same share of the gain over the one it would have to have.
         where: the trials that get worse.
+        dispersion: how much more than by their noise residuals scatter over blocks.
     """
 
     reason: Reason
     ratio: float
     where: str = ""
+    dispersion: float = 1.0
 
     def __str__(self) -> str:
         """A clause for the report."""
@@ -61,6 +66,8 @@ class Confirmation:
             "uninformative": "validation trials cannot show it, and its gain on the fitted ones is not far above the "
             "threshold",
             "worse": f"with it {self.where} has {self.ratio:.3g} times the squared error of the refitted model",
+            "scatter": f"residuals are more than noise: from block to block they scatter {self.dispersion:.3g} times "
+            "as much, and its gain does not stand out from that",
         }
         return said[self.reason]
 
@@ -171,7 +178,7 @@ def _confirmations(
 ) -> tuple[HoldoutResiduals, list[Confirmation], int]:
     """What validation trials show, what they say of each part, and the place of the part that they confirm least."""
     holdout = HoldoutResiduals(search.data, split, state)
-    confirmations = [carried_over(search, holdout, without, state.best) for without in state.without]
+    confirmations = [confirmation_of(search, holdout, without, state.best) for without in state.without]
     return holdout, confirmations, int(np.argmin([c.ratio for c in confirmations]))
 
 
@@ -189,7 +196,7 @@ def _simpler(search: Search, holdout: HoldoutResiduals, state: SearchState, tell
             fits, tried = search.refitted(state.tried, state.best, (*rest[:k], simpler, *rest[k + 1 :]))
             state = replace(state, tried=tried)
             for simple in fits:
-                confirmation = carried_over(search, holdout, simple, state.best)
+                confirmation = confirmation_of(search, holdout, simple, state.best)
                 if not confirms(search, confirmation.ratio):
                     tell(part.candidate.label, confirmation)
                     if confirmation.reason == "uninformative" and search.accepts(simple, state.best):
@@ -231,7 +238,7 @@ def _confirmed_alternative(
     other_laws = (a for a in state.alternatives[0] if not _same_effects(a, state.best))
     as_good = (a for a in other_laws if indistinguishable(search, a, score))
     for alternative in sorted(as_good, key=search.score):
-        confirmation = carried_over(search, holdout, state.without[0], alternative)
+        confirmation = confirmation_of(search, holdout, state.without[0], alternative)
         if confirms(search, confirmation.ratio):
             others = (state.best, *(a for a in state.alternatives[0] if a is not alternative))
             return replace(state, best=alternative, alternatives=(others,)), confirmation
@@ -263,7 +270,7 @@ def _another(
         for without in moved.without:
             if not search.accepts(without, moved.best):
                 break
-            confirmations.append(carried_over(search, holdout, without, moved.best))
+            confirmations.append(confirmation_of(search, holdout, without, moved.best))
             if not confirms(search, confirmations[-1].ratio):
                 break
         else:
@@ -278,6 +285,29 @@ def _same_effects(first: Fitted, second: Fitted) -> bool:
         for fitted in (first, second)
     )
     return one == two
+
+
+def confirmation_of(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:
+    """What recordings say of the part by which a hypothesis is richer, before it is named.
+
+    The fitted trials say whether its gain stands out from the scatter of what is left, the held-out ones whether it
+    carries over. A residual force has no name that could be wrong, so it is asked for the latter alone.
+    """
+    return _lost_in_scatter(search, simple, rich) or carried_over(search, holdout, simple, rich)
+
+
+def _lost_in_scatter(search: Search, simple: Fitted, rich: Fitted) -> Confirmation | None:
+    """Why a gain is within the scatter of the residuals; None where it stands out from it, or they are noise alone."""
+    times, more = search.data.times, extra_parameters(simple, rich)
+
+    def over_needed(t: Thresholds) -> float:
+        return stands_out(block_scatter(times, simple, rich, round(t.blocks)), more, len(search.pool), t)
+
+    thresholds = search.data.thresholds
+    if thresholds.decides(lambda t: over_needed(t) >= 1):
+        return None
+    dispersion = block_scatter(times, simple, rich, round(thresholds.blocks)).dispersion
+    return Confirmation("scatter", thresholds.validation_share * over_needed(thresholds), dispersion=dispersion)
 
 
 def carried_over(search: Search, holdout: HoldoutResiduals, simple: Fitted, rich: Fitted) -> Confirmation:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, carried_over, confirms
+from equimus_ctrl.diagnosis.confirmation import Confirmation, HoldoutResiduals, confirmation_of, confirms
 from equimus_ctrl.diagnosis.fitting import Data, Fitted
 from equimus_ctrl.diagnosis.holdout import Split
 from equimus_ctrl.diagnosis.hypothesis import Hypothesis, Part
@@ -235,11 +235,11 @@ def _alike_where_possible(apart: Apart) -> Apart:
 
 
 def confirmation(apart: Apart, without: Fitted, split: Split) -> Confirmation:
-    """What held-out trials say of a value of a group."""
+    """What recordings say of a value of a group."""
     if not split.validation:
         return Confirmation("evident", math.inf)
     holdout = HoldoutResiduals(apart.data, split, SearchState(apart.best, apart.best))
-    return carried_over(apart.search, holdout, without, apart.best)
+    return confirmation_of(apart.search, holdout, without, apart.best)
 
 
 def _where_present(apart: Apart, groups: Sequence[str]) -> Apart:

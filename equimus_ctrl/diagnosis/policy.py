@@ -229,6 +229,21 @@ class Thresholds:
         "theory",
         "upper confidence limit of a variance: χ² of as many second differences as share no samples",
     )
+    blocks: float = _decides(
+        24.0,
+        "",
+        "so many blocks of the recordings, with equal shares of what an effect changes, tell how residuals scatter",
+        "convention",
+        "few, so that each outlasts what residuals remember; with 24 an effect of one parameter has to gain 1.5 times "
+        "what it would if their scatter were known (F over χ² at the level 1e-3 of 40 candidates)",
+    )
+    scattered: float = _decides(
+        1e-3,
+        "",
+        "probability that residuals that are noise alone are taken to scatter more over blocks than their noise",
+        "theory",
+        "upper confidence limit of a variance: χ² of as many blocks less one",
+    )
     outdone: float = _decides(
         0.5,
         "",
