@@ -146,7 +146,9 @@ def run(
         raise
     except (EquimusError, KeyboardInterrupt) as stop:
         if streamed is not None:
-            print_stopped(console, stop, streamed)
+            from equimus_ctrl.plants.hardware.interface import stopped_word
+
+            print_stopped(console, stop, streamed, stopped_word(robot.robot.command_units))
         raise
     label = f"{done.scenario.name}, {done.controller}"
     folder = emptied(output, done.scenario.name, done.controller)
@@ -257,10 +259,10 @@ def new_file(folder: Path, scenario: str) -> Path:
     return next(path for k in range(1, 10**6) if not (path := folder / f"{stem}_{k:03d}.csv").exists())
 
 
-def print_stopped(console: Console, stop: BaseException, streamed: Path) -> None:
-    """What people have to know of a robot that was driven until something stopped it."""
+def print_stopped(console: Console, stop: BaseException, streamed: Path, word: str) -> None:
+    """What people have to know of a robot that was driven until something stopped it: vented, or stopped."""
     if isinstance(stop, KeyboardInterrupt):
-        console.print("stopped by Ctrl-C; the robot is vented", markup=False)
+        console.print(f"stopped by Ctrl-C; the robot is {word}", markup=False)
     if streamed.exists():
         print_files(console, [streamed])
 
