@@ -97,7 +97,7 @@ def run(
     console = people()
     workflow.load_plugins(plugins or ())
     if video is not None:
-        from equimus_ctrl.report.video import check_robot, check_suffix
+        from equimus_ctrl.report.video import check_suffix
 
         check_suffix(video)
         presets.check_folder(video.parent)
@@ -110,8 +110,6 @@ def run(
             f"{robot.name}: the motion of {', '.join(given)} is an input from recordings, which a run does not have; "
             "expected a base that is fixed"
         )
-    if video is not None:
-        check_robot(robot.robot)
     real = PLANTS.entry(plant).real
     if not real and (arm or hardware is not None or domain is not None):
         known = " or ".join(name for name, entry in PLANTS.items() if entry.real)
