@@ -66,12 +66,13 @@ class Camera:
         azimuth, slope = np.radians([self.azimuth, self.elevation])
         forward = np.array([np.cos(slope) * np.cos(azimuth), np.cos(slope) * np.sin(azimuth), np.sin(slope)])
         right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-        return np.stack([right, np.asarray(np.cross(right, forward), dtype=np.float64), forward])
+        rows: Array = np.array([right, np.cross(right, forward), forward])
+        return rows
 
     @property
     def eye(self) -> Array:
         """(3,) where it is [m]."""
-        return self.lookat - self.distance * self.axes[2]
+        return np.asarray(self.lookat - self.distance * self.axes[2])
 
     def pixels(self, points: Array, width: int, height: int) -> tuple[Array, Array]:
         """(n, 2) places in a picture, from the upper left, and (n,) depths [m] of points (n, 3) [m]."""
