@@ -29,6 +29,11 @@ KINDS = ("controllers", "hardware", "scenarios", "tuning")
 _PACKAGE = Path(__file__).resolve().parent
 
 
+def plain_name(name: str) -> str:
+    """A name as part of a file's."""
+    return "".join(ch if ch.isalnum() or ch in "-_" else "_" for ch in name)
+
+
 def read_mjcf(path: Path) -> tuple[str, str, dict[str, bytes]]:
     """(name, text in one piece, files that it names) of a file of MuJoCo's XML, or of a URDF.
 

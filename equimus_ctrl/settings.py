@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, ClassVar, Self, TypeVar, get_type_hints
+from types import NoneType
+from typing import Any, ClassVar, Self, TypeVar, get_args, get_type_hints
 
 from equimus_ctrl.errors import ConfigError, unknown_name
 
@@ -12,7 +13,7 @@ T = TypeVar("T")
 
 
 def settings_from(cls: type[T], data: Mapping[str, Any], where: str, form: str | None = None) -> T:
-    """Settings of a dataclass whose fields are floats, integers, switches, words or such dataclasses.
+    """Settings of a dataclass whose fields are floats, integers, switches, words, None or such dataclasses.
 
     Args:
         cls: a frozen dataclass that checks its own values.
@@ -51,6 +52,7 @@ def _values(cls: type, data: Mapping[str, Any], where: str, form: str | None = N
 
 
 def _checked(kind: Any, value: Any, where: str) -> Any:
+    kind = next((own for own in get_args(kind) if own is not NoneType), kind)  # a file leaves out what is None
     wanted = {bool: "true or false", int: "a whole number", float: "a number"}.get(kind, "a word")
     fits = {
         bool: isinstance(value, bool),
@@ -64,7 +66,7 @@ def _checked(kind: Any, value: Any, where: str) -> Any:
 
 def table_of(settings: Any, form: str | None = None) -> dict[str, Any]:
     """What a TOML file of such settings holds."""
-    values = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    values = {f.name: value for f in fields(settings) if (value := getattr(settings, f.name)) is not None}
     table = {key: table_of(value) if is_dataclass(value) else value for key, value in values.items()}
     return {"format": form, **table} if form is not None else table
 

@@ -6,12 +6,13 @@ import math
 import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import get_args
 
 import numpy as np
 
-from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, SimulationDiverged
+from equimus_ctrl.errors import ConfigError, ControllerError, EquimusError, SimulationDiverged, unknown_name
 from equimus_ctrl.robots.reading import command_words, position_word
-from equimus_ctrl.types import Array, Controller, KnowsTruth, Plant, PlantSpec, Reference, Run, Start
+from equimus_ctrl.types import Array, Controller, KnowsTruth, Plant, PlantSpec, Reference, Run, Sense, Start
 
 
 def run(
@@ -37,11 +38,12 @@ def run(
 
     Raises:
         ConfigError: for a duration shorter than one control period, or a reference that does not fit the robot.
-        ControllerError: where the controller fails, or its command has the wrong size, is not finite or not a pair with
-            a state.
+        ControllerError: where the controller needs what the plant does not measure or fails, or its command has the
+            wrong size, is not finite or not a pair with a state.
         SimulationDiverged: where the plant's simulation did; it has the run until then.
     """
     spec = plant.spec
+    check_senses(controller, spec)
     n = round(duration / spec.control_dt) if math.isfinite(duration) else 0
     if n < 1:
         raise ConfigError(f"duration is {duration:g} s, expected at least one control period of {spec.control_dt:g} s")
@@ -98,6 +100,25 @@ def run(
         if progress is not None:
             progress((k + 1) / n)
     return whole(n)
+
+
+def check_senses(controller: Controller, spec: PlantSpec) -> None:
+    """Raise ControllerError where a controller needs what a plant does not measure.
+
+    Args:
+        controller: what it needs beside positions is its ``senses``, see ``types.Sense``.
+        spec: of the plant.
+    """
+    given = getattr(controller, "senses", ())
+    known = get_args(Sense)
+    for sense in (given,) if isinstance(given, str) else given:
+        if sense not in known:
+            raise ControllerError(unknown_name("sense", str(sense), known, _name(controller)))
+        if sense not in spec.senses:
+            has = ", ".join(("positions", *(own for own in known if own in spec.senses)))
+            raise ControllerError(
+                f"{_name(controller)} needs measured {sense}, which this plant does not give; it gives {has}"
+            )
 
 
 @contextmanager

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from equimus_ctrl.errors import ConfigError
 
 Array = NDArray[np.float64]
+Sense = Literal["velocities", "torques"]
+"""What a plant may measure beside positions, and a controller may need: see ``Observation``."""
 
 
 def frozen_array(values: ArrayLike, ndim: int | None = None, name: str = "array") -> Array:
@@ -175,6 +177,7 @@ class PlantSpec:
         command_units: SI units of the commands; Pa by default, alike.
         command_rate: (n_actuators,) how fast what a command asks for can change, ±inf by default [its unit/s].
         goals: of each actuator whether its command is a goal for where something is.
+        senses: what is measured of the joints beside their positions.
     """
 
     joints: tuple[str, ...]
@@ -191,6 +194,7 @@ class PlantSpec:
     command_units: tuple[str, ...] = ()
     command_rate: Array = field(default_factory=lambda: np.empty(0))
     goals: tuple[bool, ...] = ()
+    senses: frozenset[Sense] = frozenset()
 
     def __post_init__(self) -> None:
         na = len(self.actuators)
@@ -211,6 +215,9 @@ class Observation:
         stamp: when ``position`` was measured [s]; never later than ``time``.
         command: (n_actuators,) the command in force until now, after clipping [Pa].
         clipped: (n_actuators,) True where the last command asked for had to be clipped.
+        velocity: (n_joints,) measured with ``position`` [rad/s or m/s], of a plant that senses ``"velocities"``.
+        torque: (n_joints,) what actuators exert on the joints, measured alike [N·m or N], of one that senses
+            ``"torques"``.
     """
 
     time: float
@@ -218,6 +225,8 @@ class Observation:
     stamp: float
     command: Array
     clipped: NDArray[np.bool_]
+    velocity: Array | None = None
+    torque: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,7 +368,11 @@ class CountsInstants(Protocol):
 
 
 class Controller(Protocol):
-    """Immutable settings plus two functions; whatever evolves lives in the state they hand on."""
+    """Immutable settings plus two functions; whatever evolves lives in the state they hand on.
+
+    One that needs more than positions says so: ``senses = ("velocities",)``, an attribute of the class or the function.
+    A plant that does not measure that is refused before it moves, see ``simulate.check_senses``.
+    """
 
     def init(self, spec: PlantSpec, observation: Observation) -> Any:
         """The state to start from, given the plant and its first observation."""

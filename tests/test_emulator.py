@@ -156,7 +156,9 @@ def test_faults_that_make_no_sense(text: str, message: str) -> None:
     assert message in str(raised.value)
 
 
-@pytest.mark.parametrize("given", [{"loss": 1.0}, {"noise": -1.0}, {"watchdog": 0.0}, {"rate": 97.0}, {"seed": -1}])
+@pytest.mark.parametrize(
+    "given", [{"loss": 1.0}, {"noise": -1.0}, {"watchdog": 0.0}, {"rate": 97.0}, {"rate": -1.0}, {"seed": -1}]
+)
 def test_emulators_that_make_no_sense(given: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=next(iter(given))):
-        EmulatorSettings(**given)
+        Emulator(nominal_model(), settings=EmulatorSettings(**given), device=Wire(Clock()))

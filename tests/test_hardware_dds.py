@@ -46,6 +46,7 @@ pytestmark = pytest.mark.real_time
 MODEL = nominal_model()
 SLEW = 1e6
 LOW = np.array([5e3, 3e3])
+COMMANDS = "/forward_pressure_controller/commands"
 
 
 def until(condition: Any, seconds: float = 10.0) -> bool:
@@ -201,7 +202,7 @@ def test_a_controller_that_is_killed_is_vented_by_the_device(tmp_path: Path) -> 
 @pytest.mark.slow
 def test_someone_else_who_sends_commands_is_noticed(leg: Path) -> None:
     with (
-        closing(DdsHost(Wire(domain=SHARED))) as second_publisher,
+        closing(DdsHost(Wire(domain=SHARED, commands=COMMANDS))) as second_publisher,
         closing(HardwarePlant(MODEL, quick(SHARED), armed=True)) as plant,
     ):
         assert not plant._wire.trouble()  # who only listens is no publisher
@@ -254,7 +255,7 @@ def test_the_bytes_are_those_of_ros_2() -> None:
 @pytest.mark.slow
 def test_a_device_obeys_finite_commands_of_the_right_size_alone(tmp_path: Path) -> None:
     log = tmp_path / "log.json"
-    host = DdsHost(Wire(domain=DOMAIN))
+    host = DdsHost(Wire(domain=DOMAIN, commands=COMMANDS))
     with emulator(log) as robot:
         assert until(host.take, 20)
         for values in ([1e3], [1e3, float("nan")], [1e3, 2e3, 3e3], [9e9, -5.0], [1e3, 2e3]):

@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 from equimus_ctrl.errors import ConfigError
+from equimus_ctrl.models.model import nominal_model
 from equimus_ctrl.plants.hardware.clock import WINDOW, ClockMap
-from equimus_ctrl.plants.hardware.settings import HardwareSettings
+from equimus_ctrl.plants.hardware.interface import interface_of
+from equimus_ctrl.plants.hardware.settings import HardwareSettings, Safety, Wire
+
+LEG = nominal_model().robot
 
 
 def test_clocks_are_as_far_apart_as_the_quickest_sample_says() -> None:
@@ -42,13 +46,13 @@ def test_clocks_are_as_far_apart_as_the_quickest_sample_says() -> None:
         ({"joints": {"hip": 3}}, "joints.hip is 3, expected a table"),
         ({"joints": {"hip": {"name": "knee"}}}, "joints are called knee, knee on the wire"),
         ({"actuators": {"maa": {"index": 1}}}, "actuators have the indices 1, 1, expected 0 to 1, each once"),
-        ({"actuators": {"maa": {"unit": 0.0}}}, "actuators.maa: unit is 0 Pa, expected more than 0"),
+        ({"actuators": {"maa": {"unit": 0.0}}}, "actuators.maa: unit is 0, expected a finite number other than 0"),
         ({"format": "equimus-ctrl/hardware/9"}, "expected 'equimus-ctrl/hardware/1'"),
     ],
 )
 def test_settings_that_make_no_sense(data: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError) as raised:
-        HardwareSettings.from_dict(data, "own.toml").for_robot(("hip", "knee"), ("maa", "baa"), "own.toml")
+        interface_of(HardwareSettings.from_dict(data, "own.toml"), LEG, "own.toml")
     assert message in str(raised.value) and "own.toml" in str(raised.value)
 
 
@@ -59,4 +63,9 @@ def test_settings_are_what_their_table_says() -> None:
     assert path is not None
     own = HardwareSettings.from_dict(presets.read_toml(path), str(path))
     assert HardwareSettings.from_dict(own.to_dict()) == own
-    assert replace(own, joints={}, actuators={}) == HardwareSettings()
+    # What the leg's file says of limits is what follows from the leg itself.
+    said, found = interface_of(own, LEG), interface_of(HardwareSettings(), LEG)
+    assert replace(own, joints={}, actuators={}, wire=Wire(), safety=Safety()) == HardwareSettings()
+    assert (said.wire, said.channels) == (found.wire, found.channels)
+    for key in ("command_low", "command_high", "slew", "stop", "margin", "speed", "noise"):
+        np.testing.assert_array_equal(getattr(said, key), getattr(found, key))

@@ -86,7 +86,7 @@ def test_whoever_stops_a_sweep_is_told_that_the_robot_is_vented(tmp_path: Path) 
     assert read(tmp_path / "runs" / "delay_001.csv").command[-1].tolist() == [0.0, 0.0]
 
 
-@pytest.mark.parametrize(("arm", "said"), [(True, "was given pressure is vented"), (False, "was only listened to")])
+@pytest.mark.parametrize(("arm", "said"), [(True, "was commanded is vented"), (False, "was only listened to")])
 def test_whoever_stops_a_check_is_told_what_became_of_the_robot(
     arm: bool, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

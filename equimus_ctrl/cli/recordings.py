@@ -76,8 +76,8 @@ def import_bag(
     """  # noqa: D301
     from equimus_ctrl import workflow
 
-    robot = workflow.load_elastic(model)
-    wired = workflow.load_hardware(hardware, robot)
+    robot = workflow.load_model(model)
+    wired = workflow.load_hardware(hardware, robot, driven=False)
     files = [workflow.import_bag(bag, output, robot, wired, force) for bag in bags]
     people().print(f"{len(files)} trials written to {output}", markup=False, soft_wrap=True)
     if as_json:

@@ -97,7 +97,7 @@ def run(
     console = people()
     workflow.load_plugins(plugins or ())
     if video is not None:
-        from equimus_ctrl.report.video import check_robot, check_suffix
+        from equimus_ctrl.report.video import check_suffix
 
         check_suffix(video)
         presets.check_folder(video.parent)
@@ -110,8 +110,6 @@ def run(
             f"{robot.name}: the motion of {', '.join(given)} is an input from recordings, which a run does not have; "
             "expected a base that is fixed"
         )
-    if video is not None:
-        check_robot(robot.robot)
     real = PLANTS.entry(plant).real
     if not real and (arm or hardware is not None or domain is not None):
         known = " or ".join(name for name, entry in PLANTS.items() if entry.real)
@@ -146,7 +144,9 @@ def run(
         raise
     except (EquimusError, KeyboardInterrupt) as stop:
         if streamed is not None:
-            print_stopped(console, stop, streamed)
+            from equimus_ctrl.plants.hardware.interface import stopped_word
+
+            print_stopped(console, stop, streamed, stopped_word(robot.robot.command_units))
         raise
     label = f"{done.scenario.name}, {done.controller}"
     folder = emptied(output, done.scenario.name, done.controller)
@@ -257,10 +257,10 @@ def new_file(folder: Path, scenario: str) -> Path:
     return next(path for k in range(1, 10**6) if not (path := folder / f"{stem}_{k:03d}.csv").exists())
 
 
-def print_stopped(console: Console, stop: BaseException, streamed: Path) -> None:
-    """What people have to know of a robot that was driven until something stopped it."""
+def print_stopped(console: Console, stop: BaseException, streamed: Path, word: str) -> None:
+    """What people have to know of a robot that was driven until something stopped it: vented, or stopped."""
     if isinstance(stop, KeyboardInterrupt):
-        console.print("stopped by Ctrl-C; the robot is vented", markup=False)
+        console.print(f"stopped by Ctrl-C; the robot is {word}", markup=False)
     if streamed.exists():
         print_files(console, [streamed])
 

@@ -25,6 +25,11 @@ class FunctionController:
     function: Callable[..., ArrayLike]
     name: str = "function"
 
+    @property
+    def senses(self) -> Any:
+        """What the function says that it needs beside positions, by an attribute of this name."""
+        return getattr(self.function, "senses", ())
+
     def init(self, spec: PlantSpec, observation: Observation) -> PlantSpec:
         """The state is the plant's spec."""
         return spec

@@ -1,1 +1,1 @@
-"""A robot's end of the wire played by the simulated leg, in real time, with the faults of real ones to order."""
+"""A robot's end of the wire played by a simulated robot, in real time, with the faults of real ones to order."""

@@ -56,6 +56,10 @@ class Body(Protocol):
         """Take one physics step, further forces (nj,) on the joints; False where its numbers are lost."""
         ...
 
+    def exerted(self) -> Array | None:
+        """(nj,) what actuators exerted on the joints over the last step [N·m or N]; None where that is not known."""
+        ...
+
     def numbers(self) -> Mapping[str, Array]:
         """MuJoCo's numbers of its bodies as they are."""
         ...

@@ -75,6 +75,10 @@ class ElasticBody:
             self.data.qfrc_applied[self.dof] += torque
         return step_quietly(self.mujoco_model, self.data)
 
+    def exerted(self) -> Array | None:
+        """Not known: the elements' forces are equalities and springs of MuJoCo's."""
+        return None
+
     def numbers(self) -> Mapping[str, Array]:
         """As of any body."""
         return numbers_of(self.mujoco_model)

@@ -104,6 +104,10 @@ class MjcfBody:
             )  # fmt: skip
         return sound == len(self._out[0]) and not any(data.warning[kind].number for kind in LOST)
 
+    def exerted(self) -> Array | None:
+        """As of any body: JᵀF of MuJoCo's actuators; what effects do at joints is not theirs."""
+        return np.array(self.data.qfrc_actuator[self.dof])
+
     def numbers(self) -> Mapping[str, Array]:
         """As of any body."""
         return numbers_of(self.mujoco_model)

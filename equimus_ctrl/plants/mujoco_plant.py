@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from equimus_ctrl.effects.base import require_simulated
 from equimus_ctrl.effects.command import advance_pressure
-from equimus_ctrl.effects.sensors import PLAY, SENSOR_DELAY, follow, recall
+from equimus_ctrl.effects.sensors import PLAY, SCALE, SENSOR_DELAY, follow, recall
 from equimus_ctrl.effects.sensors import shown as seen_by
 from equimus_ctrl.effects.valves import shaped_commands
 from equimus_ctrl.engines.limits import MAX_SPEED
@@ -23,7 +23,7 @@ from equimus_ctrl.plants.events import Event, Load, PointForce, Push
 from equimus_ctrl.robots.base import Robot
 from equimus_ctrl.robots.elastic.morphology import Phase
 from equimus_ctrl.robots.reading import shown
-from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
+from equimus_ctrl.types import Array, Observation, PlantSpec, Sense, Start, frozen_array
 
 
 def whole_ratio(fast: float, slow: float, what: str) -> int:
@@ -122,7 +122,7 @@ class MujocoPlant:
         model: what is simulated, with its effects and phase.
         nominal: what controllers may compute with; the model itself by default.
         rates: control, sensor and physics rates; ``rates_of`` the robot by default.
-        noise: standard deviation of white noise on each position [rad or m].
+        noise: standard deviation of white noise on each position [rad or m]; velocities and torques have none.
         events: what befalls the robot, see ``plants.events``.
     """
 
@@ -148,7 +148,9 @@ class MujocoPlant:
         self.mujoco_model, self.data = body.mujoco_model, body.data
         self._qpos, self._dof, self._control = body.qpos, body.dof, body.control
         self._valve, self._sensor = body.valve, body.sensor
-        self._spec = make_spec(model.robot, 1 / self.rates.control, nominal or model, model.phase)
+        spec = make_spec(model.robot, 1 / self.rates.control, nominal or model, model.phase)
+        senses: tuple[Sense, ...] = ("velocities",) if body.exerted() is None else ("velocities", "torques")
+        self._spec = replace(spec, senses=frozenset(senses))
         self._step_count = -1
         self._diverged: str | None = None
         self._events = tuple(events)
@@ -357,11 +359,26 @@ class MujocoPlant:
             return float(self.position[j])
         return float(recall(self._past[j], self._step_count, sensor_delay / self._dt, self._dt))
 
+    def _rate(self, j: int) -> float:
+        """How fast joint j was its sensor's delay ago [rad/s or m/s]."""
+        age = self._sensor[j, SENSOR_DELAY] / self._dt
+        if age == 0.0:
+            return float(self.data.qvel[self._dof[j]])
+        place = self._step_count - age
+        if place < 0:  # before the start it stood still
+            return 0.0
+        step = min(int(place), self._step_count - 1)
+        before, after = (float(self._past[j, k % self._past.shape[1], 1]) for k in (step, step + 1))
+        return before + (place - step) * (after - before)
+
     def _measure(self) -> None:
         self._stamp = self._step_count * self._dt
         seen = np.array([self._held[j] if row[PLAY] > 0 else self._seen(j) for j, row in enumerate(self._sensor)])
         noise = self._rng.normal(0.0, self.noise, len(self._qpos)) if self.noise > 0 else 0.0
         self._measured = frozen_array(seen_by(self._sensor, seen) + noise)
+        self._velocity = frozen_array(self._sensor[:, SCALE] * [self._rate(j) for j in range(len(self._sensor))])
+        exerted = self._body.exerted()
+        self._exerted = None if exerted is None else frozen_array(exerted)
 
     def _observation(self, applied: Array) -> Observation:
         clipped = self._clipped.copy()
@@ -372,6 +389,8 @@ class MujocoPlant:
             stamp=self._stamp,
             command=frozen_array(applied),
             clipped=clipped,
+            velocity=self._velocity,
+            torque=self._exerted,
         )
 
 

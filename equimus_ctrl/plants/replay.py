@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -35,7 +37,8 @@ class ReplayPlant:
         if not 0 < control_rate < float("inf"):
             raise ConfigError(f"control rate is {control_rate:g} Hz, expected more than 0")
         self.recording = recording
-        self._spec = make_spec(model, 1 / control_rate, model)
+        spec = make_spec(model, 1 / control_rate, model)
+        self._spec = spec if recording.velocity is None else replace(spec, senses=frozenset({"velocities"}))
         self.reset()
 
     @property
@@ -86,4 +89,5 @@ class ReplayPlant:
             stamp=min(float(self.recording.time[row] - first), now),
             command=frozen_array(self.recording.command[row]),
             clipped=clipped,
+            velocity=None if self.recording.velocity is None else frozen_array(self.recording.velocity[row]),
         )

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from equimus_ctrl.errors import NotAvailable
 from equimus_ctrl.models.mjcf import build_spec, close_elements, point_position
-from equimus_ctrl.report import style
+from equimus_ctrl.report import film_geoms, style
 from equimus_ctrl.report.drawing import MM, base_span, bracket_points, sketch
 from equimus_ctrl.report.film import Film, Frame
 from equimus_ctrl.types import Array
@@ -131,6 +131,24 @@ class MujocoPictures:
 
 def write_scene(film: Film, model_path: Path, film_path: Path) -> None:
     """Write the MuJoCo model and what the render worker needs to draw it."""
+    drawn = _elastic_scene if has_elements(film) else film_geoms.scene
+    model, arrays = drawn(film)
+    np.savez(film_path, size=np.array([film.height, film.width]), trail_frames=np.array(film.trail_frames), **arrays)
+    mujoco.mj_saveModel(model, str(model_path), None)
+
+
+def has_elements(film: Film) -> bool:
+    """Whether links in a plane and elastic actuators are shown; else the geoms of the robot's own file."""
+    return "lengths" in film.model.robot.offers
+
+
+def sketch_of(film: Film) -> SketchPictures | film_geoms.GeomPictures:
+    """Pictures of a film that need no OpenGL."""
+    return SketchPictures(film) if has_elements(film) else film_geoms.GeomPictures(film)
+
+
+def _elastic_scene(film: Film) -> tuple[Any, dict[str, Any]]:
+    """The MuJoCo model of a robot with elastic actuators, and what the render worker needs beside."""
     model = _scene_model(film)
     data = mujoco.MjData(model)
     m = film.morphology
@@ -150,25 +168,22 @@ def write_scene(film: Film, model_path: Path, film_path: Path) -> None:
     slope = np.radians(ELEVATION)
     eye = lookat - distance * np.array([0.0, np.cos(slope), np.sin(slope)])
     target = _dashes(film)
-    np.savez(
-        film_path,
-        size=np.array([film.height, film.width]),
-        qpos=qpos,
-        lookat=lookat,
-        eye=eye,
-        view=np.array([distance, 90.0, ELEVATION]),
-        traced_body=np.array(model.body("base").id if film.phase == "stance" else -1),
-        actuator_sites=np.array(
+    traced = np.column_stack([film.traced[:, 0], np.zeros(len(qpos)), -film.traced[:, 1]])
+    return model, {
+        "qpos": qpos,
+        "lookat": lookat,
+        "view": np.array([distance, 90.0, ELEVATION]),
+        # Nearer to the eye on the same line of sight: the path shows at its place and is not hidden by the leg.
+        "trail": traced + 0.05 * (eye - traced),
+        "actuator_sites": np.array(
             [[model.site(f"{name}/{end}").id for end in ("origin", "insertion")] for name in m.actuator_names]
         ),
-        radii=film.size * (0.024 + 0.014 * film.fill),
-        colours=np.array([[(*film.colour(i, f), 1.0) for i, f in enumerate(row)] for row in film.fill]),
-        target=target + 0.051 * (eye - target),
-        target_colour=np.array([0.0, 0.0, 0.0, 1.0]),
-        trail_frames=np.array(film.trail_frames),
-        trail_colour=np.array([0.42, 0.24, 0.60, 1.0]),
-    )
-    mujoco.mj_saveModel(model, str(model_path), None)
+        "radii": film.size * (0.024 + 0.014 * film.fill),
+        "colours": np.array([[(*film.colour(i, f), 1.0) for i, f in enumerate(row)] for row in film.fill]),
+        "target": target + 0.051 * (eye - target),
+        "target_colour": np.array([0.0, 0.0, 0.0, 1.0]),
+        "trail_colour": np.array([0.42, 0.24, 0.60, 1.0]),
+    }
 
 
 def _dashes(film: Film) -> Array:
@@ -259,7 +274,7 @@ class SketchPictures:
         film: what is shown.
     """
 
-    backend = "matplotlib"
+    backend, said = "matplotlib", "the leg is drawn as lines"
 
     def __init__(self, film: Film) -> None:
         self.film = film

@@ -27,17 +27,13 @@ def render(model_path: str, film_path: str) -> None:
     camera.distance, camera.azimuth, camera.elevation = (float(value) for value in film["view"])
     option = mujoco.MjvOption()
     option.sitegroup[:] = 0
-    trail = np.empty((len(film["qpos"]), 3))
     with mujoco.Renderer(model, height, width) as renderer:
         for k, qpos in enumerate(film["qpos"]):
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
             mujoco.mj_camlight(model, data)
-            traced = data.xpos[film["traced_body"]] if film["traced_body"] >= 0 else data.site("foot").xpos
-            # Nearer to the eye on the same line of sight: the path shows at its place and is not hidden by the leg.
-            trail[k] = traced + 0.05 * (film["eye"] - traced)
             renderer.update_scene(data, camera, option)
-            _decorate(renderer.scene, data, film, trail, k)
+            _decorate(renderer.scene, data, film, film["trail"], k)
             sys.stdout.buffer.write(np.ascontiguousarray(renderer.render()).tobytes())
     sys.stdout.buffer.flush()
 

@@ -8,7 +8,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +17,7 @@ from PIL import Image
 from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.report.film import Film, Frame, Strip, make_film, palette_colours
-from equimus_ctrl.report.film_frames import MujocoPictures, SketchPictures
-from equimus_ctrl.robots.base import Robot
+from equimus_ctrl.report.film_frames import MujocoPictures, sketch_of
 from equimus_ctrl.types import Run
 
 _Progress = Callable[[float], None] | None
@@ -58,25 +57,18 @@ def check_suffix(path: Path) -> str:
     return suffix
 
 
-def check_robot(robot: Robot) -> None:
-    """Raise NotAvailable where no video can show a robot: drawn are links in a plane and elastic actuators."""
-    if "lengths" not in robot.offers:
-        raise NotAvailable(
-            f"{robot.name}: a video shows robots with elastic actuators alone, and it has none; run it without --video"
-        )
-
-
 def save_video(
     run: Run, model: Model, path: Path, fps: float = 30, *, progress: Callable[[float], None] | None = None
 ) -> VideoResult:
-    """Write a video of the leg going through a run, in real time, whole or not at all.
+    """Write a video of a robot going through a run, in real time, whole or not at all.
 
     MuJoCo renders it where OpenGL works without a screen (``MUJOCO_GL`` names the backend to try first, ``off``
-    forbids it); else it is drawn as lines. A gif has at most 20 frames a second and 600 in all.
+    forbids it); else it is drawn as lines, an XML's robot as the outlines of its geoms. Below are curves of the joints,
+    dashed where they are wanted, and bars of the commands. A gif has at most 20 frames a second and 600 in all.
 
     Args:
         run: what happened.
-        model: whose morphology and phase are shown.
+        model: whose robot and phase are shown.
         path: ends in ``.mp4`` or ``.gif``.
         fps: frames a second.
         progress: called with the share done; it starts again where one way of writing fails and another is tried.
@@ -130,14 +122,13 @@ def _write(film: Film, path: Path, ffmpeg: str | None, notes: list[str], progres
             rendered.close()
         return f"mujoco ({rendered.backend})"
     except NotAvailable as error:
-        notes.append(f"{error}, so the leg is drawn as lines")
-    _encode(film, SketchPictures(film), path, ffmpeg, progress)
-    return "matplotlib"
+        sketch = sketch_of(film)
+        notes.append(f"{error}, so {sketch.said}")
+    _encode(film, sketch, path, ffmpeg, progress)
+    return sketch.backend
 
 
-def _encode(
-    film: Film, pictures: MujocoPictures | SketchPictures, path: Path, ffmpeg: str | None, progress: _Progress
-) -> None:
+def _encode(film: Film, pictures: Iterable[Frame], path: Path, ffmpeg: str | None, progress: _Progress) -> None:
     strip = Strip(film)
 
     def drawn() -> Iterator[Frame]:

@@ -309,6 +309,10 @@ class Robot(ABC):
         """Of each actuator whether its command is a goal for where something is."""
         return (False,) * len(self.actuator_names)
 
+    def goals_at(self, position: Array) -> Array:
+        """(na,) the goals at which servos exert nothing at rest in a pose (nj,) [rad or m]; 0 of other commands."""
+        return np.zeros(len(self.actuator_names))
+
     @property
     def keyframes(self) -> Mapping[str, Array]:
         """Name → (nj,) pose [rad or m] that its description names."""

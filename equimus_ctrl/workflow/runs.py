@@ -304,7 +304,7 @@ def tune_pid(
     root = presets.workspace()
     name = own_settings("pid.toml", model.robot) if on_plant else "pid.toml"
     target = options.output or root / "controllers" / name
-    stem = f"{path.stem}_{_plain(model.name)}" if on_plant else path.stem
+    stem = f"{path.stem}_{presets.plain_name(model.name)}" if on_plant else path.stem
     results = options.folder or root / "tuning" / "results" / stem
     presets.check_toml(target)
     presets.check_folder(results)
@@ -343,11 +343,7 @@ def _study_for(model: Model) -> Path:
 def own_settings(file: str, robot: Robot) -> str:
     """What a settings file is called that is for one robot alone."""
     stem, dot, suffix = file.rpartition(".")
-    return f"{stem}_{_plain(robot.name)}{dot}{suffix}"
-
-
-def _plain(name: str) -> str:
-    return "".join(ch if ch.isalnum() or ch in "-_" else "_" for ch in name)
+    return f"{stem}_{presets.plain_name(robot.name)}{dot}{suffix}"
 
 
 def _settings_comment(result: Any, study: Path) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from equimus_ctrl.errors import NotAvailable, RecordingError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.hardware.clock import ClockMap
+from equimus_ctrl.plants.hardware.interface import interface_of
 from equimus_ctrl.plants.hardware.messages import NANO
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.types import Array, Recording
@@ -43,9 +44,9 @@ def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None)
             "'equimus-ctrl[hardware]'"
         ) from None
     settings = settings or HardwareSettings()
-    m = model.morphology
-    joints, channels = settings.for_robot(m.joint_names, m.actuator_names)
-    wanted = dict(zip((settings.wire.states, settings.wire.commands), TYPES, strict=True))
+    own = interface_of(settings, model.robot, limited=False)
+    joints, channels, wire = own.calibrations, own.channels, own.wire
+    wanted = dict(zip((wire.states, wire.commands), TYPES, strict=True))
     found: dict[str, list[tuple[float, float, list[float]]]] = {topic: [] for topic in wanted}
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
@@ -63,15 +64,15 @@ def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None)
             for connection, received, raw in reader.messages(connections=chosen):
                 message: Any = reader.deserialize(raw, connection.msgtype)
                 at = (received - begun) / NANO
-                if connection.topic == settings.wire.states:
+                if connection.topic == wire.states:
                     names = list(message.name)
-                    for own in joints:
-                        if own.name not in names or names.index(own.name) >= len(message.position):
+                    for joint in joints:
+                        if joint.name not in names or names.index(joint.name) >= len(message.position):
                             raise RecordingError(
                                 f"{path}: {connection.topic} at {at:.3f} s has joints {', '.join(names) or 'none'}, "
                                 f"expected {', '.join(c.name for c in joints)} with a position each"
                             )
-                    values = [own.scale * (message.position[names.index(own.name)] - own.zero) for own in joints]
+                    values = [j.scale * (message.position[names.index(j.name)] - j.zero) for j in joints]
                     stamp = message.header.stamp.sec + message.header.stamp.nanosec / NANO
                 else:
                     if len(message.data) != len(channels):
@@ -79,13 +80,13 @@ def read_bag(path: Path, model: Model, settings: HardwareSettings | None = None)
                             f"{path}: {connection.topic} at {at:.3f} s has {len(message.data)} numbers, expected "
                             f"{len(channels)}"
                         )
-                    values, stamp = [message.data[c.index] * c.unit for c in channels], at
+                    values, stamp = own.command(message.data).tolist(), at
                 if not np.all(np.isfinite(values)):
                     raise RecordingError(f"{path}: {connection.topic} at {at:.3f} s is {values}, expected numbers")
                 found[connection.topic].append((stamp, at, [float(value) for value in values]))
     except (AnyReaderError, ReaderError, OSError) as error:
         raise RecordingError(f"{path}: is no bag that can be read ({error})") from None
-    measured, commanded = found[settings.wire.states], found[settings.wire.commands]
+    measured, commanded = found[wire.states], found[wire.commands]
     if len(measured) < 2 or not commanded:
         raise RecordingError(
             f"{path}: holds {len(measured)} measurements and {len(commanded)} commands, expected at least 2 and 1"
@@ -112,7 +113,7 @@ def _on_one_clock(measured: list[tuple[float, float, list[float]]]) -> tuple[Arr
 def _together(
     path: Path, model: Model, times: Array, angles: Array, commanded: list[tuple[float, float, list[float]]]
 ) -> Recording:
-    m = model.morphology
+    robot = model.robot
     sent = np.array([at for _, at, _ in commanded])
     pressures = np.array([values for _, _, values in commanded])
     begin = max(times[0], sent[0])
@@ -126,6 +127,6 @@ def _together(
     earlier = np.flatnonzero(sent < begin)
     before = pressures[earlier[-1]] if len(earlier) else pressures[0]
     return Recording(
-        path.stem, rows - rows[0], pressures[inside], position, m.actuator_names, m.joint_names,
+        path.stem, rows - rows[0], pressures[inside], position, robot.actuator_names, robot.joint_names,
         before=before, notes={"source": path.name},
     )  # fmt: skip

@@ -22,7 +22,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from equimus_ctrl.errors import NotAvailable
+from equimus_ctrl.errors import ConfigError, NotAvailable
 from equimus_ctrl.plants.hardware.messages import NANO, Float64MultiArray, JointState, joint_state, multi_array
 from equimus_ctrl.plants.hardware.settings import Wire
 from equimus_ctrl.plants.hardware.transport import Sample
@@ -69,6 +69,8 @@ class _End:
     """One end of the wire: a topic read and a topic written."""
 
     def __init__(self, wire: Wire, read: tuple[str, type, Qos], write: tuple[str, type, Qos]) -> None:
+        if not (read[0] and write[0]):
+            raise ConfigError("the topic of commands has no name, expected one such as that of interface_of")
         self._arriving = _Arriving()
         self._writer: Any = None
         self._written = topic_of(write[0])

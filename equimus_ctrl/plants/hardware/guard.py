@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from equimus_ctrl.plants.hardware.clock import ClockMap
-from equimus_ctrl.plants.hardware.settings import Calibration, Safety
+from equimus_ctrl.plants.hardware.interface import Interface
+from equimus_ctrl.plants.hardware.settings import Safety
 from equimus_ctrl.plants.hardware.transport import Sample
 from equimus_ctrl.types import Array, PlantSpec
 
@@ -18,7 +19,7 @@ class Measurements:
 
     Attributes:
         clock: of the device.
-        position: (nj,) latest angles [rad].
+        position: (nj,) latest positions [rad or m].
         stamp: when they were measured, by this computer's clock [s].
         device_stamp: the same by the device's own [s].
         source: who sent it.
@@ -41,18 +42,17 @@ class Guard:
     Args:
         spec: of the robot.
         safety: what is enforced.
-        calibrations: of the joints.
+        interface: what that comes to for this robot.
     """
 
-    def __init__(self, spec: PlantSpec, safety: Safety, calibrations: tuple[Calibration, ...]) -> None:
-        self.safety, self._joints = safety, spec.joints
-        self._calibrations = calibrations
-        self._low, self._high = spec.joint_low - safety.joint_margin, spec.joint_high + safety.joint_margin
-        self.command_low: Array = np.array(spec.command_low)
-        self.command_high: Array = np.minimum(spec.command_high, safety.pressure)
+    def __init__(self, spec: PlantSpec, safety: Safety, interface: Interface) -> None:
+        self.safety, self.interface, self._joints = safety, interface, spec.joints
+        self._calibrations = interface.calibrations
+        self._low, self._high = spec.joint_low - interface.margin, spec.joint_high + interface.margin
+        self.command_low, self.command_high = interface.command_low, interface.command_high
 
     def angles(self, sample: Sample) -> Array | str:
-        """(nj,) of a sample [rad], or why there are none."""
+        """(nj,) positions of a sample [rad or m], or why there are none."""
         found = []
         for own in self._calibrations:
             if own.name not in sample.names:
@@ -92,12 +92,13 @@ class Guard:
         if wrong := self._wrong(angles):
             return wrong
         span = sample.stamp - seen.device_stamp
-        for name, before, after in zip(self._joints, seen.position, angles, strict=True):
-            if abs(after - before) > self.safety.noise + self.safety.speed * span:
-                return (
-                    f"{name} jumped from {before:.3f} to {after:.3f} rad in {span * 1e3:.3g} ms, expected at most "
-                    f"{self.safety.speed:g} rad/s"
-                )
+        own = self.interface
+        for j in np.flatnonzero(np.abs(angles - seen.position) > own.noise + own.speed * span):
+            unit = own.joint_units[j]
+            return (
+                f"{self._joints[j]} jumped from {seen.position[j]:.3f} to {angles[j]:.3f} {unit} in {span * 1e3:.3g} "
+                f"ms, expected at most {own.speed[j]:g} {unit}/s"
+            )
         clock = seen.clock.seen(sample.stamp, sample.received)
         return Measurements(
             clock, angles, clock.local(sample.stamp), sample.stamp, sample.source, seen.samples + 1, seen.ignored
@@ -110,15 +111,23 @@ class Guard:
             return ""
         return f"the latest measurement is {age:.3g} s old, expected one at least every {self.safety.stale:g} s"
 
-    def limited(self, asked: Array, before: Array, span: float) -> Array:
-        """(na,) the command nearest to what is asked for within all limits, so long after the one before [Pa]."""
-        reach = self.safety.slew * span
+    def limited(self, asked: Array, before: Array, span: float, slew: Array | None = None) -> Array:
+        """(na,) the command nearest to what is asked for within all limits, so long [s] after the one before.
+
+        Args:
+            asked: (na,) for.
+            before: (na,) the one before.
+            span: since then [s].
+            slew: (na,) in place of the robot's own, where that is less [unit of the commands over s].
+        """
+        reach = (self.interface.slew if slew is None else slew) * span
         return np.clip(np.clip(asked, before - reach, before + reach), self.command_low, self.command_high)
 
     def _wrong(self, angles: Array) -> str:
-        for name, angle, low, high in zip(self._joints, angles, self._low, self._high, strict=True):
+        ends = zip(self._joints, angles, self._low, self._high, self.interface.joint_units, strict=True)
+        for name, angle, low, high, unit in ends:
             if not np.isfinite(angle):
                 return f"{name} was measured as {angle}, expected a number"
             if not low <= angle <= high:
-                return f"{name} is at {angle:.3f} rad, expected {low:.3f} to {high:.3f} rad"
+                return f"{name} is at {angle:.3f} {unit}, expected {low:.3f} to {high:.3f} {unit}"
         return ""

@@ -1,4 +1,4 @@
-"""The plant protocol on a real robot: a fixed rate, one clock, limits enforced last, a vent where anything fails."""
+"""The plant protocol on a real robot: a fixed rate, one clock, limits enforced last, a stop where anything fails."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ from numpy.typing import ArrayLike
 from equimus_ctrl.errors import ConfigError, HardwareFault, NotAvailable, RecordingError
 from equimus_ctrl.models.model import Model
 from equimus_ctrl.plants.hardware.guard import Guard, Measurements
+from equimus_ctrl.plants.hardware.interface import interface_of
 from equimus_ctrl.plants.hardware.settings import HardwareSettings
 from equimus_ctrl.plants.hardware.transport import Transport
 from equimus_ctrl.plants.hardware.transports import transport_entry
 from equimus_ctrl.plants.mujoco_plant import make_spec
 from equimus_ctrl.recordings.stream import RecordingStream
+from equimus_ctrl.robots.reading import command_words, shown
 from equimus_ctrl.types import Array, Observation, PlantSpec, Start, frozen_array
 
 LOOKS = 0.25
 """How often it is looked who else is on the wire [s]."""
-VENTS = 3
-"""So many times 0 Pa is sent, a period apart, where a run ends: one may be lost."""
+STOPS = 3
+"""So many times what stops the robot is sent, a period apart, where a run ends: one may be lost."""
 PAUSED, MOST_PAUSES = 0.5, 20
 """Before a run, who does not send for this share of the time after which measurements are stale stood still; and how
 often that may be."""
@@ -51,7 +53,7 @@ class LoopCounts:
         latency: (instants,) from the latest measurement, by its stamp, to the command made of it [s].
         samples: measurements that counted.
         ignored: measurements that had come before, or too late for their order.
-        fault: why the robot was vented; empty where nothing was wrong.
+        fault: why the robot was stopped; empty where nothing was wrong.
     """
 
     instants: int = 0
@@ -78,9 +80,10 @@ class HardwarePlant:
     """A robot behind a transport.
 
     Commands go out as soon as they are asked for; then the next instant is waited for. Every run is recorded as it
-    goes: at each control instant the command in force from then on, and the angles between the two measurements
-    around it. The robot is vented, 0 Pa within one period, where a measurement is late, no number, out of range or has
-    jumped, where the controller misses too many deadlines, where the process is asked to end, and at the end of a run.
+    goes: at each control instant the command in force from then on, and the positions between the two measurements
+    around it. The robot is stopped within one period where a measurement is late, no number, out of range or has
+    jumped, where the controller misses too many deadlines, where the process is asked to end, and at the end of a run:
+    by 0 Pa (it is vented), by no force, by rates of 0; what its last goal holds stays there, see ``Interface.stop``.
 
     Args:
         model: of the robot: names, ranges, and what controllers may compute with.
@@ -106,23 +109,23 @@ class HardwarePlant:
         transport: Transport | None = None,
     ) -> None:
         self.settings = s = settings or HardwareSettings()
-        self.armed, self._record_to = armed, record
-        spec = make_spec(model.morphology, 1 / s.rate, nominal or model, model.phase)
-        highest = frozen_array(np.minimum(spec.command_high, s.safety.pressure))
-        self._spec = replace(spec, command_high=highest)
-        calibrations, self._channels = s.for_robot(self._spec.joints, self._spec.actuators)
-        self.guard = Guard(self._spec, s.safety, calibrations)
-        self._wire = transport or transport_entry(s.wire.transport).host(s.wire)
+        self.armed, self._record_to, self.robot = armed, record, model.robot
+        self.interface = own = interface_of(s, model.robot)
+        spec = make_spec(model.robot, 1 / s.rate, nominal or model, model.phase)
+        self._spec = replace(spec, command_low=own.command_low, command_high=own.command_high)
+        self.guard = Guard(self._spec, s.safety, own)
+        self._wire = transport or transport_entry(s.wire.transport).host(own.wire)
         self.counts = LoopCounts()
         self._seen: Measurements | None = None
         self._stream: RecordingStream | None = None
         self._pending: deque[tuple[float, Array]] = deque()
         self._last: tuple[float, Array] | None = None
-        self._command: Array = np.zeros(len(self._spec.actuators))
+        self._command: Array = own.stopping(np.zeros(len(self._spec.actuators)))
         self._clipped = np.zeros(len(self._spec.actuators), dtype=bool)
         self._origin, self._k, self._due, self._begun = math.nan, 0, math.inf, False
         self._target, self._held_since, self._beat = self._command, math.inf, -math.inf
-        self._vented = self._closing = self._closed = self._resync = False
+        self._approach = own.slew
+        self._halted = self._closing = self._closed = self._resync = False
         self._sent_at, self._pauses = -math.inf, 0
         self._tripped, self._in_a_row = "", 0
         self._lock, self._stop = threading.RLock(), threading.Event()
@@ -137,6 +140,9 @@ class HardwarePlant:
     def reset(self, start: Start | None = None, seed: int | None = None) -> Observation:
         """Wait for the robot, bring it to the start's command and let it settle; time 0 is at the first step.
 
+        Pressures that springs answer, and goals, are gone to, goals as slowly as ``settle`` takes. Forces that nothing
+        holds against would carry the robot away: it stays stopped. Goals of which nobody tells stay where it is.
+
         Args:
             start: its command is gone to; where the joints are is where they are, whatever it says.
             seed: takes no part.
@@ -149,15 +155,25 @@ class HardwarePlant:
         self._require_open()
         if self._watch is not None:
             raise ConfigError("a hardware plant runs once; make another one")
-        target = self.guard.command_low if start is None or start.command is None else start.command
-        if target.shape != self._command.shape:
-            raise ConfigError(f"start command has shape {target.shape}, expected {self._command.shape}")
-        if not np.all((target >= self.guard.command_low) & (target <= self.guard.command_high)):
+        given = None if start is None else start.command
+        own, low, high = self.interface, self.guard.command_low, self.guard.command_high
+        if given is not None and given.shape != self._command.shape:
+            raise ConfigError(f"start command has shape {given.shape}, expected {self._command.shape}")
+        if given is not None and not np.all((given >= low) & (given <= high)):
+            units = own.command_units
             raise ConfigError(
-                f"start command {target.tolist()} Pa lies outside the limits of {self.guard.command_low.tolist()} to "
-                f"{self.guard.command_high.tolist()} Pa"
+                f"start command {shown(given, units)} lies outside the limits of {shown(low, units, False)} to "
+                f"{shown(high, units)}"
             )
         self._first_sample()
+        assert self._seen is not None
+        self._command = own.stopping(np.clip(self.robot.goals_at(self._seen.position), low, high))
+        target = np.clip(self._command, low, high)
+        if given is not None:
+            target = np.where(own.holds | self.robot.traits.held_in_place, given, target)
+        if self.settings.settle > 0:
+            slowly = np.abs(target - self._command) / self.settings.settle
+            self._approach = np.where(own.holds, np.minimum(own.slew, slowly), own.slew)
         self._heed_signals()
         self._target, self._held_since = np.array(target), clock.monotonic()
         self._watch = threading.Thread(target=self._watched, daemon=True)
@@ -167,18 +183,19 @@ class HardwarePlant:
         return self._observation()
 
     def step(self, command: ArrayLike) -> Observation:
-        """Send ``command`` [Pa] within all limits and wait for the next control instant.
+        """Send ``command`` within all limits and wait for the next control instant.
 
         Raises:
             ConfigError: for a command of the wrong size or not finite.
-            HardwareFault: where the robot had to be vented.
+            HardwareFault: where the robot had to be stopped.
         """
         self._require_open()
         assert self._watch is not None, "the plant was stepped before it was reset"
         asked = np.asarray(command, dtype=np.float64)
         if asked.shape != self._command.shape or not np.all(np.isfinite(asked)):
-            self._vent("a command was not one finite pressure for each actuator")
-            raise ConfigError(f"command is {asked}, expected {len(self._command)} finite pressures in Pa")
+            words = command_words(self.interface.command_units)[0]
+            self._halt("a command was not one finite number for each actuator")
+            raise ConfigError(f"command is {asked}, expected {len(self._command)} finite {words}")
         if self._tripped:
             self._fault(self._tripped)
         if not self._begun:
@@ -210,29 +227,29 @@ class HardwarePlant:
 
     def silence(self) -> str:
         """That no measurement came, in words."""
-        wire = self.settings.wire
+        wire = self.interface.wire
         return (
             f"no measurement came on {wire.states}, domain {wire.domain}, within {self.settings.patience:g} s; is the "
             "robot, or equimus-ctrl emulate, running?"
         )
 
     def close(self) -> None:
-        """Vent, and let go of the robot."""
+        """Stop the robot, and let go of it."""
         if self._closed:
             return
         self._closing = True
         if self._watch is not None:  # a robot that was never taken over is another's
-            self._vent("")
+            self._halt("")
         self._closed = True
         self._stop.set()
         try:
             if self._watch is not None:
                 self._watch.join()
                 if self.armed:
-                    for _ in range(VENTS - 1):
+                    for _ in range(STOPS - 1):
                         clock.sleep(self._spec.control_dt)
-                        self._transmit(np.zeros(len(self._command)))
-            # The last row, of venting, lies before a measurement that is still to come.
+                        self._transmit(self.interface.stopping(self._command))
+            # The last row, of stopping, lies before a measurement that is still to come.
             until = clock.monotonic() + self.settings.safety.stale
             while self._stream is not None and not self._taken() and self._pending and clock.monotonic() < until:
                 clock.sleep(1e-3)
@@ -272,13 +289,13 @@ class HardwarePlant:
                 clock.sleep(1e-3)
 
     def _deaf(self) -> str:
-        wire = self.settings.wire
+        wire = self.interface.wire
         return f"nobody listens to {wire.commands}, domain {wire.domain}"
 
     def _begin(self) -> None:
         """The first instant is now, if the robot has been held for long enough without a break.
 
-        What a controller makes first may take its time, and keep this process from sending: then the device has vented
+        What a controller makes first may take its time, and keep this process from sending: then the device has stopped
         by itself, and the robot has to be brought to the start again.
         """
         self._settled()
@@ -358,7 +375,7 @@ class HardwarePlant:
 
     def _send(self, command: Array) -> None:
         with self._lock:
-            if self.armed and not self._vented:
+            if self.armed and not self._halted:
                 self._transmit(command)
                 self._sent_at = clock.monotonic()
                 self._keep(command)
@@ -369,31 +386,30 @@ class HardwarePlant:
             self._pending.append((clock.monotonic() - self._origin, command))
 
     def _transmit(self, command: Array) -> None:
-        values = [0.0] * len(command)
-        for pressure, channel in zip(command, self._channels, strict=True):
-            values[channel.index] = float(pressure) / channel.unit
-        self._wire.send(values)
+        self._wire.send(self.interface.numbers(command))
 
-    def _vent(self, why: str) -> None:
-        """0 Pa, now and for good; no slew limit applies."""
+    def _halt(self, why: str) -> None:
+        """Stop the robot, now and for good; no slew limit applies."""
         with self._lock:
             if why and not self._tripped:
                 since = clock.monotonic() - self._origin
                 at = f" at {since:.3f} s" if math.isfinite(since) else " before the run began"
-                self._tripped = f"vented{at}: {why}" if self.armed else f"would have been vented{at}: {why}"
+                word = self.interface.stopped if self.armed else f"would have been {self.interface.stopped}"
+                self._tripped = f"{word}{at}: {why}"
                 self.counts.fault = self._tripped
-            nothing = np.zeros(len(self._command))
-            if self.armed and not self._vented:
+            last = self.interface.stopping(self._command)
+            if self.armed and not self._halted:
                 try:
-                    self._transmit(nothing)
+                    self._transmit(last)
                 except Exception as error:  # whatever fails in the transport is reported
-                    self._tripped += f"; 0 Pa could not be sent ({type(error).__name__}: {error})"
-                self._keep(nothing)
-            self._vented, self._command = True, nothing
+                    said = shown(last, self.interface.command_units)
+                    self._tripped += f"; {said} could not be sent ({type(error).__name__}: {error})"
+                self._keep(last)
+            self._halted, self._command = True, last
 
     def _fault(self, why: str) -> NoReturn:
         if not self._tripped:
-            self._vent(why)
+            self._halt(why)
         raise HardwareFault(self._tripped)
 
     def _wait(self, until: float) -> None:
@@ -401,25 +417,25 @@ class HardwarePlant:
             clock.sleep(left - NEAR if left > 2 * NEAR else min(left, NEAR / 4))
 
     def _watched(self) -> None:
-        """Holds the start's command until the run begins; then vents where the controller does not come back.
+        """Holds the start's command until the run begins; then stops it where the controller does not come back.
 
         Either way it looks who else is on the wire.
         """
         try:
             self._watch_over()
         except Exception as error:  # nobody would watch any more
-            self._vent(f"the watch over the robot failed ({type(error).__name__}: {error})")
+            self._halt(f"the watch over the robot failed ({type(error).__name__}: {error})")
 
     def _watch_over(self) -> None:
         dt, looked = self._spec.control_dt, clock.monotonic()
         self._beat = fresh = looked
         allowed = (self.settings.safety.misses + 0.5) * dt
         paused = max(PAUSED * self.settings.safety.stale, 2.5 * dt)
-        while not self._stop.wait(dt / 2 if self._begun and not self._vented else dt):
-            if self._vented:
+        while not self._stop.wait(dt / 2 if self._begun and not self._halted else dt):
+            if self._halted:
                 # Who hangs never closes; one message may be lost.
                 if self.armed:
-                    self._transmit(np.zeros(len(self._command)))
+                    self._transmit(self.interface.stopping(self._command))
                 continue
             wrong = ""
             with self._lock:
@@ -427,15 +443,15 @@ class HardwarePlant:
                 if not self._begun:
                     assert self._seen is not None
                     if now - self._beat > paused:
-                        # This process stood still, the device may have vented, and what waits came long ago.
-                        self._command = np.zeros(len(self._command))
+                        # This process stood still, the device may have stopped, and what waits came long ago.
+                        self._command = self.interface.stopping(self._command)
                         self._wire.take()
                         self._resync, fresh = True, now + self.settings.safety.stale
                         self._pauses += 1
                     self._beat = now
                     if not np.array_equal(self._command, self._target):
                         self._held_since = now
-                    self._command = self.guard.limited(self._target, self._command, dt)
+                    self._command = self.guard.limited(self._target, self._command, dt, self._approach)
                     self._send(self._command)
                     wrong = self._taken() or (self.guard.stale(self._seen, now) if now > fresh else "")
                     if self._pauses > MOST_PAUSES:
@@ -450,7 +466,7 @@ class HardwarePlant:
                 if self.armed and not wrong and not self._wire.listeners():
                     wrong = self._deaf()
             if wrong:
-                self._vent(wrong)
+                self._halt(wrong)
 
     def _heed_signals(self) -> None:
         if threading.current_thread() is not threading.main_thread():

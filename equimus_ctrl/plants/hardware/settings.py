@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from equimus_ctrl.errors import ConfigError, unknown_name
+from equimus_ctrl.errors import ConfigError
 from equimus_ctrl.settings import settings_from, table_of
 
 FORMAT = "equimus-ctrl/hardware/1"
@@ -19,12 +19,12 @@ MOST_DOMAIN = 232
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a joint's number on the wire means: angle = scale · (number − zero).
+    """What a joint's number on the wire means: position = scale · (number − zero).
 
     Attributes:
         name: of the joint on the wire; its own by default.
-        zero: the number at angle 0.
-        scale: rad per unit, negative where it turns the other way.
+        zero: the number at position 0.
+        scale: rad (slides m) per unit, negative where it goes the other way.
     """
 
     name: str = ""
@@ -40,21 +40,36 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Channel:
-    """What is sent for an actuator: number = pressure / unit, at a place of the array.
+    """What is sent for an actuator: number = command / unit, at a place of the array; and its limits.
+
+    Commands are in the SI unit that the robot has them in: Pa, N·m, N, rad or m of a goal, 1 of a control signal.
 
     Attributes:
         index: of the array that is sent; by default that of the actuator.
-        unit: Pa per unit on the wire, such as 1000 for kPa.
+        unit: of the command per unit on the wire, such as 1000 for kPa; negative where it acts the other way.
+        low: lowest command; the robot's own limit by default, and where that is higher.
+        high: highest, alike.
+        slew: by how much it changes at most in a second; stopping is exempt.
+        stop: what is sent to stop the robot; by default 0, and the last one of a goal for where something is.
     """
 
     index: int = -1
     unit: float = 1.0
+    low: float | None = None
+    high: float | None = None
+    slew: float | None = None
+    stop: float | None = None
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.unit) and self.unit > 0):
-            raise ConfigError(f"unit is {self.unit:g} Pa, expected more than 0")
+        if not math.isfinite(self.unit) or self.unit == 0:
+            raise ConfigError(f"unit is {self.unit:g}, expected a finite number other than 0")
         if self.index < -1:
             raise ConfigError(f"index is {self.index}, expected at least 0")
+        for key in ("low", "high", "stop"):
+            if (value := getattr(self, key)) is not None and not math.isfinite(value):
+                raise ConfigError(f"{key} is {value:g}, expected a finite number")
+        if self.slew is not None and not (math.isfinite(self.slew) and self.slew > 0):
+            raise ConfigError(f"slew is {self.slew:g}, expected more than 0")
 
 
 @dataclass(frozen=True)
@@ -65,54 +80,66 @@ class Wire:
         transport: by name, see ``plants.hardware.transport``.
         domain: of DDS, ROS_DOMAIN_ID.
         states: topic of ``sensor_msgs/msg/JointState``.
-        commands: topic of ``std_msgs/msg/Float64MultiArray``.
+        commands: topic of ``std_msgs/msg/Float64MultiArray``; by default what ros2_control calls that of a
+            ``forward_command_controller`` with such commands, see ``interface.topic_of_commands``.
     """
 
     transport: str = "dds"
     domain: int = 0
     states: str = "/joint_states"
-    commands: str = "/forward_pressure_controller/commands"
+    commands: str = ""
 
     def __post_init__(self) -> None:
         if not 0 <= self.domain <= MOST_DOMAIN:
             raise ConfigError(f"domain is {self.domain}, expected 0 to {MOST_DOMAIN}")
         for key in ("states", "commands"):
             topic = getattr(self, key)
+            if key == "commands" and not topic:
+                continue
             if not topic.startswith("/") or topic.endswith("/") or any(c.isspace() for c in topic):
                 raise ConfigError(f"{key} is {topic!r}, expected a topic such as /joint_states")
 
 
 @dataclass(frozen=True)
 class Safety:
-    """What is enforced last, whatever a controller says. A fault vents: 0 Pa within one period.
+    """What is enforced last, whatever a controller says. A fault stops the robot within one period.
 
     Attributes:
-        pressure: highest that is ever sent [Pa]; the robot's own limit where that is lower.
-        slew: by how much commands change at most [Pa/s]; venting is exempt.
-        joint_margin: a joint so far beyond its range is a fault [rad].
+        pressure: highest that is ever sent [Pa]; the robot's own limit by default, and where that is lower. Of robots
+            that are driven by pressures alone; limits of others stand with the actuators.
+        slew: by how much pressures change at most [Pa/s]; venting is exempt.
+        joint_margin: a hinge so far beyond its range is a fault [rad].
         speed: angles that change faster between two samples have jumped [rad/s].
         noise: by so much they may differ however short the time [rad].
+        slide_margin: the first of slides [m].
+        slide_speed: the second [m/s].
+        slide_noise: the third [m].
         stale: without a sample for longer is a fault [s].
         clock: stamps that deviate by more from when samples arrive mean that the device's clock has jumped [s].
         misses: so many deadlines in a row may be missed; one more is a fault.
     """
 
-    pressure: float = 50e3
-    slew: float = 1e6
+    pressure: float | None = None
+    slew: float | None = None
     joint_margin: float = 0.15
     speed: float = 30.0
     noise: float = 0.05
+    slide_margin: float = 0.05
+    slide_speed: float = 5.0
+    slide_noise: float = 0.01
     stale: float = 0.1
     clock: float = 0.5
     misses: int = 5
 
     def __post_init__(self) -> None:
-        for key in ("pressure", "slew", "speed", "noise", "stale", "clock"):
+        for key in ("pressure", "slew", "speed", "noise", "slide_speed", "slide_noise", "stale", "clock"):
             value = getattr(self, key)
-            if not (math.isfinite(value) and value > 0):
+            if value is not None and not (math.isfinite(value) and value > 0):
                 raise ConfigError(f"safety: {key} is {value:g}, expected more than 0")
-        if not (math.isfinite(self.joint_margin) and self.joint_margin >= 0):
-            raise ConfigError(f"safety: joint_margin is {self.joint_margin:g}, expected at least 0")
+        for key in ("joint_margin", "slide_margin"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value >= 0):
+                raise ConfigError(f"safety: {key} is {value:g}, expected at least 0")
         if self.misses < 0:
             raise ConfigError(f"safety: misses is {self.misses}, expected at least 0")
 
@@ -179,36 +206,6 @@ class HardwareSettings:
         flat = table_of(_Flat(self.rate, self.patience, self.settle, self.wire, self.safety), FORMAT)
         joints = {name: table_of(own) for name, own in self.joints.items()}
         return {**flat, "joints": joints, "actuators": {name: table_of(own) for name, own in self.actuators.items()}}
-
-    def for_robot(
-        self, joints: tuple[str, ...], actuators: tuple[str, ...], where: str = "hardware settings"
-    ) -> tuple[tuple[Calibration, ...], tuple[Channel, ...]]:
-        """Calibrations and channels of a robot, in its order.
-
-        Raises:
-            ConfigError: for a joint or actuator that it does not have, or two that share a name or a place.
-        """
-        for kind, given, known in (("joint", self.joints, joints), ("actuator", self.actuators, actuators)):
-            for name in given:
-                if name not in known:
-                    raise ConfigError(unknown_name(kind, name, known, where))
-        calibrations = tuple(
-            Calibration(own.name or name, own.zero, own.scale)
-            for name, own in ((name, self.joints.get(name, Calibration())) for name in joints)
-        )
-        channels = tuple(
-            Channel(i if own.index < 0 else own.index, own.unit)
-            for i, own in enumerate(self.actuators.get(name, Channel()) for name in actuators)
-        )
-        names, places = [c.name for c in calibrations], [c.index for c in channels]
-        if len(set(names)) < len(names):
-            raise ConfigError(f"{where}: joints are called {', '.join(names)} on the wire, expected each another name")
-        if sorted(places) != list(range(len(places))):
-            raise ConfigError(
-                f"{where}: actuators have the indices {', '.join(map(str, places))}, expected 0 to {len(places) - 1}, "
-                "each once"
-            )
-        return calibrations, channels
 
 
 @dataclass(frozen=True)

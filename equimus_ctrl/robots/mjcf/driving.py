@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from equimus_ctrl.robots.base import Need, Robot
-from equimus_ctrl.robots.mjcf.actuators import exerts_its_command
+from equimus_ctrl.robots.mjcf.actuators import OWN, exerts_its_command
 from equimus_ctrl.robots.mjcf.entries import Axis, Drive
 from equimus_ctrl.robots.mjcf.obstacles import switched_off
 from equimus_ctrl.types import Array, frozen_array
@@ -96,6 +96,24 @@ class Driven(Robot):
     def goals(self) -> tuple[bool, ...]:
         """As of any robot: those of servos."""
         return tuple(drive.servo for drive in self.actuators)
+
+    def goals_at(self, position: Array) -> Array:
+        """As of any robot: k u + b₀ + b₁ l = 0 of a gain k and a bias b along the actuator's length l."""
+        model, found = self.mujoco_model(), np.zeros(len(self.actuators))
+        if not any(self.goals):
+            return found
+        data = mujoco.MjData(model)
+        for joint, value in zip(self.joints, np.asarray(position).tolist(), strict=True):
+            data.qpos[int(model.joint(joint.name).qposadr[0])] = value
+        mujoco.mj_fwdPosition(model, data)
+        for k, drive in enumerate(self.actuators):
+            if drive.servo:
+                i = model.actuator(drive.actuator).id
+                length = float(data.actuator_length[model.actuator_outadr[i]])
+                gain, bias = float(model.actuator_gainprm[i, 0]), model.actuator_biasprm[i]
+                own = int(model.actuator_gaintype[i]) in OWN or gain == 0
+                found[k] = length if own else -(float(bias[0]) + float(bias[1]) * length) / gain
+        return found
 
     @property
     def offers(self) -> frozenset[Need]:
